@@ -1,0 +1,1 @@
+"""The wire: rosbridge v2 frames in, operations out, and back. No sockets, no clock, no asyncio."""

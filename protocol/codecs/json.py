@@ -1,0 +1,115 @@
+"""JSON text frames.
+
+Inbound, more than JSON is understood: the tokens ``NaN`` and ``Infinity``, which Python clients send.
+Outbound, NaN and infinities become ``null`` as in rosbridge, and the text is pure ASCII, because some clients
+read it as ASCII.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+
+import orjson
+
+from protocol.errors import FrameError
+
+# The deepest message of the interface tables nests 15 levels; a service and its envelope add three.
+MAX_NESTING_DEPTH = 64
+
+# The longest decimal numeral of a 64-bit integer, with its sign.
+_MAX_INTEGER_CHARACTERS = 20
+
+_NOT_ASCII = re.compile(r"[^\x00-\x7f]+")
+
+
+def decode(frame: str | bytes) -> object:
+    """Decode one frame.
+
+    Args:
+        frame: JSON text; bytes are UTF-8.
+
+    Raises:
+        FrameError: invalid UTF-8, not JSON, or nested deeper than `MAX_NESTING_DEPTH`.
+    """
+    try:
+        # It takes bytes as they came and checks their UTF-8 on the way.
+        value = orjson.loads(frame)
+    except orjson.JSONDecodeError as error:
+        value = _decode_beyond_json(_text(frame), error)
+    if _may_be_too_deep(frame):
+        _check_depth(value)
+    return value
+
+
+def encode(value: object) -> bytes:
+    """Encode one frame: ASCII, no blanks, NaN and infinities as null.
+
+    Args:
+        value: dicts, lists, text, numbers within 64 bits, booleans, None.
+    """
+    encoded = orjson.dumps(value)
+    if encoded.isascii():
+        return encoded
+    # Outside of its strings JSON text is ASCII, so whatever is not may be escaped where it stands.
+    return _NOT_ASCII.sub(lambda run: json.dumps(run[0])[1:-1], encoded.decode()).encode("ascii")
+
+
+def _text(frame: str | bytes) -> str:
+    try:
+        return frame.decode() if isinstance(frame, bytes) else str(frame.encode(), "utf-8")
+    except UnicodeDecodeError as error:
+        raise FrameError("invalid UTF-8", error.start) from error
+    except UnicodeEncodeError as error:
+        raise FrameError("text with a lone surrogate", error.start) from error
+
+
+def _decode_beyond_json(text: str, strict_error: orjson.JSONDecodeError) -> object:
+    """Decode text that strict JSON refused, if only for its ``NaN`` and ``Infinity``."""
+    # The strict error is reported in every case: the lenient one would name a place further on.
+    not_json = FrameError(f"not JSON, {strict_error.msg}", strict_error.pos)
+    if "NaN" not in text and "Infinity" not in text:
+        raise not_json
+    try:
+        value: object = json.loads(text, parse_int=_parse_integer)
+        # Python's decoder lets escaped lone surrogates through, which no client could be sent.
+        orjson.dumps(value)
+    except (ValueError, RecursionError, TypeError) as error:
+        raise not_json from error
+    return value
+
+
+def _parse_integer(numeral: str) -> int | float:
+    """Read integers beyond 64 bits as floats, as the strict decoder does."""
+    # The interpreter refuses to make an int of thousands of digits, and below that takes quadratic time.
+    if len(numeral) > _MAX_INTEGER_CHARACTERS:
+        return float(numeral)
+    number = int(numeral)
+    return number if -(2**63) <= number < 2**64 else float(number)
+
+
+def _may_be_too_deep(frame: str | bytes) -> bool:
+    """Count opening brackets: few of them cannot nest deep, and most frames have few."""
+    if isinstance(frame, bytes):
+        return frame.count(b"[") + frame.count(b"{") > MAX_NESTING_DEPTH
+    return frame.count("[") + frame.count("{") > MAX_NESTING_DEPTH
+
+
+def _check_depth(value: object) -> None:
+    # Level by level, not by recursion, which the frame could drive as deep as it likes.
+    level = [value]
+    for _ in range(MAX_NESTING_DEPTH):
+        level = [child for parent in level for child in _children(parent)]
+        if not level:
+            return
+    raise FrameError(f"nested deeper than the limit of {MAX_NESTING_DEPTH} levels")
+
+
+def _children(value: object) -> Iterable[object]:
+    """Return the containers directly inside a container."""
+    if isinstance(value, dict):
+        return [child for child in value.values() if isinstance(child, (dict, list))]
+    if isinstance(value, list):
+        return [child for child in value if isinstance(child, (dict, list))]
+    return ()

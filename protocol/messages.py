@@ -1,0 +1,264 @@
+"""Messages: validates a decoded value against its type and completes it, in ROS 2 spelling.
+
+Out of `complete` comes a dict with every field of the type in order of declaration. Arrays of uint8 and char
+are base64 text, as they go over the wire; a float that was null is NaN. Whatever came in is left as it was.
+
+A type is compiled once into a tree of shapes; completing a message walks that tree.
+"""
+
+from __future__ import annotations
+
+import functools
+from binascii import b2a_base64
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+from protocol import values
+from protocol.errors import MessageError, describe, shorten
+from protocol.registry import ArrayBounds, Field, Registry
+
+HEADER = "std_msgs/msg/Header"
+TIME = "builtin_interfaces/msg/Time"
+DURATION = "builtin_interfaces/msg/Duration"
+
+# ROS 1 names that clients send with ROS 2 types: type -> name sent -> name meant (None: nothing in ROS 2).
+_ROS1_NAMES: Mapping[str, Mapping[str, str | None]] = {
+    TIME: {"secs": "sec", "nsecs": "nanosec"},
+    DURATION: {"secs": "sec", "nsecs": "nanosec"},
+    HEADER: {"seq": None},
+}
+
+# Arrays of these are packed into base64 text by rosbridge clients.
+_OCTETS = ("uint8", "char", "byte")
+
+# Every distinct shape stays compiled: the tables hold fewer message types than this, each with two spellings.
+_MAX_COMPILED_TYPES = 1024
+
+
+class Stamp(NamedTuple):
+    """A point in time, as in builtin_interfaces/Time: seconds of the Unix epoch and nanoseconds."""
+
+    sec: int
+    nanosec: int
+
+    @classmethod
+    def from_seconds(cls, seconds: float) -> Stamp:
+        """The stamp of a time in seconds since the Unix epoch, as `time.time` gives it."""
+        whole, fraction = divmod(round(seconds * 1_000_000_000), 1_000_000_000)
+        return cls(whole, fraction)
+
+    def as_message(self) -> dict[str, int]:
+        """Return the builtin_interfaces/Time."""
+        return {"sec": self.sec, "nanosec": self.nanosec}
+
+
+class _Shape(Protocol):
+    """What a value must look like, and what stands in for one that is missing."""
+
+    def complete(self, value: object, received: Stamp) -> Any:
+        """Validate a value and return it completed, or raise MessageError."""
+
+    def default(self, received: Stamp) -> Any:
+        """Return what stands in for a value that is missing; nothing of it is shared."""
+
+
+def complete(registry: Registry, type_name: str, value: object, received: Stamp) -> dict[str, Any]:
+    """Validate a message and fill in what it leaves out.
+
+    Missing fields get their defaults. A header that is omitted, or has no stamp, gets the time of receipt; a
+    stamp that is given stays, even if it is zero. The text ``now`` for a Time is the time of receipt.
+
+    Args:
+        registry: where the type is looked up.
+        type_name: name of a message type, in two parts or three.
+        value: the message as it was decoded.
+        received: the time of receipt.
+
+    Raises:
+        InterfaceError: the type is unknown.
+        MessageError: the value does not fit the type.
+    """
+    return _message_shape(registry, type_name).complete(value, received)
+
+
+class _PrimitiveShape:
+    """A single primitive value."""
+
+    def __init__(self, field: Field) -> None:
+        self._convert = values.converter(field.base)
+        self._default = values.zero(field.base) if field.default is None else field.default
+
+    def complete(self, value: object, _received: Stamp) -> values.Primitive:
+        """Convert the value."""
+        return self._convert(value)
+
+    def default(self, _received: Stamp) -> values.Primitive:
+        """Return the definition's default, else the type's zero."""
+        return self._default
+
+
+class _PrimitiveArrayShape:
+    """An array of primitive values."""
+
+    def __init__(self, field: Field, bounds: ArrayBounds) -> None:
+        self._convert = values.converter(field.base)
+        self._convert_list = values.list_converter(field.base)
+        self._bounds = bounds
+        self._default = [values.zero(field.base)] * bounds.min_length
+
+    def complete(self, value: object, _received: Stamp) -> list[Any]:
+        """Convert the elements, the quick way where all are as they should be."""
+        elements = _elements(value, self._bounds)
+        converted = self._convert_list(elements)
+        return values.to_list(elements, self._convert) if converted is None else converted
+
+    def default(self, _received: Stamp) -> list[Any]:
+        """Return zeros for an array of fixed size, else an empty list."""
+        return self._default.copy()
+
+
+class _OctetArrayShape:
+    """An array of octets. Of the three octet types byte alone goes out as a list of integers."""
+
+    def __init__(self, field: Field, bounds: ArrayBounds) -> None:
+        self._name = f"{field.base}[]"
+        # rosbridge packs uint8[] and char[] alone (message_conversion), so clients expect integers in a byte[].
+        self._as_text = field.base != "byte"
+        self._bounds = bounds
+
+    def complete(self, value: object, _received: Stamp) -> str | list[int]:
+        """Take base64 text or a list; whichever came, the spelling that goes out is the same."""
+        octets = values.to_octets(value, self._name)
+        _check_length(len(octets), self._bounds)
+        return self._spell(octets)
+
+    def default(self, _received: Stamp) -> str | list[int]:
+        """Return zeros for an array of fixed size, else an empty one."""
+        return self._spell(bytes(self._bounds.min_length))
+
+    def _spell(self, octets: bytes) -> str | list[int]:
+        return b2a_base64(octets, newline=False).decode() if self._as_text else list(octets)
+
+
+class _MessageArrayShape:
+    """An array of messages."""
+
+    def __init__(self, element: _Shape, bounds: ArrayBounds) -> None:
+        self._element = element
+        self._bounds = bounds
+
+    def complete(self, value: object, received: Stamp) -> list[Any]:
+        """Complete every element."""
+        return values.to_list(_elements(value, self._bounds), lambda element: self._element.complete(element, received))
+
+    def default(self, received: Stamp) -> list[Any]:
+        """Return default messages for an array of fixed size, else an empty list."""
+        return [self._element.default(received) for _ in range(self._bounds.min_length)]
+
+
+class _MessageShape:
+    """A message: its fields, each with a shape of its own."""
+
+    def __init__(self, name: str, shapes: Mapping[str, _Shape]) -> None:
+        self._name = name
+        self._ros1_names = _ROS1_NAMES.get(name)
+        # Bound methods, looked up once: this list is walked for every message of the type.
+        self._fields = [(field, shape.complete, shape.default) for field, shape in shapes.items()]
+
+    def complete(self, value: object, received: Stamp) -> dict[str, Any]:
+        """Complete the fields in order of declaration."""
+        if type(value) is not dict:
+            raise MessageError(self._name, describe(value))
+        if self._ros1_names:
+            value = self._translate(value, self._ros1_names)
+        completed = {}
+        # Counting the fields found tells whether there are unknown ones without looking for them in every message.
+        found = 0
+        for name, complete_field, default in self._fields:
+            if name not in value:
+                completed[name] = default(received)
+                continue
+            found += 1
+            try:
+                completed[name] = complete_field(value[name], received)
+            except MessageError as error:
+                raise error.inside(name) from None
+        if found != len(value):
+            self._refuse_unknown(value, completed)
+        return completed
+
+    def default(self, received: Stamp) -> dict[str, Any]:
+        """Return a message of defaults."""
+        return {name: default(received) for name, _, default in self._fields}
+
+    def _translate(self, value: dict[str, Any], ros1_names: Mapping[str, str | None]) -> dict[str, Any]:
+        # Nearly every message is in ROS 2 spelling already and needs no copy.
+        if ros1_names.keys().isdisjoint(value):
+            return value
+        translated = {}
+        for name, content in value.items():
+            meant = ros1_names.get(name, name)
+            if meant is None:
+                continue
+            # Which of two spellings the client meant is not ours to guess.
+            if meant in translated:
+                raise MessageError(f"{meant} once", "two spellings of it", meant)
+            translated[meant] = content
+        return translated
+
+    def _refuse_unknown(self, value: dict[str, Any], known: Mapping[str, Any]) -> None:
+        name = next(name for name in value if name not in known)
+        fields = ", ".join(known) or "no field"
+        raise MessageError(f"a field of {self._name} ({fields})", "an unknown one", shorten(name))
+
+
+class _TimeShape(_MessageShape):
+    """builtin_interfaces/Time, which may also be the text ``now``."""
+
+    def complete(self, value: object, received: Stamp) -> dict[str, Any]:
+        """Complete a time; ``now`` is the time of receipt."""
+        return received._asdict() if value == "now" else super().complete(value, received)
+
+
+class _HeaderStampShape(_TimeShape):
+    """The stamp of a header: where it is missing, it is the time of receipt."""
+
+    def default(self, received: Stamp) -> dict[str, Any]:
+        """Return the time of receipt."""
+        return received._asdict()
+
+
+@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+def _message_shape(registry: Registry, type_name: str) -> _MessageShape:
+    # Types of ROS never contain themselves, so this ends.
+    message_type = registry.message(type_name)
+    shapes = {field.name: _field_shape(registry, field) for field in message_type.fields}
+    # Only in a header is a time that is left out the time of receipt; elsewhere zero has a meaning of its own.
+    if message_type.name == HEADER:
+        stamp = registry.message(TIME)
+        shapes["stamp"] = _HeaderStampShape(TIME, {field.name: _PrimitiveShape(field) for field in stamp.fields})
+    shape_class = _TimeShape if message_type.name == TIME else _MessageShape
+    return shape_class(message_type.name, shapes)
+
+
+def _field_shape(registry: Registry, field: Field) -> _Shape:
+    if not field.primitive:
+        element = _message_shape(registry, field.base)
+        return element if field.array is None else _MessageArrayShape(element, field.array)
+    if field.array is None:
+        return _PrimitiveShape(field)
+    return (_OctetArrayShape if field.base in _OCTETS else _PrimitiveArrayShape)(field, field.array)
+
+
+def _elements(value: object, bounds: ArrayBounds) -> list[Any]:
+    if type(value) is not list:
+        raise MessageError("a list", describe(value))
+    _check_length(len(value), bounds)
+    return value
+
+
+def _check_length(length: int, bounds: ArrayBounds) -> None:
+    if bounds.max_length is None or bounds.min_length <= length <= bounds.max_length:
+        return
+    wanted = "exactly" if bounds.fixed else "at most"
+    raise MessageError(f"{wanted} {bounds.max_length} elements", f"{length}")

@@ -1,0 +1,139 @@
+"""A client's subscriptions: merges several ids on one topic into one delivery, and says when it may happen.
+
+Rules of rosbridge: the merged throttle_rate and queue_length are the least of all ids. With a throttle and no
+queue, messages that come too early are dropped; with a queue they wait, and when it is full the oldest goes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from protocol.names import qualify
+from protocol.operations import Subscribe
+from protocol.registrations import Registrations
+
+
+class Rule(NamedTuple):
+    """What one id asks for: the least time between two messages [s], and how many may wait (0: none)."""
+
+    throttle_s: float
+    queue_length: int
+
+
+@dataclass(eq=False, slots=True)
+class Subscription:
+    """One topic's delivery to one client.
+
+    Attributes:
+        spelled_topic: the topic as the first subscription spelled it; so it is spelled in what is delivered.
+        throttle_s: least time between two messages [s], 0 for all at once.
+        queue_length: how many messages may wait, 0 for as many as the client's bound allows.
+        last_sent_s: when the last message left [s], in the caller's clock.
+        closed: whether the last id has gone; what still waits is not sent any more.
+    """
+
+    spelled_topic: str
+    throttle_s: float = 0.0
+    queue_length: int = 0
+    last_sent_s: float = -math.inf
+    closed: bool = False
+
+    @property
+    def due_s(self) -> float:
+        """When the next message may leave [s]; minus infinity when all that wait may leave at any time."""
+        return self.last_sent_s + self.throttle_s if self._paced else -math.inf
+
+    @property
+    def _paced(self) -> bool:
+        """Whether messages wait for the throttle to let them through one by one."""
+        return self.throttle_s > 0 and self.queue_length > 0 and not self.closed
+
+    def merge(self, rules: Collection[Rule]) -> None:
+        """Set the rule that serves all ids."""
+        self.throttle_s = min(rule.throttle_s for rule in rules)
+        self.queue_length = min(rule.queue_length for rule in rules)
+
+    def admit(self, now: float) -> bool:
+        """Decide on a message that has just come: take it, or drop it because it comes too early.
+
+        Args:
+            now: present time [s], monotonic.
+        """
+        if self.throttle_s == 0 or self.queue_length > 0:
+            return True
+        if now < self.last_sent_s + self.throttle_s:
+            return False
+        self.last_sent_s = now
+        return True
+
+    def due_count(self, waiting: int, now: float) -> int:
+        """Return how many of the messages that wait may leave now.
+
+        Args:
+            waiting: number of messages that wait.
+            now: present time [s], monotonic.
+        """
+        if self._paced:
+            return 1 if now >= self.due_s else 0
+        return waiting
+
+    def sent(self, now: float) -> None:
+        """Note that messages have left, for the throttle to count from."""
+        if self._paced:
+            self.last_sent_s = now
+
+
+class Subscriptions:
+    """The topics a client has subscribed to.
+
+    Args:
+        limit: greatest number of subscriptions, over all topics and ids.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._rules: Registrations[Rule] = Registrations("subscribe", limit)
+        self._merged: dict[str, Subscription] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        """Go over the topics, by fully qualified name; the table may change meanwhile."""
+        return iter(self._rules)
+
+    def __contains__(self, topic: str) -> bool:
+        return topic in self._rules
+
+    def get(self, topic: str) -> Subscription | None:
+        """Return the delivery of a topic, given by its fully qualified name, None without a subscription."""
+        return self._merged.get(topic)
+
+    def add(self, operation: Subscribe) -> bool:
+        """Register a subscription, after the graph has accepted the operation.
+
+        Returns:
+            True when this is the client's first subscription to the topic.
+
+        Raises:
+            OperationError: the client's limit is reached.
+        """
+        rule = Rule(operation.throttle_rate / 1000, operation.queue_length)
+        first = self._rules.put(operation.topic, operation.id, rule)
+        # The delivery outlives the id that opened it: its spelling and its throttle's clock belong to the topic.
+        subscription = self._merged.setdefault(qualify(operation.topic), Subscription(operation.topic))
+        subscription.merge(self._rules.entries(operation.topic))
+        return first
+
+    def remove(self, topic: str, subscription_id: str | int | None) -> bool:
+        """Withdraw the subscription with this id, or all to the topic when no id is given.
+
+        Returns:
+            True when something was withdrawn and nothing is left on the topic: the graph must be told.
+        """
+        none_left = self._rules.remove(topic, subscription_id)
+        if none_left:
+            # Frames of it may still wait in the outbox, which holds the delivery, not the table.
+            self._merged.pop(qualify(topic)).closed = True
+        elif topic in self:
+            self._merged[qualify(topic)].merge(self._rules.entries(topic))
+        return none_left

@@ -1,0 +1,118 @@
+import json as stdlib_json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.codecs import json
+from protocol.errors import FrameError
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=20,
+)
+
+
+def nested(depth):
+    return "[" * depth + "]" * depth
+
+
+def without_infinities(value):
+    if isinstance(value, list):
+        return [without_infinities(child) for child in value]
+    if isinstance(value, dict):
+        return {key: without_infinities(child) for key, child in value.items()}
+    return None if isinstance(value, float) and math.isinf(value) else value
+
+
+@given(json_values)
+def test_what_is_encoded_is_ascii_and_decodes_to_the_same(value):
+    encoded = json.encode(value)
+    assert encoded.isascii()
+    assert json.decode(encoded) == stdlib_json.loads(encoded) == without_infinities(value)
+
+
+@given(json_values)
+def test_text_and_bytes_of_other_encoders_are_read_alike(value):
+    text = stdlib_json.dumps(value, ensure_ascii=False)
+    assert json.decode(text) == json.decode(text.encode()) == value
+
+
+def test_characters_beyond_ascii_are_escaped_in_pairs_where_needed():
+    assert json.encode({"ü": '€"😀'}) == b'{"\\u00fc":"\\u20ac\\"\\ud83d\\ude00"}'
+
+
+def test_nan_and_infinities_go_out_as_null_and_their_tokens_come_in_as_floats():
+    assert json.encode([math.nan, math.inf, -math.inf]) == b"[null,null,null]"
+    not_a_number, infinity, negative = json.decode(b"[NaN,Infinity,-Infinity]")
+    assert math.isnan(not_a_number)
+    assert (infinity, negative) == (math.inf, -math.inf)
+
+
+def test_text_that_only_speaks_of_nan_is_text():
+    assert json.decode('{"data":"NaN"}') == {"data": "NaN"}
+
+
+@pytest.mark.parametrize("numeral", ["1" * 30, "18446744073709551616", "-9223372036854775809", "-" + "9" * 20])
+def test_integers_beyond_64_bits_come_in_as_floats_with_and_without_nan_beside_them(numeral):
+    assert json.decode(f"[{numeral}]") == [float(numeral)]
+    assert json.decode(f"[{numeral},NaN]")[0] == float(numeral)
+    assert type(json.decode(f"[{numeral},NaN]")[0]) is float
+
+
+@pytest.mark.parametrize("numeral", ["18446744073709551615", "-9223372036854775808"])
+def test_integers_within_64_bits_come_in_as_integers(numeral):
+    assert json.decode(f"[{numeral}]") == [int(numeral)]
+    assert json.decode(f"[{numeral},NaN]")[0] == int(numeral)
+
+
+@pytest.mark.parametrize("frame", ["", "{", '{"a":1}x', "{'a':1}", '"\\ud800"', "[NaN", '["\\ud800",NaN]', "[nan]"])
+def test_what_is_not_json_is_refused_with_a_position(frame):
+    with pytest.raises(FrameError, match="not JSON, ") as refusal:
+        json.decode(frame)
+    assert refusal.value.position is not None
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_digit_flood_beside_nan_is_read_or_refused_without_delay():
+    with pytest.raises(FrameError):
+        json.decode("9" * 10_000)
+    assert json.decode(f"[NaN,{'9' * 10_000}]")[1] == math.inf
+
+
+def test_invalid_utf8_is_refused_at_its_byte():
+    with pytest.raises(FrameError, match="invalid UTF-8 at position 2") as refusal:
+        json.decode(b'"a\xff"')
+    assert refusal.value.position == 2
+
+
+def test_text_with_a_lone_surrogate_is_refused():
+    with pytest.raises(FrameError, match="lone surrogate"):
+        json.decode('"\ud800"')
+
+
+@pytest.mark.parametrize("encode", [str, str.encode])
+def test_nesting_is_taken_to_the_limit_and_not_beyond(encode):
+    assert json.decode(encode(nested(json.MAX_NESTING_DEPTH)))
+    with pytest.raises(FrameError, match=f"limit of {json.MAX_NESTING_DEPTH}"):
+        json.decode(encode(nested(json.MAX_NESTING_DEPTH + 1)))
+
+
+@pytest.mark.parametrize("encode", [str, str.encode])
+def test_objects_count_for_the_nesting_as_lists_do(encode):
+    deep = '{"a":' * (json.MAX_NESTING_DEPTH + 1) + "1" + "}" * (json.MAX_NESTING_DEPTH + 1)
+    with pytest.raises(FrameError, match="nested deeper"):
+        json.decode(encode(deep))
+
+
+def test_nesting_that_no_decoder_survives_is_refused():
+    for frame in ("[" * 200_000, "[NaN," + "[" * 200_000, "[NaN," + nested(5_000) + "]"):
+        with pytest.raises(FrameError):
+            json.decode(frame)
+
+
+def test_many_brackets_that_do_not_nest_are_taken():
+    assert len(json.decode("[" + ",".join(["{}"] * 1000) + "]")) == 1000
+    assert json.decode('"' + "[" * 1000 + '"') == "[" * 1000

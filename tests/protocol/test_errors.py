@@ -1,0 +1,90 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.errors import (
+    MAX_QUOTED_CHARACTERS,
+    FrameError,
+    InterfaceError,
+    MessageError,
+    OperationError,
+    ProtocolError,
+    describe,
+    shorten,
+)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        InterfaceError("a/B", "unknown"),
+        MessageError("int32", "null"),
+        OperationError("publish", "topic", "wanted text"),
+        FrameError("not JSON", 3),
+    ],
+)
+def test_every_refusal_is_a_protocol_error_of_one_line(error):
+    assert isinstance(error, ProtocolError)
+    assert "\n" not in str(error)
+
+
+def test_a_message_error_grows_its_path_from_the_inside_out():
+    error = MessageError("float64", "'x'").inside("[1]").inside("positions").inside("[3]").inside("points")
+    assert error.path == "points[3].positions[1]"
+    assert str(error) == "field points[3].positions[1]: wanted float64, got 'x'"
+
+
+def test_a_message_error_about_the_whole_message_names_no_field():
+    assert str(MessageError("std_msgs/msg/String", "42")) == "message: wanted std_msgs/msg/String, got 42"
+
+
+def test_an_operation_error_names_op_and_field_as_far_as_they_are_known():
+    assert str(OperationError("publish", "topic", "missing")) == "publish: field topic: missing"
+    assert str(OperationError("publish", None, "too many")) == "publish: too many"
+    assert str(OperationError(None, None, "no object")) == "no object"
+
+
+def test_a_frame_error_names_the_position_where_there_is_one():
+    assert str(FrameError("not JSON", 7)) == "not JSON at position 7"
+    assert str(FrameError("too deep")) == "too deep"
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (None, "null"),
+        (True, "true"),
+        (False, "false"),
+        (1.5, "1.5"),
+        ("a", "'a'"),
+        ({"a": 1}, "an object of 1 fields"),
+        ([1, 2], "a list of 2"),
+        (2**70, "an integer of 71 bits"),
+    ],
+)
+def test_values_are_described_in_terms_of_json(value, words):
+    assert describe(value) == words
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=10,
+)
+
+
+@given(json_values)
+def test_a_description_is_one_short_line_whatever_came(value):
+    words = describe(value)
+    # Escapes may stretch what is quoted: \U0001f600 stands for one character.
+    assert len(words) < 12 * MAX_QUOTED_CHARACTERS
+    assert "\n" not in words
+
+
+def test_digits_beyond_the_interpreters_limit_are_not_written_out():
+    assert describe(10**5000) == "an integer of 16610 bits"
+
+
+def test_short_text_is_left_as_it_is_and_long_text_is_cut():
+    assert shorten("abc") == "abc"
+    assert shorten("a" * 1000) == "a" * MAX_QUOTED_CHARACTERS + "..."

@@ -1,0 +1,175 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.errors import OperationError
+from protocol.operations import (
+    MAX_ID_CHARACTERS,
+    MAX_NAME_CHARACTERS,
+    OPERATIONS,
+    Advertise,
+    Publish,
+    Subscribe,
+    Unsubscribe,
+    parse,
+)
+
+MINIMAL = {
+    "advertise": {"topic": "/a", "type": "std_msgs/String"},
+    "unadvertise": {"topic": "/a"},
+    "publish": {"topic": "/a"},
+    "subscribe": {"topic": "/a"},
+    "unsubscribe": {"topic": "/a"},
+}
+
+
+def refused(value):
+    with pytest.raises(OperationError) as refusal:
+        parse(value)
+    return refusal.value
+
+
+def test_every_row_of_the_table_is_keyed_by_the_op_of_its_model():
+    assert set(OPERATIONS) == set(MINIMAL)
+    for op, fields in MINIMAL.items():
+        assert parse({"op": op, **fields}).op == op
+
+
+def test_fields_left_out_have_the_defaults_of_rosbridge():
+    assert parse({"op": "subscribe", "topic": "/a"}) == Subscribe(
+        topic="/a", type=None, throttle_rate=0, queue_length=0, fragment_size=None, compression="none", id=None
+    )
+    assert parse({"op": "publish", "topic": "/a"}) == Publish(topic="/a", msg={}, latch=False, queue_size=100)
+    advertised = parse({"op": "advertise", "topic": "/a", "type": "std_msgs/String"})
+    assert advertised == Advertise(topic="/a", type="std_msgs/String", latch=False, queue_size=100, id=None)
+
+
+@pytest.mark.parametrize("op", MINIMAL)
+@pytest.mark.parametrize("mark", ["a", "", 7, -1, None])
+def test_an_id_is_text_integer_or_null_and_stays_what_it_is(op, mark):
+    operation = parse({"op": op, **MINIMAL[op], "id": mark})
+    assert operation.id == mark
+    assert type(operation.id) is type(mark)
+
+
+@pytest.mark.parametrize("op", MINIMAL)
+def test_unknown_fields_are_ignored(op):
+    assert parse({"op": op, **MINIMAL[op], "foo": [1]}) == parse({"op": op, **MINIMAL[op]})
+
+
+@pytest.mark.parametrize(("op", "field"), [(op, field) for op, fields in MINIMAL.items() for field in fields])
+def test_a_mandatory_field_that_is_missing_is_named(op, field):
+    value = {"op": op, **MINIMAL[op]}
+    del value[field]
+    error = refused(value)
+    assert (error.op, error.field) == (op, field)
+    assert str(error) == f"{op}: field {field}: wanted text of 1 to 255 characters, got none"
+
+
+@pytest.mark.parametrize(
+    ("op", "field", "value"),
+    [
+        ("publish", "topic", 42),
+        ("publish", "topic", ""),
+        ("publish", "topic", "a" * (MAX_NAME_CHARACTERS + 1)),
+        ("publish", "msg", None),
+        ("publish", "msg", []),
+        ("publish", "msg", "text"),
+        ("publish", "latch", 1),
+        ("publish", "id", True),
+        ("publish", "id", 1.5),
+        ("publish", "id", {}),
+        ("publish", "id", "a" * (MAX_ID_CHARACTERS + 1)),
+        ("advertise", "type", None),
+        ("advertise", "queue_size", -1),
+        ("advertise", "qos", "reliable"),
+        ("subscribe", "type", 3),
+        ("subscribe", "throttle_rate", -1),
+        ("subscribe", "throttle_rate", "100"),
+        ("subscribe", "throttle_rate", True),
+        ("subscribe", "throttle_rate", float("nan")),
+        ("subscribe", "throttle_rate", float("inf")),
+        ("subscribe", "queue_length", -1),
+        ("subscribe", "queue_length", 1.5),
+        ("subscribe", "fragment_size", 0),
+        ("subscribe", "fragment_size", -5),
+        ("subscribe", "fragment_size", "many"),
+        ("subscribe", "compression", "zip"),
+        ("subscribe", "compression", None),
+    ],
+)
+def test_a_known_field_of_senseless_value_is_named(op, field, value):
+    error = refused({"op": op, **MINIMAL[op], field: value})
+    assert (error.op, error.field) == (op, field)
+    assert str(error).startswith(f"{op}: field {field}: wanted ")
+    assert "\n" not in str(error)
+
+
+def test_a_refusal_says_what_was_wanted_and_what_came():
+    error = refused({"op": "subscribe", "topic": "/a", "queue_length": -3})
+    assert str(error) == "subscribe: field queue_length: wanted an integer >= 0, got -3"
+
+
+@pytest.mark.parametrize("rate", [0, 100, 33.4])
+def test_throttle_rate_is_taken_as_integer_and_as_float(rate):
+    assert parse({"op": "subscribe", "topic": "/a", "throttle_rate": rate}).throttle_rate == rate
+
+
+def test_what_ros_sharp_sends_is_taken():
+    operation = parse(
+        {
+            "op": "subscribe",
+            "id": None,
+            "topic": "/a",
+            "type": "std_msgs/String",
+            "throttle_rate": 0,
+            "queue_length": 1,
+            "fragment_size": 2147483647,
+            "compression": "none",
+        }
+    )
+    assert operation.queue_length == 1
+
+
+def test_qos_and_null_types_are_taken():
+    assert parse({"op": "subscribe", "topic": "/a", "type": None, "qos": {"depth": 1}}).qos == {"depth": 1}
+
+
+@pytest.mark.parametrize("op", ["fly", "", 42, None, ["publish"], {"op": "publish"}])
+def test_an_unknown_op_is_refused_with_the_ops_there_are(op):
+    error = refused({"op": op})
+    assert error.field == "op"
+    assert all(name in str(error) for name in OPERATIONS)
+
+
+def test_a_missing_op_is_refused_with_the_ops_there_are():
+    assert str(refused({"topic": "/a"})).startswith("field op: wanted one of advertise, ")
+
+
+@pytest.mark.parametrize("value", [42, [1], None, "text", True])
+def test_what_is_no_object_is_refused(value):
+    assert "wanted an object" in str(refused(value))
+
+
+def test_an_operation_cannot_be_changed():
+    operation = Unsubscribe(topic="/a")
+    with pytest.raises(ValueError, match="frozen"):
+        operation.topic = "/b"
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+field_names = sorted({name for model in OPERATIONS.values() for name in model.model_fields} - {"op"})
+
+
+@given(st.sampled_from(sorted(OPERATIONS)), st.dictionaries(st.sampled_from(field_names), json_values))
+def test_any_fields_are_read_or_refused_in_one_line(op, fields):
+    try:
+        outcome = parse({**fields, "op": op})
+    except OperationError as error:
+        outcome = error
+    assert outcome.op == op
+    assert isinstance(outcome, OPERATIONS[op]) or "\n" not in str(outcome)

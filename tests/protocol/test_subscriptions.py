@@ -1,0 +1,138 @@
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.errors import OperationError
+from protocol.operations import Subscribe
+from protocol.subscriptions import Rule, Subscription, Subscriptions
+
+
+def subscriptions(*operations, limit=100):
+    table = Subscriptions(limit)
+    for operation in operations:
+        table.add(operation)
+    return table
+
+
+def subscribe(topic="/a", **fields):
+    return Subscribe(topic=topic, **fields)
+
+
+def merged(*operations):
+    subscription = subscriptions(*operations).get("/a")
+    return subscription.throttle_s, subscription.queue_length
+
+
+# The table
+
+
+def test_several_ids_on_one_topic_are_one_delivery():
+    table = subscriptions(subscribe(id="x"))
+    first = table.get("/a")
+    assert table.add(subscribe(id="y")) is False
+    assert table.get("/a") is first
+    assert list(table) == ["/a"]
+
+
+def test_throttle_and_queue_of_several_ids_are_the_least_of_each():
+    both = (subscribe(id=1, throttle_rate=200, queue_length=5), subscribe(id=2, throttle_rate=100, queue_length=9))
+    assert merged(*both) == merged(*reversed(both)) == (0.1, 5)
+
+
+def test_subscribing_again_with_the_same_id_replaces():
+    assert merged(subscribe(id=1, throttle_rate=100), subscribe(id=1, throttle_rate=300)) == (0.3, 0)
+    assert merged(subscribe(throttle_rate=100), subscribe(throttle_rate=300)) == (0.3, 0)
+
+
+def test_unsubscribing_one_id_merges_the_rest_anew():
+    table = subscriptions(subscribe(id=1, throttle_rate=100), subscribe(id=2, throttle_rate=300))
+    assert table.remove("/a", 1) is False
+    assert table.get("/a").throttle_s == 0.3
+
+
+def test_unsubscribing_an_unknown_id_changes_nothing():
+    table = subscriptions(subscribe(id=1, throttle_rate=100))
+    assert table.remove("/a", 2) is False
+    assert table.get("/a").throttle_s == 0.1
+    assert table.remove("/b", None) is False
+
+
+def test_unsubscribing_without_an_id_withdraws_all_and_closes_the_delivery():
+    table = subscriptions(subscribe(id=1), subscribe(id=2))
+    subscription = table.get("/a")
+    assert table.remove("/a", None) is True
+    assert subscription.closed
+    assert table.get("/a") is None
+    assert "/a" not in table
+
+
+def test_a_topic_is_delivered_as_its_first_subscription_spelled_it():
+    table = subscriptions(subscribe("a", id=1), subscribe("/a", id=2))
+    assert table.get("/a").spelled_topic == "a"
+
+
+def test_a_topic_subscribed_to_anew_is_delivered_in_its_new_spelling():
+    table = subscriptions(subscribe("a"))
+    table.remove("a", None)
+    assert table.add(subscribe("/a")) is True
+    assert table.get("/a").spelled_topic == "/a"
+
+
+def test_one_subscription_too_many_is_refused_and_changes_nothing():
+    table = subscriptions(subscribe("/a"), limit=1)
+    with pytest.raises(OperationError, match="subscribe: this client has 1, the limit is 1"):
+        table.add(subscribe("/b"))
+    assert list(table) == ["/a"]
+    assert table.get("/b") is None
+
+
+# The rules
+
+
+def test_without_a_throttle_every_message_is_admitted_and_due_at_once():
+    subscription = Subscription("/a")
+    assert all(subscription.admit(0.0) for _ in range(3))
+    assert subscription.due_count(3, 0.0) == 3
+    assert subscription.due_s == -float("inf")
+
+
+def test_without_a_queue_a_message_that_comes_too_early_is_not_admitted():
+    subscription = Subscription("/a", throttle_s=0.1)
+    assert [subscription.admit(now) for now in (5.0, 5.05, 5.11, 5.2, 5.22)] == [True, False, True, False, True]
+
+
+def test_with_a_queue_all_are_admitted_and_one_leaves_per_interval():
+    subscription = Subscription("/a", throttle_s=0.1, queue_length=4)
+    assert all(subscription.admit(5.0) for _ in range(4))
+    assert subscription.due_count(4, 5.0) == 1
+    subscription.sent(5.0)
+    assert subscription.due_count(3, 5.05) == 0
+    assert subscription.due_s == pytest.approx(5.1)
+    assert subscription.due_count(3, subscription.due_s) == 1
+
+
+def test_what_waits_for_a_closed_subscription_is_due_at_once():
+    subscription = Subscription("/a", throttle_s=10.0, queue_length=4, last_sent_s=5.0, closed=True)
+    assert subscription.due_count(3, 5.0) == 3
+
+
+def test_a_throttle_that_is_lifted_lets_all_that_wait_leave():
+    subscription = Subscription("/a", throttle_s=10.0, queue_length=4, last_sent_s=5.0)
+    subscription.merge([Rule(10.0, 4), Rule(0.0, 4)])
+    assert subscription.due_count(3, 5.0) == 3
+
+
+@given(
+    st.floats(min_value=0.001, max_value=10.0),
+    st.lists(st.floats(min_value=0.0, max_value=1.0), max_size=50),
+)
+def test_admitted_messages_are_never_closer_than_the_throttle(throttle_s, gaps_s):
+    subscription = Subscription("/a", throttle_s=throttle_s)
+    now, admitted = 100.0, []
+    for gap_s in gaps_s:
+        now += gap_s
+        if subscription.admit(now):
+            admitted.append(now)
+    assert all(later >= earlier + throttle_s for earlier, later in itertools.pairwise(admitted))

@@ -1,0 +1,136 @@
+import base64
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol import values
+from protocol.errors import MessageError
+from protocol.registry import PRIMITIVES
+
+anything = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3) | st.just([]) | st.just({})
+
+
+def test_every_primitive_type_has_a_converter_that_keeps_its_zero():
+    for name in PRIMITIVES:
+        zero = values.zero(name)
+        assert values.converter(name)(zero) == zero
+        assert values.list_converter(name)([zero, zero]) == [zero, zero]
+
+
+def test_an_integer_is_taken_for_a_float():
+    converted = values.to_float64(3)
+    assert converted == 3.0
+    assert type(converted) is float
+
+
+def test_null_for_a_float_is_nan():
+    assert math.isnan(values.to_float64(None))
+    assert math.isnan(values.to_float32(None))
+
+
+@pytest.mark.parametrize("value", [True, "1.0", [], {}, 10**400])
+def test_a_float_refuses_what_is_no_number_or_too_large(value):
+    with pytest.raises(MessageError, match="wanted float64"):
+        values.to_float64(value)
+
+
+def test_float32_refuses_what_only_float64_holds_but_takes_infinity():
+    with pytest.raises(MessageError, match=r"wanted float32, got 1e\+39"):
+        values.to_float32(1e39)
+    assert values.to_float32(math.inf) == math.inf
+    assert values.list_converter("float32")([0.0, 1e39]) is None
+    assert values.list_converter("float32")([0.0, math.inf]) == [0.0, math.inf]
+
+
+@pytest.mark.parametrize("name", values.INTEGER_RANGES)
+def test_an_integer_type_takes_its_whole_range_and_no_more(name):
+    lowest, highest = values.INTEGER_RANGES[name]
+    convert, convert_list = values.converter(name), values.list_converter(name)
+    for value in (lowest, highest):
+        assert convert(value) == value
+        assert convert_list([value]) == [value]
+    for value in (lowest - 1, highest + 1):
+        with pytest.raises(MessageError, match=rf"wanted {name} \({lowest} to {highest}\)"):
+            convert(value)
+        assert convert_list([value]) is None
+
+
+def test_a_whole_float_is_taken_for_an_integer():
+    converted = values.converter("int32")(2.0)
+    assert converted == 2
+    assert type(converted) is int
+
+
+@pytest.mark.parametrize("value", [True, 1.5, math.nan, math.inf, "1", None, []])
+def test_an_integer_refuses_what_is_not_whole(value):
+    with pytest.raises(MessageError, match="wanted int32"):
+        values.converter("int32")(value)
+
+
+@pytest.mark.parametrize("value", [0, 1, 1.0, "true", None])
+def test_bool_takes_only_true_and_false(value):
+    assert values.to_bool(True) is True
+    with pytest.raises(MessageError, match="wanted bool"):
+        values.to_bool(value)
+
+
+@pytest.mark.parametrize("value", [0, True, None, ["a"]])
+def test_string_takes_only_text(value):
+    assert values.to_string("a") == "a"
+    with pytest.raises(MessageError, match="wanted string"):
+        values.to_string(value)
+
+
+@given(st.sampled_from(sorted(PRIMITIVES)), st.lists(anything, max_size=4))
+def test_the_quick_way_for_lists_agrees_with_the_slow_one(name, elements):
+    quick = values.list_converter(name)(elements)
+    if quick is not None:
+        slow = values.to_list(elements, values.converter(name))
+        assert [(type(value), repr(value)) for value in quick] == [(type(value), repr(value)) for value in slow]
+
+
+@pytest.mark.parametrize(("name", "element"), [("float64", 1.0), ("int32", 1), ("string", "a"), ("bool", True)])
+def test_a_converted_list_is_not_the_list_that_came(name, element):
+    came = [element]
+    assert values.list_converter(name)(came) is not came
+
+
+def test_the_quick_way_for_floats_takes_lists_of_floats_and_integers():
+    assert [type(value) for value in values.list_converter("float64")([1, 2.5])] == [float, float]
+
+
+def test_the_quick_way_leaves_truth_values_and_nulls_to_the_slow_one():
+    assert values.list_converter("float64")([1.0, True]) is None
+    assert values.list_converter("float64")([1.0, None]) is None
+    assert values.list_converter("int32")([1, True]) is None
+
+
+def test_an_element_that_does_not_fit_is_named_by_its_index():
+    with pytest.raises(MessageError) as refusal:
+        values.to_list([1.0, "x"], values.to_float64)
+    assert refusal.value.path == "[1]"
+
+
+@given(st.binary())
+def test_octets_are_the_same_as_base64_text_and_as_a_list(octets):
+    assert values.to_octets(base64.b64encode(octets).decode(), "uint8[]") == octets
+    assert values.to_octets(list(octets), "uint8[]") == octets
+
+
+def test_whole_floats_are_taken_for_octets():
+    assert values.to_octets([1.0, 2], "uint8[]") == b"\x01\x02"
+
+
+@pytest.mark.parametrize("value", ["AA=", "AAA", "A-_A", "AAAA\n", "é", "no base64", 42, None, {}])
+def test_what_is_neither_base64_nor_a_list_is_refused(value):
+    with pytest.raises(MessageError, match=r"wanted uint8\[\] as base64 text"):
+        values.to_octets(value, "uint8[]")
+
+
+@pytest.mark.parametrize("element", [-1, 256, True, "a", None])
+def test_an_octet_out_of_range_is_named_by_its_index(element):
+    with pytest.raises(MessageError) as refusal:
+        values.to_octets([0, 0, element], "uint8[]")
+    assert refusal.value.path == "[2]"

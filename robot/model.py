@@ -1,0 +1,309 @@
+"""What the arm is: links, joints, limits, groups and named states, read from any URDF and SRDF."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot.errors import DescriptionError
+
+MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
+
+# Without a figure of its own a joint may reach its velocity limit within this time: gentle for any servo arm.
+DEFAULT_TIME_TO_FULL_SPEED_S = 0.4
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One URDF joint. Positions in rad (m when prismatic); rates per second and per second squared."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    lower: float
+    upper: float
+    max_velocity: float
+    max_acceleration: float
+
+    @property
+    def movable(self) -> bool:
+        """Whether the joint has a position of its own."""
+        return self.type in MOVABLE_TYPES
+
+
+@dataclass(frozen=True)
+class Group:
+    """A planning group of the SRDF: the joints that move together, from ``base_link`` to ``tip_link``."""
+
+    name: str
+    joints: tuple[str, ...]
+    base_link: str
+    tip_link: str
+
+
+@dataclass(frozen=True)
+class Hull:
+    """A convex shape that encloses a link.
+
+    Attributes:
+        vertices: shape (n, 3) [m], in the link's frame.
+        triangles: shape (m, 3), indices into ``vertices``.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """The arm as planners, driver and server see it.
+
+    Attributes:
+        urdf: text of the URDF.
+        srdf: text of the SRDF.
+        mesh_directory: where relative mesh paths of the URDF start, or None for a URDF without meshes.
+        links: link names, root first.
+        joints: every joint by name, in the order of the URDF.
+        groups: planning groups by name.
+        named_states: group name -> state name -> joint name -> position [rad].
+        disabled_pairs: pairs of links whose collision is not checked.
+        hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
+    """
+
+    name: str
+    urdf: str
+    srdf: str
+    links: tuple[str, ...]
+    joints: Mapping[str, Joint]
+    groups: Mapping[str, Group]
+    named_states: Mapping[str, Mapping[str, Mapping[str, float]]]
+    disabled_pairs: frozenset[frozenset[str]]
+    mesh_directory: Path | None = None
+    hulls: Mapping[str, Hull] = field(default_factory=dict)
+
+    @property
+    def root_link(self) -> str:
+        """The link that stands still: the planning frame."""
+        return self.links[0]
+
+    @property
+    def movable_joints(self) -> tuple[Joint, ...]:
+        """Joints with a position, in the order of the URDF."""
+        return tuple(joint for joint in self.joints.values() if joint.movable)
+
+
+def builtin() -> RobotModel:
+    """The SO-101 follower as shipped with the package."""
+    folder = resources.files("robot.description")
+    hulls = json.loads((folder / "so101_hulls.json").read_text())["links"]
+    return parse(
+        (folder / "so101.urdf").read_text(),
+        (folder / "so101.srdf").read_text(),
+        hulls={name: _hull(shape) for name, shape in hulls.items()},
+    )
+
+
+def load(urdf_path: Path, srdf_path: Path) -> RobotModel:
+    """Read a robot from files.
+
+    Raises:
+        DescriptionError: a file cannot be read or does not describe an arm.
+    """
+    return parse(_text(urdf_path), _text(srdf_path), mesh_directory=urdf_path.resolve().parent)
+
+
+def parse(
+    urdf: str, srdf: str, *, mesh_directory: Path | None = None, hulls: Mapping[str, Hull] | None = None
+) -> RobotModel:
+    """Read a robot from the texts of its URDF and SRDF.
+
+    Joints that carry the names of the SO-101's also keep the limits of its servos, since the velocity limits of
+    the URDFs in circulation are placeholders of 10 rad/s.
+
+    Raises:
+        DescriptionError: a text does not parse, or misses what planning needs.
+    """
+    robot = _root(urdf, "URDF")
+    semantics = _root(srdf, "SRDF")
+    limits = _servo_limits()
+    joints = {joint.name: joint for joint in (_joint(element, limits) for element in robot.iterfind("joint"))}
+    links = _links_from_root(robot, joints)
+    return RobotModel(
+        name=robot.get("name", "robot"),
+        urdf=urdf,
+        srdf=srdf,
+        links=links,
+        joints=joints,
+        groups=_groups(semantics, joints),
+        named_states=_named_states(semantics, joints),
+        disabled_pairs=frozenset(
+            frozenset((_attribute(pair, "link1", "SRDF"), _attribute(pair, "link2", "SRDF")))
+            for pair in semantics.iterfind("disable_collisions")
+        ),
+        mesh_directory=mesh_directory,
+        hulls=hulls or {},
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DescriptionError(str(path), f"cannot be read: {error}") from error
+
+
+def _root(text: str, kind: str) -> ET.Element:
+    try:
+        root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
+    except ET.ParseError as error:
+        raise DescriptionError(kind, f"is not XML: {error}") from error
+    if root.tag != "robot":
+        raise DescriptionError(kind, f"must start with <robot>, not <{root.tag}>")
+    return root
+
+
+def _attribute(element: ET.Element, name: str, kind: str) -> str:
+    value = element.get(name)
+    if value is None:
+        raise DescriptionError(kind, f"<{element.tag}> {element.attrib} has no attribute {name!r}")
+    return value
+
+
+def _number(element: ET.Element, name: str, where: str) -> float:
+    text = _attribute(element, name, where)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise DescriptionError(where, f"{name} must be a finite number, not {text!r}")
+    return value
+
+
+def _hull(shape: Mapping[str, list[list[float]]]) -> Hull:
+    return Hull(np.asarray(shape["vertices"], dtype=np.float64), np.asarray(shape["triangles"], dtype=np.int32))
+
+
+def _servo_limits() -> Mapping[str, Mapping[str, float]]:
+    text = (resources.files("robot.description") / "so101_limits.json").read_text()
+    table: Mapping[str, Mapping[str, float]] = json.loads(text)["joints"]
+    return table
+
+
+def _joint(element: ET.Element, servo_limits: Mapping[str, Mapping[str, float]]) -> Joint:
+    name = _attribute(element, "name", "URDF")
+    kind = _attribute(element, "type", "URDF")
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
+        raise DescriptionError("URDF", f"joint {name!r} needs <parent> and <child>")
+    lower, upper, velocity, acceleration = 0.0, 0.0, 0.0, 0.0
+    if kind in MOVABLE_TYPES:
+        lower, upper, velocity = _limits(element, name, kind)
+        servo = servo_limits.get(name, {})
+        velocity = min(velocity, servo.get("max_velocity", math.inf))
+        acceleration = servo.get("max_acceleration", velocity / DEFAULT_TIME_TO_FULL_SPEED_S)
+    return Joint(
+        name=name,
+        type=kind,
+        parent=_attribute(parent, "link", "URDF"),
+        child=_attribute(child, "link", "URDF"),
+        lower=lower,
+        upper=upper,
+        max_velocity=velocity,
+        max_acceleration=acceleration,
+    )
+
+
+def _limits(element: ET.Element, name: str, kind: str) -> tuple[float, float, float]:
+    """Lower, upper and velocity of a movable joint; a continuous joint turns once either way."""
+    where = f"URDF joint {name!r} <limit>"
+    limit = element.find("limit")
+    if limit is None:
+        raise DescriptionError("URDF", f"joint {name!r} has no <limit>")
+    velocity = _number(limit, "velocity", where)
+    if velocity <= 0.0:
+        raise DescriptionError(where, f"velocity must be above 0, not {velocity:g}")
+    if kind == "continuous":
+        return -math.pi, math.pi, velocity
+    lower, upper = _number(limit, "lower", where), _number(limit, "upper", where)
+    if lower >= upper:
+        raise DescriptionError(where, f"lower {lower:g} must be below upper {upper:g}")
+    return lower, upper, velocity
+
+
+def _links_from_root(robot: ET.Element, joints: Mapping[str, Joint]) -> tuple[str, ...]:
+    """Link names, root first, parents before children."""
+    names = [_attribute(link, "name", "URDF") for link in robot.iterfind("link")]
+    parent_of = {joint.child: joint.parent for joint in joints.values()}
+    for child, parent in parent_of.items():
+        for link in (child, parent):
+            if link not in names:
+                raise DescriptionError("URDF", f"a joint names the link {link!r}, which does not exist")
+    roots = [name for name in names if name not in parent_of]
+    if len(roots) != 1:
+        raise DescriptionError("URDF", f"must have exactly one root link, not {roots}")
+    ordered = list(roots)
+    for link in ordered:
+        ordered.extend(child for child, parent in parent_of.items() if parent == link)
+    return tuple(ordered)
+
+
+def _chain(joints: Mapping[str, Joint], base_link: str, tip_link: str, group: str) -> tuple[Joint, ...]:
+    """Joints from ``base_link`` to ``tip_link``, base first."""
+    by_child = {joint.child: joint for joint in joints.values()}
+    chain: list[Joint] = []
+    link = tip_link
+    while link != base_link:
+        if link not in by_child:
+            raise DescriptionError("SRDF", f"group {group!r}: no chain leads from {base_link!r} to {tip_link!r}")
+        chain.append(by_child[link])
+        link = by_child[link].parent
+    return tuple(reversed(chain))
+
+
+def _groups(semantics: ET.Element, joints: Mapping[str, Joint]) -> dict[str, Group]:
+    groups = {}
+    for element in semantics.iterfind("group"):
+        name = _attribute(element, "name", "SRDF")
+        chain = element.find("chain")
+        members: tuple[Joint, ...]
+        if chain is not None:
+            base, tip = _attribute(chain, "base_link", "SRDF"), _attribute(chain, "tip_link", "SRDF")
+            members = _chain(joints, base, tip, name)
+        else:
+            names = [_attribute(joint, "name", "SRDF") for joint in element.iterfind("joint")]
+            unknown = [joint for joint in names if joint not in joints]
+            if unknown or not names:
+                raise DescriptionError(
+                    "SRDF", f"group {name!r} needs a <chain> or <joint>s of the URDF; unknown: {unknown}"
+                )
+            members = tuple(joints[joint] for joint in names)
+            base, tip = members[0].parent, members[-1].child
+        movable = tuple(joint.name for joint in members if joint.movable)
+        groups[name] = Group(name, movable, base, tip)
+    if not groups:
+        raise DescriptionError("SRDF", "has no <group>")
+    return groups
+
+
+def _named_states(semantics: ET.Element, joints: Mapping[str, Joint]) -> dict[str, dict[str, dict[str, float]]]:
+    states: dict[str, dict[str, dict[str, float]]] = {}
+    for element in semantics.iterfind("group_state"):
+        name, group = _attribute(element, "name", "SRDF"), _attribute(element, "group", "SRDF")
+        positions = {}
+        for joint in element.iterfind("joint"):
+            joint_name = _attribute(joint, "name", "SRDF")
+            if joint_name not in joints:
+                raise DescriptionError("SRDF", f"group_state {name!r} names the unknown joint {joint_name!r}")
+            positions[joint_name] = _number(joint, "value", f"SRDF group_state {name!r} joint {joint_name!r}")
+        states.setdefault(group, {})[name] = positions
+    return states

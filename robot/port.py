@@ -1,0 +1,195 @@
+"""A serial port that fails in clear words and never waits for ever.
+
+``scservo_sdk`` writes its packets through a ``PortHandler``. Its own never discards stale input, may share
+the device with another process, has no write timeout and stays locked after an exception; ``SerialPort`` is
+one that does better. It is read without the SDK, by ``receive``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import select
+import termios
+import time
+from collections.abc import Iterator, Sequence
+
+import serial
+from scservo_sdk import PortHandler
+
+from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
+
+# A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
+WRITE_TIMEOUT_S = 0.1
+
+# How long a port without a file descriptor is read at a stretch.
+BLOCKING_READ_S = 0.004
+
+# More than any burst of replies: six telemetry blocks have 126 bytes.
+READ_BYTES = 4096
+
+# Clearing ends even if a device sends faster than it is read.
+MAX_CLEARING_READS = 16
+
+# How late replies may come through the host's own serial port (USB frames, scheduling), and through a
+# network.
+LOCAL_LATENCY_S = 0.005
+NETWORK_LATENCY_S = 0.05
+
+_NOT_FOUND = frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV})
+_PERMISSION = frozenset({errno.EACCES, errno.EPERM})
+_BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
+
+
+def open_port(port: str, baudrate: int) -> SerialPort:
+    """Open a serial port for this process alone.
+
+    Args:
+        port: device path, or a pyserial URL such as ``socket://host:port``.
+        baudrate: bits per second, one that the servos know.
+
+    Raises:
+        PortNotFound: there is no such device.
+        PortPermission: the user may not open it.
+        PortBusy: another process has it open.
+        PortError: it cannot be opened for another reason, or is no serial port.
+        ValueError: no servo knows the baud rate.
+    """
+    handler = SerialPort(port)
+    if not handler.setBaudRate(baudrate):
+        raise ValueError(f"{baudrate} baud is not a rate of the servos")
+    return handler
+
+
+class SerialPort(PortHandler):
+    """The port that ``scservo_sdk`` writes to and the bus reads from.
+
+    Attributes:
+        latency_s: what a reply may take beyond its time on the wire [s].
+        discarded_bytes: input thrown away so far because nobody had asked for it.
+    """
+
+    def __init__(self, port_name: str) -> None:
+        super().__init__(port_name)
+        self.latency_s = NETWORK_LATENCY_S if "://" in port_name else LOCAL_LATENCY_S
+        self.discarded_bytes = 0
+        self._descriptor: int | None = None
+        self._poll = select.poll()
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802 - the SDK's hook for opening the device
+        """Open the device; the SDK calls this once it knows the baud rate."""
+        self.closePort()
+        self.ser = line = _open_line(self.port_name, cflag_baud)
+        self.is_open = True
+        self.is_using = False
+        _ask_for_low_latency(line)
+        with contextlib.suppress(io.UnsupportedOperation):
+            self._descriptor = line.fileno()
+            self._poll.register(self._descriptor, select.POLLIN)
+        return True
+
+    def closePort(self) -> None:  # noqa: N802 - the SDK's name
+        """Close the device; a device that is gone closes as well."""
+        self.is_open = False
+        if self._descriptor is not None:
+            self._poll.unregister(self._descriptor)
+            self._descriptor = None
+        if self.ser is not None:
+            with contextlib.suppress(OSError, termios.error):
+                self.ser.close()
+            self.ser = None
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK calls this before it writes
+        """Discard the input that has arrived."""
+        for _ in range(MAX_CLEARING_READS):
+            stale = self.receive(0.0)
+            if not stale:
+                break
+            self.discarded_bytes += len(stale)
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the SDK calls this to write
+        """Write a packet.
+
+        Returns:
+            Number of bytes written.
+
+        Raises:
+            PortLost: the device does not take it.
+        """
+        with self._losing_port():
+            return self._open_line().write(bytes(packet)) or 0
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return what has arrived, as soon as something has; nothing after ``timeout_s``.
+
+        Raises:
+            PortLost: the device is gone.
+        """
+        with self._losing_port():
+            if self._descriptor is None:
+                return self._receive_blocking(timeout_s)
+            if not self._poll.poll(timeout_s * 1000.0):
+                return b""
+            try:
+                data = os.read(self._descriptor, READ_BYTES)
+            except BlockingIOError:
+                return b""
+        if not data:
+            raise PortLost(self.port_name, "the other end closed it")
+        return data
+
+    def _receive_blocking(self, timeout_s: float) -> bytes:
+        line = self._open_line()
+        deadline = time.monotonic() + timeout_s
+        while True:
+            if waiting := line.in_waiting:
+                return line.read(waiting)
+            if time.monotonic() >= deadline:
+                return b""
+            if first := line.read(1):
+                return first
+
+    def _open_line(self) -> serial.Serial:
+        if self.ser is None:
+            raise PortLost(self.port_name, "it is not open")
+        return self.ser
+
+    @contextlib.contextmanager
+    def _losing_port(self) -> Iterator[None]:
+        """Turn what an unplugged adapter raises into PortLost; ``termios.error`` is not an OSError."""
+        try:
+            yield
+        except (OSError, termios.error) as error:
+            raise PortLost(self.port_name, str(error)) from error
+
+
+def _open_line(port: str, baudrate: int) -> serial.Serial:
+    try:
+        return serial.serial_for_url(
+            port,
+            baudrate=baudrate,
+            timeout=BLOCKING_READ_S,
+            write_timeout=WRITE_TIMEOUT_S,
+            exclusive=True,
+        )
+    except (OSError, ValueError, termios.error) as error:
+        raise _refusal(port, getattr(error, "errno", None), str(error)) from error
+
+
+def _refusal(port: str, code: int | None, reason: str) -> PortError:
+    """Choose the error for a port that did not open."""
+    if code in _NOT_FOUND:
+        return PortNotFound(port)
+    if code in _PERMISSION:
+        return PortPermission(port)
+    if code in _BUSY:
+        return PortBusy(port)
+    return PortError(port, f"cannot be opened: {reason}")
+
+
+def _ask_for_low_latency(line: serial.Serial) -> None:
+    """Ask the driver not to collect input for 16 ms, as FTDI's does; most others refuse, and need not."""
+    with contextlib.suppress(ValueError, NotImplementedError, AttributeError):
+        line.set_low_latency_mode(True)

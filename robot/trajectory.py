@@ -1,0 +1,59 @@
+"""Joint positions over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Joint positions over time, smooth to the first derivative.
+
+    Attributes:
+        joint_names: the joints of the columns.
+        time_s: shape (n,), n >= 1, strictly increasing from 0 [s].
+        positions_rad: shape (n, joints) [rad].
+        velocities_rad_s: shape (n, joints) [rad/s].
+        accelerations_rad_s2: shape (n, joints) [rad/s^2].
+    """
+
+    joint_names: tuple[str, ...]
+    time_s: Vector
+    positions_rad: Vector
+    velocities_rad_s: Vector
+    accelerations_rad_s2: Vector
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last [s]."""
+        return float(self.time_s[-1])
+
+    def sample(self, time_s: float) -> tuple[Vector, Vector, Vector]:
+        """Position, velocity and acceleration at a time, by cubic Hermite interpolation between the samples.
+
+        Args:
+            time_s: clamped to the duration [s].
+
+        Returns:
+            Three arrays of shape (joints,): [rad], [rad/s], [rad/s^2].
+        """
+        if time_s >= self.duration_s:
+            return self.positions_rad[-1], self.velocities_rad_s[-1], self.accelerations_rad_s2[-1]
+        if time_s <= 0.0:
+            return self.positions_rad[0], self.velocities_rad_s[0], self.accelerations_rad_s2[0]
+        i = int(np.searchsorted(self.time_s, time_s, side="right")) - 1
+        span_s = self.time_s[i + 1] - self.time_s[i]
+        u = (time_s - self.time_s[i]) / span_s
+        p0, p1 = self.positions_rad[i], self.positions_rad[i + 1]
+        m0, m1 = self.velocities_rad_s[i] * span_s, self.velocities_rad_s[i + 1] * span_s
+        c2 = 3.0 * (p1 - p0) - 2.0 * m0 - m1
+        c3 = 2.0 * (p0 - p1) + m0 + m1
+        position = p0 + u * (m0 + u * (c2 + u * c3))
+        velocity = (m0 + u * (2.0 * c2 + 3.0 * u * c3)) / span_s
+        acceleration = (2.0 * c2 + 6.0 * u * c3) / span_s**2
+        return position, velocity, acceleration

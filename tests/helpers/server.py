@@ -1,0 +1,99 @@
+"""A running ``armbridge serve``, started by the command that ``make run`` runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+
+READY = re.compile(r"armbridge is ready: ws://[^:]+:(\d+)")
+
+# Interpreter start, bus check and torque ramp take 0.8 s on a quiet machine.
+START_TIMEOUT_S = 30.0
+
+
+def run_command(arguments: str) -> list[str]:
+    """The command line behind ``make run ARGS=...``."""
+    dry = subprocess.run(
+        ["make", "--no-print-directory", "-n", "-o", "install", "run", f"ARGS={arguments}"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=30,
+    )
+    return shlex.split(dry.stdout.strip().splitlines()[-1].removeprefix("exec "))
+
+
+@dataclass
+class RunningServer:
+    """One server process; everything it logs is kept in ``lines``."""
+
+    arguments: str = "--port 0"
+    settings: dict[str, str] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+
+    def __enter__(self) -> RunningServer:
+        self._ready = threading.Event()
+        self.port = 0
+        self.process = subprocess.Popen(
+            run_command(self.arguments),
+            cwd=ROOT,
+            env={**os.environ, **self.settings},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        assert self._ready.wait(START_TIMEOUT_S), "the server did not start:\n" + "\n".join(self.lines)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.end(signal.SIGTERM)
+        self._reader.join(5.0)
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+    @property
+    def url(self) -> str:
+        return f"ws://127.0.0.1:{self.port}/?x=1"
+
+    def end(self, number: signal.Signals, timeout_s: float = 10.0) -> tuple[int, float]:
+        """Send a signal and wait; returns exit code and how long it took [s]."""
+        started_s = time.monotonic()
+        self.process.send_signal(number)
+        code = self.process.wait(timeout_s)
+        return code, time.monotonic() - started_s
+
+    def has_logged(self, text: str, timeout_s: float = 5.0) -> bool:
+        until_s = time.monotonic() + timeout_s
+        while time.monotonic() < until_s:
+            if any(text in line for line in list(self.lines)):
+                return True
+            time.sleep(0.02)
+        return False
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.lines.append(line.rstrip())
+            found = READY.search(line)
+            if found:
+                self.port = int(found[1])
+                self._ready.set()
+
+
+def read_write_log(path: Path) -> list[dict[str, Any]]:
+    """The emulator's log of every write to a servo, oldest first."""
+    return [json.loads(line) for line in path.read_text().splitlines()]

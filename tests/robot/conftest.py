@@ -1,0 +1,156 @@
+"""What the tests of the arm stand on: the emulator as a process, and a peer whose every byte is scripted."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from robot.bus import Bus
+from robot.emulator.wire import Instruction, InstructionParser
+
+# On a busy machine an example may take longer than hypothesis expects of an idle one.
+settings.register_profile("no-deadline", deadline=None)
+settings.load_profile("no-deadline")
+
+START_TIMEOUT_S = 10.0
+END_TIMEOUT_S = 5.0
+
+
+class RunningEmulator:
+    """An emulator process and the test's end of its control socket."""
+
+    def __init__(self, *options: str) -> None:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "robot.emulator", "--control-fd", str(theirs.fileno()), *options],
+                pass_fds=[theirs.fileno()],
+            )
+        ours.settimeout(START_TIMEOUT_S)
+        self._socket = ours
+        self._lines = ours.makefile("rb")
+        self.port: str = json.loads(self._lines.readline())["port"]
+
+    def command(self, **command: object) -> dict[str, object]:
+        """Send one live command and return the answer."""
+        self._socket.sendall(json.dumps(command).encode() + b"\n")
+        answer: dict[str, object] = json.loads(self._lines.readline())
+        return answer
+
+    def let_go(self) -> None:
+        """Close the control socket."""
+        self._lines.close()
+        self._socket.close()
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        self.let_go()
+        self.process.terminate()
+        self.process.wait(END_TIMEOUT_S)
+
+
+@pytest.fixture
+def start_emulator() -> Iterator[Callable[..., RunningEmulator]]:
+    with contextlib.ExitStack() as running:
+
+        def start(*options: str) -> RunningEmulator:
+            emulator = RunningEmulator(*options)
+            running.callback(emulator.end)
+            return emulator
+
+        yield start
+
+
+@pytest.fixture
+def emulator(start_emulator: Callable[..., RunningEmulator]) -> RunningEmulator:
+    return start_emulator()
+
+
+@pytest.fixture
+def write_log(tmp_path: Path) -> Path:
+    return tmp_path / "writes.jsonl"
+
+
+@pytest.fixture
+def bus(emulator: RunningEmulator) -> Iterator[Bus]:
+    with contextlib.closing(Bus.open(emulator.port)) as bus:
+        yield bus
+
+
+Script = Callable[[Instruction], list[tuple[float, bytes]]]
+
+
+class ScriptedPeer:
+    """The far end of a serial line that answers every instruction with what a script says.
+
+    The script returns (delay in seconds, bytes) pairs. Bytes leave in the order in which they were scripted, as they
+    would pass one wire: a late one holds up those behind it.
+    """
+
+    def __init__(self, script: Script) -> None:
+        self.script = script
+        self.instructions: list[Instruction] = []
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._wake, self._woken = os.pipe()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        parser = InstructionParser()
+        outbox: deque[tuple[float, bytes]] = deque()
+        while True:
+            now = time.monotonic()
+            wait = max(0.0, outbox[0][0] - now) if outbox else None
+            ready, _, _ = select.select([self._master, self._wake], [], [], wait)
+            if self._wake in ready:
+                return
+            now = time.monotonic()
+            if self._master in ready:
+                for instruction in parser.feed(os.read(self._master, 4096), now):
+                    self.instructions.append(instruction)
+                    for delay_s, data in self.script(instruction):
+                        last_due = outbox[-1][0] if outbox else now
+                        outbox.append((max(last_due, now + delay_s), data))
+            while outbox and outbox[0][0] <= now:
+                os.write(self._master, outbox.popleft()[1])
+
+    def unplug(self) -> None:
+        """Take the line away, as when the adapter is pulled."""
+        os.write(self._woken, b"x")
+        self._thread.join(END_TIMEOUT_S)
+        for descriptor in (self._master, self._slave, self._wake, self._woken):
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+        self._master = self._slave = self._wake = self._woken = -1
+
+    def end(self) -> None:
+        if self._master >= 0:
+            self.unplug()
+
+
+@pytest.fixture
+def scripted_peer() -> Iterator[Callable[[Script], ScriptedPeer]]:
+    with contextlib.ExitStack() as running:
+
+        def start(script: Script) -> ScriptedPeer:
+            peer = ScriptedPeer(script)
+            running.callback(peer.end)
+            return peer
+
+        yield start

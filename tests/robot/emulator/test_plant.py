@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
+
+DT_S = 0.002
+
+
+def plant_at(ticks, gravity=0.0):
+    return Plant(ticks, 100.0, 4000.0, gravity)
+
+
+def drive_to(goal, velocity=1000.0, acceleration=25_400.0, torque=1000.0):
+    return Drive(goal, velocity, acceleration, torque, p_gain=32)
+
+
+def run(plant, drive, duration_s):
+    positions = [plant.position_ticks]
+    for _ in range(round(duration_s / DT_S)):
+        plant.step(DT_S, drive)
+        positions.append(plant.position_ticks)
+    return positions
+
+
+@settings(max_examples=30)
+@given(st.floats(100, 4000), st.floats(100, 4000), st.floats(500, 2800), st.floats(500, 25_400))
+def test_a_driven_joint_reaches_any_goal_without_passing_its_velocity_limit(start, goal, velocity, acceleration):
+    positions = run(plant_at(start), drive_to(goal, velocity, acceleration), 10.0)
+    fastest = max(abs(b - a) for a, b in pairwise(positions)) / DT_S
+    assert positions[-1] == pytest.approx(goal, abs=0.5)
+    assert fastest <= velocity * 1.001
+    assert max(positions) <= max(start, goal) + 3.0
+    assert min(positions) >= min(start, goal) - 3.0
+
+
+def test_a_joint_lags_behind_a_moving_goal_by_some_20_ms():
+    plant = plant_at(1000.0)
+    run(plant, drive_to(3900.0, velocity=500.0), 1.0)
+    before = plant.position_ticks
+    ahead = run(plant, drive_to(3900.0, velocity=500.0), 0.5)[-1] - before
+    assert ahead == pytest.approx(250.0, rel=0.01)
+    assert 10.0 < 500.0 * 1.0 + 1000.0 - before < 30.0
+
+
+def test_a_low_acceleration_takes_longer():
+    slow, fast = (run(plant_at(1000.0), drive_to(1500.0, 2000.0, a), 0.3)[-1] for a in (1000.0, 25_400.0))
+    assert slow < fast
+
+
+@pytest.mark.parametrize("torque", [0.0, 20.0])
+def test_without_torque_enough_to_carry_it_a_heavy_joint_sinks(torque):
+    positions = run(plant_at(2000.0, gravity=60.0), drive_to(2000.0, torque=torque), 1.0)
+    assert positions[-1] < 1999.0
+    assert all(after < before for before, after in pairwise(positions))
+
+
+def test_a_free_joint_sinks_slowly_and_stops_at_its_end():
+    plant = plant_at(110.0, gravity=60.0)
+    free = drive_to(4000.0, torque=0.0)
+    assert run(plant, free, 1.0)[-1] > 100.0
+    assert run(plant, free, 5.0)[-1] == 100.0
+    assert plant.velocity_ticks_s == 0.0
+
+
+def test_a_held_joint_gives_the_duty_that_carries_its_weight():
+    plant = plant_at(2000.0, gravity=60.0)
+    run(plant, drive_to(2000.0), 1.0)
+    assert plant.duty_permille == pytest.approx(60.0, abs=1.0)
+    assert plant.current_a > 0.0
+    assert plant.position_ticks == pytest.approx(2000.0, abs=5.0)
+
+
+def test_torque_that_comes_back_starts_from_where_the_joint_is():
+    plant = plant_at(2000.0)
+    run(plant, drive_to(3000.0), 1.5)
+    run(plant, drive_to(3000.0, torque=0.0), 0.1)
+    plant.position_ticks = 1000.0
+    run(plant, drive_to(3000.0, torque=0.0), 0.01)
+    assert run(plant, drive_to(1000.0), 0.5) == pytest.approx([1000.0] * 251)
+
+
+def test_the_torque_limit_caps_duty_and_speed():
+    plant = plant_at(1000.0)
+    run(plant, drive_to(4000.0, velocity=2800.0, torque=300.0), 0.2)
+    assert plant.duty_permille <= 300.0
+    assert plant.velocity_ticks_s <= 0.3 * NO_LOAD_TICKS_S * 1.001
+
+
+def test_a_suspended_process_does_not_catch_up():
+    plant = plant_at(1000.0)
+    plant.step(3600.0, drive_to(4000.0, velocity=1000.0))
+    assert plant.position_ticks < 1000.0 + 1000.0 * 0.11

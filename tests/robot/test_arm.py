@@ -1,0 +1,191 @@
+"""The contract of an arm: what a server may rely on, whatever is at the other end of the bus."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from robot import model
+from robot.arm import Arm
+from robot.calibration import Calibration
+from robot.limits import within_calibration
+from robot.messages import ArmConfig, ArmState, Mode, Outcome
+from robot.trajectory import Trajectory
+from tests.helpers.server import read_write_log
+from tests.helpers.trajectories import smooth_move
+from tests.robot.conftest import RunningEmulator
+
+CALIBRATION = Calibration.nominal()
+ROBOT = within_calibration(model.builtin(), CALIBRATION)
+CONFIG = ArmConfig(ROBOT, CALIBRATION, port="")
+
+Start = Callable[..., RunningEmulator]
+
+
+class ArmOnBus:
+    """An arm process on an emulated bus."""
+
+    def __init__(self, emulator: RunningEmulator, log: Path) -> None:
+        self.emulator = emulator
+        self.log = log
+        self.states: list[ArmState] = []
+        self.arm = Arm(replace(CONFIG, port=emulator.port), self.states.append)
+
+    @property
+    def pan_rad(self) -> float:
+        assert self.arm.state.position_rad is not None
+        return float(self.arm.state.position_rad[0])
+
+    async def until(self, condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+        async with asyncio.timeout(timeout_s):
+            while not condition():
+                await asyncio.sleep(0.005)
+
+    def goal_writes(self) -> list[dict[str, list[int]]]:
+        return [entry["data"] for entry in read_write_log(self.log) if entry["address"] == 41]
+
+
+@pytest.fixture
+async def rig(start_emulator: Start, tmp_path: Path) -> AsyncIterator[ArmOnBus]:
+    log = tmp_path / "writes.jsonl"
+    made = ArmOnBus(start_emulator("--write-log", str(log)), log)
+    await made.arm.start(10.0)
+    await made.until(lambda: made.arm.state.mode is Mode.HOLDING)
+    yield made
+    await made.arm.close()
+
+
+def to(position_rad: float, duration_s: float = 1.0, start_rad: float = 0.0) -> Trajectory:
+    return smooth_move({"shoulder_pan": (start_rad, position_rad)}, duration_s)
+
+
+async def test_a_trajectory_is_played_and_its_end_told(rig: ArmOnBus) -> None:
+    ended = await rig.arm.execute(to(0.6))
+    assert ended.outcome is Outcome.REACHED
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert rig.pan_rad == pytest.approx(0.6, abs=0.05)
+
+
+async def test_states_tell_mode_motion_and_progress(rig: ArmOnBus) -> None:
+    await rig.arm.execute(to(0.6))
+    moving = [state for state in rig.states if state.mode is Mode.MOVING]
+    assert len({state.motion_id for state in moving}) == 1
+    fractions = [state.fraction for state in moving]
+    assert fractions == sorted(fractions)
+    stamps = [state.stamp_s for state in rig.states]
+    assert stamps == sorted(stamps)
+
+
+async def test_measured_velocity_is_the_slope_of_measured_position(rig: ArmOnBus) -> None:
+    await rig.arm.execute(to(1.0, duration_s=1.2))
+    moving = [state for state in rig.states if state.mode is Mode.MOVING]
+    middle = moving[len(moving) // 2 - 5 : len(moving) // 2 + 6]
+    first, last = middle[0], middle[-1]
+    assert first.position_rad is not None
+    assert last.position_rad is not None
+    slope = (last.position_rad[0] - first.position_rad[0]) / (last.stamp_s - first.stamp_s)
+    told = sum(float(state.velocity_rad_s[0]) for state in middle if state.velocity_rad_s is not None) / len(middle)
+    assert told == pytest.approx(slope, rel=0.2)
+
+
+async def test_a_stop_ends_the_motion_on_the_way(rig: ArmOnBus) -> None:
+    motion = rig.arm.execute(to(1.0, duration_s=2.0))
+    await rig.until(lambda: rig.pan_rad > 0.2)
+    rig.arm.stop()
+    ended = await asyncio.wait_for(motion, 2.0)
+    assert ended.outcome is Outcome.STOPPED
+    assert 0.2 < rig.pan_rad < 0.9
+
+
+async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnBus) -> None:
+    motion = rig.arm.execute(to(1.0))
+    rig.arm.stop()
+    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.STOPPED
+
+
+async def test_a_trajectory_from_elsewhere_is_refused(rig: ArmOnBus) -> None:
+    ended = await rig.arm.execute(to(1.0, start_rad=0.5))
+    assert ended.outcome is Outcome.REFUSED
+    assert "shoulder_pan" in ended.message
+
+
+async def test_a_servo_that_goes_silent_ends_the_motion(rig: ArmOnBus) -> None:
+    motion = rig.arm.execute(to(1.0, duration_s=2.0))
+    await rig.until(lambda: rig.pan_rad > 0.1)
+    rig.emulator.command(offline=[3])
+    ended = await asyncio.wait_for(motion, 2.0)
+    assert ended.outcome is Outcome.BUS_LOST
+    assert "elbow_flex" in ended.message
+
+
+async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(rig: ArmOnBus) -> None:
+    motion = rig.arm.execute(to(1.0, duration_s=2.0))
+    await rig.until(lambda: rig.pan_rad > 0.2)
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGKILL)
+    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.PROCESS_LOST
+    before = len(rig.goal_writes())
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    held_rad = rig.pan_rad
+    assert (await rig.arm.execute(to(held_rad + 0.3, start_rad=held_rad))).outcome is Outcome.REACHED
+    first = rig.goal_writes()[before]["1"]
+    joint = CALIBRATION.joints[0]
+    assert joint.rad_from_ticks(first[1] | first[2] << 8) == pytest.approx(held_rad, abs=0.1)
+
+
+async def test_ticks_that_were_missed_are_not_made_up_for(rig: ArmOnBus) -> None:
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGSTOP)
+    await asyncio.sleep(0.5)
+    before = len(rig.goal_writes())
+    os.kill(rig.arm.pid, signal.SIGCONT)
+    await asyncio.sleep(0.3)
+    times_s = [entry["t"] for entry in read_write_log(rig.log) if entry["address"] == 41][before:]
+    # 50 ticks were missed; in the first tenth of a second there is room for ten.
+    assert sum(time_s - times_s[0] < 0.1 for time_s in times_s) <= 15
+
+
+async def test_closing_brakes_the_arm_and_leaves_it_holding(rig: ArmOnBus) -> None:
+    motion = rig.arm.execute(to(1.5, duration_s=2.0))
+    await rig.until(lambda: rig.pan_rad > 0.3)
+    started_s = time.monotonic()
+    await rig.arm.close()
+    assert time.monotonic() - started_s < 2.0
+    assert (await motion).outcome is Outcome.STOPPED
+    last = read_write_log(rig.log)[-1]
+    assert set(last["torque"].values()) == {1}
+
+
+async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnBus) -> None:
+    rig.arm.execute(to(1.5, duration_s=2.0))
+    await rig.until(lambda: rig.pan_rad > 0.3)
+    assert rig.arm.pid is not None
+    # The end of the channel is all that the arm process sees of its server's death.
+    rig.arm._closing = True
+    assert rig.arm._child is not None
+    assert rig.arm._child._writer is not None
+    rig.arm._child._writer.close()
+    await rig.until(lambda: not rig.arm._child.running)  # type: ignore[union-attr]
+    pans = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes()[-4:]]
+    assert max(pans) - min(pans) <= 2
+
+
+async def test_a_port_that_does_not_exist_is_told_and_tried_again() -> None:
+    states: list[ArmState] = []
+    arm = Arm(replace(CONFIG, port="/dev/does-not-exist"), states.append)
+    await arm.start(10.0)
+    assert arm.state.mode is Mode.DISCONNECTED
+    assert "/dev/does-not-exist does not exist" in arm.state.reason
+    refused = await asyncio.wait_for(arm.execute(to(0.5)), 2.0)
+    assert refused.outcome is Outcome.BUS_LOST
+    async with asyncio.timeout(5.0):
+        while len(states) < 3:
+            await asyncio.sleep(0.01)
+    await arm.close()

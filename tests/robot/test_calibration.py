@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot.calibration import RAD_PER_TICK, SO101_JOINTS, Calibration, JointCalibration
+from robot.errors import CalibrationError
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SHARED_FACTS = REPOSITORY.parent / "shared" / "data" / "so101_facts.json"
+
+TICKS = st.integers(0, 4095)
+GRIPPER_LOWER, GRIPPER_UPPER = -0.174533, 1.74533
+
+
+@st.composite
+def calibrated_joints(draw):
+    spec = draw(st.sampled_from(SO101_JOINTS))
+    range_min = draw(st.integers(0, 3000))
+    range_max = draw(st.integers(range_min + 500, 4095))
+    zero = draw(st.floats(-0.2, 0.2))
+    return JointCalibration(spec.name, spec.servo_id, draw(st.integers(0, 1)), 0, range_min, range_max, zero)
+
+
+def lerobot_file(tmp_path, **changes):
+    table = {
+        spec.name: {"id": spec.servo_id, "drive_mode": 0, "homing_offset": 7, "range_min": 900, "range_max": 3100}
+        for spec in SO101_JOINTS
+    }
+    for where, value in changes.items():
+        joint, _, key = where.partition("__")
+        if value is None:
+            del table[joint]
+        elif key:
+            table[joint][key] = value
+        else:
+            table[joint] = value
+    path = tmp_path / "arm.json"
+    path.write_text(json.dumps(table))
+    return path
+
+
+@given(calibrated_joints(), TICKS)
+def test_ticks_survive_the_way_to_radians_and_back(joint, ticks):
+    assert joint.ticks_from_rad(joint.rad_from_ticks(ticks)) == ticks
+
+
+@given(calibrated_joints(), st.floats(-4.0, 4.0))
+def test_radians_are_met_to_half_a_tick_inside_the_range_or_not(joint, position):
+    half_a_tick = abs(joint.rad_s_from_ticks_s(0.5))
+    assert abs(joint.rad_from_ticks(joint.ticks_from_rad(position)) - position) <= half_a_tick * (1 + 1e-9)
+
+
+@given(calibrated_joints(), TICKS, st.floats(-500, 500))
+def test_velocity_is_the_derivative_of_position(joint, ticks, step):
+    difference = joint.rad_from_ticks(ticks + step) - joint.rad_from_ticks(ticks)
+    assert joint.rad_s_from_ticks_s(step) == pytest.approx(difference, abs=1e-9)
+    assert joint.ticks_s_from_rad_s(joint.rad_s_from_ticks_s(step)) == pytest.approx(step)
+
+
+@given(calibrated_joints(), TICKS)
+def test_limits_hold_exactly_the_positions_of_the_range(joint, ticks):
+    inside = joint.range_min <= ticks <= joint.range_max
+    assert (joint.lower_rad <= joint.rad_from_ticks(ticks) <= joint.upper_rad) == inside
+
+
+def test_an_arm_joint_is_at_zero_in_the_middle_of_its_range():
+    elbow = JointCalibration("elbow_flex", 3, 0, 0, 793, 2995)
+    assert elbow.rad_from_ticks(1894) == 0.0
+    assert elbow.rad_from_ticks(1894 + 1024) == pytest.approx(math.pi / 2)
+
+
+def test_a_zero_offset_shifts_an_arm_joint():
+    elbow = JointCalibration("elbow_flex", 3, 0, 0, 793, 2995, zero_offset_rad=0.13)
+    assert elbow.rad_from_ticks(1894) == pytest.approx(0.13)
+
+
+def test_drive_mode_mirrors_the_gripper_and_no_arm_joint():
+    arm = [JointCalibration("wrist_flex", 4, mode, 0, 900, 3100) for mode in (0, 1)]
+    assert arm[0].rad_from_ticks(1000) == arm[1].rad_from_ticks(1000)
+    plain, mirrored = (JointCalibration("gripper", 6, mode, 0, 2030, 3454) for mode in (0, 1))
+    assert plain.rad_from_ticks(2030) == mirrored.rad_from_ticks(3454) == pytest.approx(GRIPPER_LOWER)
+    assert plain.rad_from_ticks(3454) == mirrored.rad_from_ticks(2030) == pytest.approx(GRIPPER_UPPER)
+    assert mirrored.rad_s_from_ticks_s(100.0) < 0.0
+
+
+def test_a_position_that_is_no_number_is_refused():
+    with pytest.raises(ValueError, match="NaN"):
+        Calibration.nominal().joints[0].ticks_from_rad(math.nan)
+
+
+def test_the_nominal_arm_reaches_the_limits_of_the_urdf_and_is_centred():
+    for joint, spec in zip(Calibration.nominal().joints, SO101_JOINTS, strict=True):
+        assert joint.range_min + joint.range_max == 4095
+        assert joint.lower_rad <= spec.lower_rad + 1e-9
+        assert joint.upper_rad >= spec.upper_rad - 1e-9
+        if joint.joint != "wrist_roll":
+            assert joint.upper_rad - joint.lower_rad <= spec.upper_rad - spec.lower_rad + 0.1 + 2 * RAD_PER_TICK
+
+
+def test_the_joint_table_agrees_with_the_urdf_of_the_project():
+    urdf = ET.parse(REPOSITORY / "robot" / "description" / "so101.urdf").getroot()
+    limits = {joint.get("name"): joint.find("limit") for joint in urdf.iterfind("joint")}
+    for spec in SO101_JOINTS:
+        assert float(limits[spec.name].get("lower")) == spec.lower_rad
+        assert float(limits[spec.name].get("upper")) == spec.upper_rad
+
+
+def test_a_file_of_lerobot_is_read_in_the_order_of_the_arm(tmp_path):
+    calibration = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=866))
+    assert [joint.joint for joint in calibration.joints] == [spec.name for spec in SO101_JOINTS]
+    assert calibration.joints[2] == JointCalibration("elbow_flex", 3, 0, 7, 866, 3100)
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "sentence"),
+    [
+        ({"elbow_flex": None}, "elbow_flex", "missing"),
+        ({"left_wheel": {}}, "left_wheel", "no such joint"),
+        ({"gripper": 3}, "gripper", "must be an object"),
+        ({"gripper__range_min": 3100}, "gripper.range_min", "below range_max 3100, not 3100"),
+        ({"gripper__range_max": 4096}, "gripper.range_max", "0 to 4095, not 4096"),
+        ({"gripper__range_max": 1.5}, "gripper.range_max", "whole number"),
+        ({"gripper__drive_mode": True}, "gripper.drive_mode", "whole number"),
+        ({"gripper__homing_offset": 2048}, "gripper.homing_offset", "-2047 to 2047"),
+        ({"gripper__id": 254}, "gripper.id", "0 to 253"),
+        ({"gripper__id": 5}, "gripper.id", "id of wrist_roll"),
+    ],
+)
+def test_a_file_that_cannot_be_right_is_refused_with_its_field(tmp_path, change, field, sentence):
+    path = lerobot_file(tmp_path, **change)
+    with pytest.raises(CalibrationError, match=sentence) as caught:
+        Calibration.load(path)
+    assert (caught.value.file, caught.value.field) == (str(path), field)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "old",
+    [
+        {"homing_offset": [1, 2], "drive_mode": [0, 0], "start_pos": [], "end_pos": []},
+        {"calib_mode": ["DEGREE"]},
+    ],
+)
+def test_the_schema_before_june_2025_is_refused_by_name(tmp_path, old):
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(old))
+    with pytest.raises(CalibrationError, match="before June 2025"):
+        Calibration.load(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "7", "\x00"])
+def test_a_file_that_is_no_json_object_is_refused(tmp_path, text):
+    path = tmp_path / "broken.json"
+    path.write_text(text)
+    with pytest.raises(CalibrationError):
+        Calibration.load(path)
+
+
+def test_a_file_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="cannot be read"):
+        Calibration.load(tmp_path / "nowhere.json")
+
+
+def test_the_elbow_of_every_measured_arm_spans_the_urdf_within_a_degree():
+    if not SHARED_FACTS.exists():
+        pytest.skip(f"{SHARED_FACTS} is not there")
+    elbow = SO101_JOINTS[2]
+    for name, ranges in json.loads(SHARED_FACTS.read_text())["calibration_samples"]["rows"].items():
+        joint = JointCalibration("elbow_flex", 3, 0, 0, *ranges["elbow_flex"])
+        assert joint.upper_rad == pytest.approx(elbow.upper_rad, abs=math.radians(1.0)), name
+        assert joint.lower_rad == pytest.approx(elbow.lower_rad, abs=math.radians(1.0)), name

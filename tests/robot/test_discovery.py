@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
+
+from robot.discovery import resolve_port
+from robot.errors import PortError
+
+
+def adapter(device: str, vid: int = 0x1A86, pid: int = 0x55D3) -> ListPortInfo:
+    info = ListPortInfo(device)
+    info.vid, info.pid = vid, pid
+    return info
+
+
+@pytest.fixture
+def plugged_in(monkeypatch: pytest.MonkeyPatch) -> list[ListPortInfo]:
+    found: list[ListPortInfo] = []
+    monkeypatch.setattr(list_ports, "comports", lambda: found)
+    return found
+
+
+@pytest.mark.parametrize("port", ["/dev/ttyACM0", "socket://lab:2000"])
+def test_a_named_port_is_taken_as_it_is(port: str) -> None:
+    assert resolve_port(port) == port
+
+
+def test_auto_finds_the_one_adapter_among_other_devices(plugged_in: list[ListPortInfo]) -> None:
+    plugged_in += [adapter("/dev/ttyUSB0", vid=0x0403, pid=0x6001), adapter("/dev/ttyACM1")]
+    assert resolve_port("auto") == "/dev/ttyACM1"
+
+
+def test_auto_without_an_adapter_says_so(plugged_in: list[ListPortInfo]) -> None:
+    with pytest.raises(PortError, match=r"found no servo adapter plugged in .*1a86:55d3"):
+        resolve_port("auto")
+
+
+def test_auto_with_two_adapters_asks_for_a_name(plugged_in: list[ListPortInfo]) -> None:
+    plugged_in += [adapter("/dev/ttyACM0"), adapter("/dev/ttyUSB1", pid=0x7523)]
+    with pytest.raises(PortError, match="ambiguous among /dev/ttyACM0, /dev/ttyUSB1"):
+        resolve_port("auto")

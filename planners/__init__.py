@@ -1,0 +1,1 @@
+"""Motion planning: problem in, plan out; and the processes it runs in."""

@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+with warnings.catch_warnings():
+    # It imports coal under its deprecated name as well.
+    warnings.filterwarnings("ignore", "Please update your 'hppfcl' imports", DeprecationWarning)
+    import pinocchio  # noqa: F401
+
+from planners.collision import CollisionModel
+from planners.kinematics import PositionSolver
+from planners.path import JointSpace
+from planners.pipeline import Planner
+from planners.timing import RateLimits
+from robot import model
+from tests.helpers import shared as helpers_shared
+
+
+@pytest.fixture(scope="session")
+def robot():
+    return model.builtin()
+
+
+@pytest.fixture(scope="session")
+def arm(robot):
+    return robot.groups["arm"]
+
+
+@pytest.fixture(scope="session")
+def collision(robot):
+    return CollisionModel(robot)
+
+
+@pytest.fixture(scope="session")
+def solver(robot, collision):
+    return PositionSolver(robot, collision)
+
+
+@pytest.fixture(scope="session")
+def planner(robot):
+    return Planner(robot)
+
+
+@pytest.fixture
+def joint_space(collision, arm):
+    return JointSpace(collision, arm, np.zeros(6))
+
+
+@pytest.fixture(scope="session")
+def rate_limits(robot, arm):
+    joints = [robot.joints[name] for name in arm.joints]
+    return RateLimits(
+        np.array([joint.max_velocity for joint in joints]),
+        np.array([joint.max_acceleration for joint in joints]),
+    )
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    return helpers_shared.shared_data()
+
+
+@pytest.fixture(scope="session")
+def empty_scene(shared_data):
+    """Benchmark problems without obstacles."""
+    return json.loads((shared_data / "planning_problems" / "empty.json").read_text())

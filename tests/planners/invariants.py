@@ -1,0 +1,65 @@
+"""What must be true of every motion, whatever was asked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Either of the two lines from the first point to the second runs through the arm's own base.
+BLOCKED_LINES = (
+    ((1.64, 1.4, 0.63, 0.82, 1.76), (0.96, -0.84, 1.4, 0.62, -2.17)),
+    ((1.59, -0.24, 1.44, 0.39, -1.19), (0.19, 1.53, 0.69, 0.55, -2.51)),
+)
+
+
+def never():
+    return False
+
+
+def fine_samples(trajectory, per_interval=4):
+    """Positions, velocities and accelerations between the samples, shape (m, joints) each."""
+    shares = np.linspace(0.0, 1.0, per_interval, endpoint=False)
+    times_s = (trajectory.time_s[:-1, None] + np.diff(trajectory.time_s)[:, None] * shares).ravel()
+    return (np.array(part) for part in zip(*(trajectory.sample(t) for t in times_s), strict=True))
+
+
+def assert_well_formed(trajectory):
+    shape = (len(trajectory.time_s), len(trajectory.joint_names))
+    assert trajectory.time_s[0] == 0.0
+    assert np.all(np.diff(trajectory.time_s) > 0.0)
+    for part in (trajectory.positions_rad, trajectory.velocities_rad_s, trajectory.accelerations_rad_s2):
+        assert part.shape == shape
+        assert np.all(np.isfinite(part))
+
+
+def assert_from_rest_to_rest(trajectory, start, goal):
+    np.testing.assert_array_equal(trajectory.positions_rad[0], start)
+    np.testing.assert_array_equal(trajectory.positions_rad[-1], goal)
+    assert not trajectory.velocities_rad_s[[0, -1]].any()
+
+
+def assert_keeps_rates(trajectory, limits, excess=1e-6):
+    if trajectory.duration_s == 0.0:
+        return
+    _, velocities, accelerations = fine_samples(trajectory)
+    assert np.max(np.abs(velocities) / limits.velocity_rad_s) <= 1.0 + excess
+    assert np.max(np.abs(accelerations) / limits.acceleration_rad_s2) <= 1.0 + excess
+
+
+def assert_keeps_positions(trajectory, lower_rad, upper_rad):
+    assert np.all(trajectory.positions_rad >= lower_rad)
+    assert np.all(trajectory.positions_rad <= upper_rad)
+
+
+def configurations(trajectory, collision, start_rad, step_m=0.001):
+    """Configurations of all joints along a motion, no robot point moving more than ``step_m`` between them."""
+    q = np.array([start_rad[name] for name in collision.joint_names])
+    columns = [collision.joint_names.index(name) for name in trajectory.joint_names]
+    speed = np.abs(trajectory.velocities_rad_s).max(axis=0, initial=0.0) @ collision.travel_m_per_rad[columns]
+    for time_s in np.linspace(0.0, trajectory.duration_s, 2 + int(speed * trajectory.duration_s / step_m)):
+        q[columns] = trajectory.sample(time_s)[0]
+        yield q.copy()
+
+
+def assert_touches_nothing(trajectory, collision, start_rad):
+    touching = [q for q in configurations(trajectory, collision, start_rad) if collision.in_collision(q)]
+    assert not touching, f"{len(touching)} configurations collide, the first: {touching[0]}"

@@ -1,0 +1,32 @@
+"""Arms unlike the SO-101, as texts."""
+
+# A mast that turns without end, an arm that lifts, and a sliding rod at its end; it can hit its own foot.
+CRANE_URDF = """
+<robot name="crane">
+  <link name="foot"><collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision></link>
+  <link name="mast">
+    <collision><origin xyz="0 0 0.1"/><geometry><cylinder radius="0.02" length="0.2"/></geometry></collision>
+  </link>
+  <link name="boom">
+    <collision><origin xyz="0.15 0 0"/><geometry><box size="0.3 0.02 0.02"/></geometry></collision>
+  </link>
+  <link name="rod"><collision><origin xyz="0.05 0 0"/><geometry><sphere radius="0.02"/></geometry></collision></link>
+  <joint name="turn" type="continuous">
+    <parent link="foot"/><child link="mast"/><origin xyz="0 0 0.06"/><axis xyz="0 0 1"/><limit effort="1" velocity="1"/>
+  </joint>
+  <joint name="lift" type="revolute">
+    <parent link="mast"/><child link="boom"/><origin xyz="0 0 0.21"/><axis xyz="0 1 0"/>
+    <limit effort="1" velocity="1" lower="-1.5" upper="1.5"/>
+  </joint>
+  <joint name="slide" type="prismatic">
+    <parent link="boom"/><child link="rod"/><origin xyz="0.3 0 0"/><axis xyz="1 0 0"/>
+    <limit effort="1" velocity="0.1" lower="0" upper="0.1"/>
+  </joint>
+</robot>
+"""
+
+CRANE_SRDF = """
+<robot name="crane">
+  <group name="arm"><chain base_link="foot" tip_link="rod"/></group>
+</robot>
+"""

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from planners.path import CHECK_STEP_M, JointSpace, search, shortcut
+from tests.planners.invariants import BLOCKED_LINES, never
+
+HOME = np.zeros(5)
+READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
+FINE_STEP_M = 0.5 * CHECK_STEP_M
+
+
+@pytest.fixture(params=BLOCKED_LINES)
+def blocked(request):
+    return tuple(np.array(point) for point in request.param)
+
+
+def length(path):
+    return np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+
+
+def test_line_through_open_space_is_free(joint_space):
+    assert joint_space.line_free(HOME, READY)
+
+
+def test_line_through_the_arm_itself_is_blocked_both_ways(joint_space, blocked):
+    start, goal = blocked
+    assert joint_space.free(start)
+    assert joint_space.free(goal)
+    assert not joint_space.line_free(start, goal)
+    assert not joint_space.line_free(goal, start)
+
+
+@pytest.mark.parametrize("step_m", [0.001, 0.005, 0.3])
+def test_checks_of_a_line_are_no_further_apart_than_the_step(joint_space, collision, step_m):
+    move = np.array([1.0, -0.5, 0.3, 0.0, 2.0])
+    shares = sorted([0.0, *joint_space._shares(move, step_m)])
+    assert shares[-1] == 1.0
+    assert np.diff(shares).max() * (collision.travel_m_per_rad[:5] @ np.abs(move)) <= step_m + 1e-12
+    assert len(set(shares)) == len(shares)
+
+
+def test_curve_is_blocked_when_one_of_its_lines_is(joint_space, blocked):
+    start, goal = blocked
+    assert joint_space.curve_free(np.array([HOME, READY, HOME]))
+    assert not joint_space.curve_free(np.array([HOME, start, goal]))
+
+
+def test_joints_outside_the_group_count_where_they_stand(collision, arm):
+    gripper = collision.joint_names.index("gripper")
+    rng = np.random.default_rng(7)
+    for q in rng.uniform(collision.lower_rad, collision.upper_rad, (200, 6)):
+        start_q = np.zeros(6)
+        start_q[gripper] = q[gripper]
+        space = JointSpace(collision, arm, start_q)
+        assert space.free(space.point(q)) == (not collision.in_collision(q))
+
+
+def test_search_finds_a_free_path_from_start_to_goal(joint_space, blocked):
+    path = search(joint_space, *_ends(blocked), seed=0, should_stop=never)
+    np.testing.assert_array_equal(path[[0, -1]], blocked)
+    assert joint_space.curve_free(path)
+    assert np.all((path >= joint_space.lower_rad) & (path <= joint_space.upper_rad))
+
+
+def test_search_ends_at_one_of_several_goals(joint_space, blocked):
+    start, goal = blocked
+    goals = [goal, goal + 0.01]
+    path = search(joint_space, start, goals, seed=3, should_stop=never)
+    assert any(np.array_equal(path[-1], each) for each in goals)
+
+
+def test_same_seed_gives_the_same_path_and_another_seed_another(joint_space, blocked):
+    start, goals = _ends(blocked)
+    first, again, other = (search(joint_space, start, goals, seed, never) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first, again)
+    assert first.shape != other.shape or not np.array_equal(first, other)
+
+
+def test_stopped_search_has_no_path(joint_space, blocked):
+    assert search(joint_space, *_ends(blocked), seed=0, should_stop=lambda: True) is None
+
+
+def test_search_stops_soon_after_it_is_asked_to(joint_space):
+    # A goal in collision can never be reached.
+    inside = np.array([0.0, -1.745, 1.69, 1.0, 0.0])
+    asked = iter(range(20))
+    path = search(joint_space, HOME, [inside], 0, lambda: next(asked, None) is None)
+    assert path is None
+
+
+def test_shortcuts_keep_the_ends_and_only_shorten(joint_space):
+    detour = np.array([HOME, [0.5, -0.2, 0.3, 0.1, 0.0], [-0.4, -0.6, 0.2, 0.0, 0.3], [0.3, 0.1, 0.4, 0.0, 0.0], READY])
+    straight = shortcut(joint_space, detour, 0, never)
+    np.testing.assert_array_equal(straight[[0, -1]], detour[[0, -1]])
+    assert length(straight) < 0.6 * length(detour)
+    assert joint_space.curve_free(straight, FINE_STEP_M)
+
+
+def test_shortcuts_stop_when_asked_to(joint_space):
+    detour = np.array([HOME, [0.5, -0.2, 0.3, 0.1, 0.0], READY])
+    np.testing.assert_array_equal(shortcut(joint_space, detour, 0, lambda: True), detour)
+
+
+def _ends(blocked):
+    start, goal = blocked
+    return start, [goal]

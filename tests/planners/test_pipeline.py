@@ -1,0 +1,296 @@
+import dataclasses
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planners.checks import START_CONTACT_DEPTH_M
+from planners.collision import CollisionModel
+from planners.pipeline import Planner
+from planners.problem import JointGoal, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, PositionGoal
+from planners.timing import RateLimits
+from robot import model
+from tests.planners.invariants import (
+    BLOCKED_LINES,
+    assert_from_rest_to_rest,
+    assert_keeps_positions,
+    assert_keeps_rates,
+    assert_touches_nothing,
+    assert_well_formed,
+    configurations,
+)
+from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
+
+TIP = "gripper_frame_link"
+# Folded a little too far: the hulls of lower arm and shoulder overlap by some 7 mm, the links themselves do not.
+FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.65, "wrist_flex": 1.0}
+
+
+class Setting:
+    """A planner with what its plans are judged by."""
+
+    def __init__(self, planner, robot, collision):
+        self.planner, self.robot, self.collision = planner, robot, collision
+        self.joints = robot.groups["arm"].joints
+
+    def start(self, positions_rad, gripper_rad=0.3):
+        return {"gripper": gripper_rad} | dict(zip(self.joints, map(float, positions_rad), strict=True))
+
+    def home(self, **changes):
+        return self.start([0.0] * 5, 0.0) | changes
+
+    def problem(self, goal, start_rad=None, **options):
+        return PlanningProblem("arm", start_rad or self.home(), goal, **options)
+
+    def solve(self, problem):
+        """Plan, and judge the plan by every invariant that holds for all goals."""
+        plan = self.planner.plan(problem)
+        assert isinstance(plan, Plan), plan
+        motion = plan.trajectory
+        start = [problem.start_rad[name] for name in self.joints]
+        limits = [self.robot.joints[name] for name in self.joints]
+        assert motion.joint_names == self.joints
+        assert_well_formed(motion)
+        assert_from_rest_to_rest(motion, start, motion.positions_rad[-1])
+        assert_keeps_positions(motion, [joint.lower for joint in limits], [joint.upper for joint in limits])
+        assert_keeps_rates(motion, self.scaled_limits(problem))
+        assert_touches_nothing(motion, self.collision, problem.start_rad)
+        return plan
+
+    def scaled_limits(self, problem):
+        joints = [self.robot.joints[name] for name in self.joints]
+        return RateLimits(
+            problem.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
+            problem.acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),
+        )
+
+    def random_state(self, rng):
+        while True:
+            q = rng.uniform(self.collision.lower_rad, self.collision.upper_rad)
+            if not self.collision.in_collision(q):
+                return dict(zip(self.collision.joint_names, q.tolist(), strict=True))
+
+    def tip_m(self, positions_rad):
+        q = np.array([positions_rad[name] for name in self.collision.joint_names])
+        return tuple(self.collision.tip_position(q, TIP).tolist())
+
+
+@pytest.fixture
+def setting(planner, robot, collision):
+    return Setting(planner, robot, collision)
+
+
+@pytest.fixture(scope="module")
+def official_meshes(shared_data):
+    return _OfficialMeshes(shared_data)
+
+
+def end_of(plan):
+    return dict(zip(plan.trajectory.joint_names, plan.trajectory.positions_rad[-1], strict=True))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_joint_goals_are_reached_exactly(setting, seed):
+    rng = np.random.default_rng(seed)
+    start, goal = setting.random_state(rng), setting.random_state(rng)
+    goal_rad = {name: goal[name] for name in setting.joints}
+    free_q = np.array([{**goal, "gripper": start["gripper"]}[name] for name in setting.collision.joint_names])
+    if setting.collision.in_collision(free_q):
+        pytest.skip("the goal collides with the jaw as the start has it")
+    scalings = rng.uniform(0.05, 1.0, 2)
+    options = {"velocity_scaling": float(scalings[0]), "acceleration_scaling": float(scalings[1])}
+    plan = setting.solve(setting.problem(JointGoal(goal_rad), start, **options))
+    assert end_of(plan) == goal_rad
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_reachable_points_are_reached_within_tolerance(setting, seed):
+    rng = np.random.default_rng(100 + seed)
+    start, witness = setting.random_state(rng), setting.random_state(rng)
+    goal = PositionGoal(TIP, setting.tip_m(witness), 0.005)
+    plan = setting.solve(setting.problem(goal, start))
+    assert np.linalg.norm(np.subtract(setting.tip_m(start | end_of(plan)), goal.position_m)) <= goal.tolerance_m
+
+
+@pytest.mark.parametrize("line", BLOCKED_LINES)
+def test_blocked_lines_are_driven_around(setting, line):
+    start, goal = line
+    problem = setting.problem(JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0))
+    assert setting.solve(problem).method == "RRTConnect"
+
+
+def test_same_problem_and_seed_have_the_same_plan(setting, robot):
+    start, goal = BLOCKED_LINES[0]
+    problem = setting.problem(
+        JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0), attempts=2, seed=9
+    )
+    plans = [setting.planner.plan(problem), Planner(robot).plan(problem), setting.planner.plan(problem)]
+    for plan in plans[1:]:
+        np.testing.assert_array_equal(plan.trajectory.time_s, plans[0].trajectory.time_s)
+        np.testing.assert_array_equal(plan.trajectory.positions_rad, plans[0].trajectory.positions_rad)
+
+
+def test_joints_that_are_not_named_keep_their_position(setting):
+    plan = setting.solve(setting.problem(JointGoal({"wrist_roll": 1.0}), setting.home(shoulder_pan=0.4)))
+    assert end_of(plan) == {**dict.fromkeys(setting.joints, 0.0), "shoulder_pan": 0.4, "wrist_roll": 1.0}
+
+
+@pytest.mark.parametrize(
+    "goal", [JointGoal({}), JointGoal({"wrist_roll": 0.0}), PositionGoal(TIP, (0.39, 0.0, 0.226), 0.01)]
+)
+def test_goal_that_already_holds_needs_no_motion(setting, goal):
+    plan = setting.solve(setting.problem(goal))
+    assert plan.method == "nothing to do"
+    assert plan.trajectory.duration_s == 0.0
+
+
+def test_first_clients_point_is_refused_with_distance_and_nearest_point(setting):
+    failure = setting.planner.plan(setting.problem(PositionGoal(TIP, (0.1, 0.0, 0.15), 0.01)))
+    assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
+    assert "4.1 cm" in failure.message
+    assert failure.details["distance_m"] == pytest.approx(0.041, abs=0.001)
+
+
+def test_nearest_point_of_a_refusal_can_be_reached(setting):
+    failure = setting.planner.plan(setting.problem(PositionGoal(TIP, (0.1, 0.0, 0.15), 0.01)))
+    setting.solve(setting.problem(PositionGoal(TIP, tuple(failure.details["nearest_m"]), 0.001)))
+
+
+def test_point_that_only_a_colliding_arm_reaches_is_in_collision(setting):
+    failure = setting.planner.plan(setting.problem(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01)))
+    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
+    assert "base_link" in failure.message
+
+
+def test_start_slightly_beyond_a_limit_moves_from_the_limit(setting):
+    upper = setting.robot.joints["wrist_roll"].upper
+    problem = setting.problem(JointGoal({"elbow_flex": 0.5}), setting.home(wrist_roll=upper + 0.02))
+    plan = setting.planner.plan(problem)
+    assert plan.trajectory.positions_rad[0, setting.joints.index("wrist_roll")] == upper
+
+
+def test_arm_that_touches_itself_in_the_hulls_only_may_leave(setting):
+    plan = setting.planner.plan(
+        setting.problem(JointGoal({"shoulder_lift": -0.5, "elbow_flex": 0.5}), setting.home(**FOLDED))
+    )
+    assert isinstance(plan, Plan), plan
+    states = list(configurations(plan.trajectory, setting.collision, setting.home(**FOLDED)))
+    depths_m = [max((pair.depth_m for pair in setting.collision.colliding_pairs(q)), default=0.0) for q in states[::5]]
+    assert 0.0 < depths_m[0] <= START_CONTACT_DEPTH_M
+    assert max(depths_m) <= depths_m[0] + 0.0005
+    assert depths_m[-1] == 0.0
+
+
+def test_arm_that_touches_itself_in_the_hulls_only_may_stay(setting):
+    plan = setting.planner.plan(setting.problem(JointGoal({}), setting.home(**FOLDED)))
+    assert plan.method == "nothing to do"
+
+
+def test_arm_that_touches_itself_may_not_go_deeper(setting):
+    deeper = JointGoal({"shoulder_lift": -1.74, "elbow_flex": 1.69})
+    failure = setting.planner.plan(setting.problem(deeper, setting.home(**FOLDED)))
+    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
+
+
+def test_stopped_planning_is_preempted(setting):
+    problem = setting.problem(JointGoal({"elbow_flex": 0.5}))
+    assert setting.planner.plan(problem, lambda: True).code is MoveItErrorCode.PREEMPTED
+
+
+def test_planning_stops_in_the_middle_of_a_search(setting):
+    start, goal = BLOCKED_LINES[0]
+    problem = setting.problem(JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0))
+    asked = iter(range(3))
+    failure = setting.planner.plan(problem, lambda: next(asked, None) is None)
+    assert failure.code is MoveItErrorCode.PREEMPTED
+
+
+def test_lack_of_time_is_timed_out(robot, setting):
+    ticks = iter(range(1000))
+    slow = Planner(robot, clock=lambda: float(next(ticks)))
+    failure = slow.plan(setting.problem(JointGoal({"elbow_flex": 0.5}), allowed_time_s=0.5))
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+
+
+def test_answers_cross_process_boundaries(setting):
+    problem = setting.problem(JointGoal({"elbow_flex": 0.5}))
+    plan = setting.planner.plan(problem)
+    failure = setting.planner.plan(dataclasses.replace(problem, goal=PositionGoal(TIP, (0.1, 0.0, 0.15), 0.01)))
+    copy = pickle.loads(pickle.dumps(plan))
+    np.testing.assert_array_equal(copy.trajectory.positions_rad, plan.trajectory.positions_rad)
+    assert pickle.loads(pickle.dumps(failure)) == failure
+
+
+def test_an_arm_of_another_kind_is_planned_for():
+    crane = model.parse(CRANE_URDF, CRANE_SRDF)
+    planner, collision = Planner(crane), CollisionModel(crane)
+    start = {"turn": 0.0, "lift": 0.0, "slide": 0.0}
+    plan = planner.plan(PlanningProblem("arm", start, PositionGoal("rod", (0.1, 0.3, 0.3), 0.005)))
+    assert isinstance(plan, Plan), plan
+    assert_touches_nothing(plan.trajectory, collision, start)
+    failure = planner.plan(PlanningProblem("arm", start, PositionGoal("rod", (0.0, 0.0, 2.0), 0.005)))
+    assert isinstance(failure, PlanningFailure)
+    assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
+
+
+class TestBenchmarkProblems:
+    """The shared problems without obstacles, judged with the full official meshes."""
+
+    def test_every_feasible_problem_is_solved_clear_of_the_official_meshes(self, setting, empty_scene, official_meshes):
+        for problem in self._feasible(setting, empty_scene):
+            plan = setting.solve(problem)
+            for q in configurations(plan.trajectory, setting.collision, problem.start_rad, step_m=0.004):
+                assert not official_meshes.in_collision(q), problem
+
+    def test_every_infeasible_problem_gets_an_accepted_code(self, setting, empty_scene):
+        for case in empty_scene["infeasible"]:
+            values = [np.nan if value is None else value for value in case.get("goal", [])]
+            goal = (
+                JointGoal(dict(zip(setting.joints, values, strict=True)))
+                if values
+                else PositionGoal(TIP, tuple(case["position"]), case["tolerance"])
+            )
+            failure = setting.planner.plan(setting.problem(goal, setting.start(case["start"])))
+            assert failure.code in case["accept_codes"], (case["id"], failure)
+
+    def _feasible(self, setting, scene):
+        for case in scene["joint_problems"]:
+            goal = JointGoal(dict(zip(setting.joints, case["goal"], strict=True)))
+            yield setting.problem(goal, setting.start(case["start"], scene["gripper"]))
+        for case in scene["position_problems"]:
+            goal = PositionGoal(TIP, tuple(case["position"]), case["tolerance"])
+            yield setting.problem(goal, setting.start(case["start"], scene["gripper"]))
+
+
+class _OfficialMeshes:
+    """Self-collision by the meshes of the official description, all pairs that can touch."""
+
+    NEVER = (
+        {"base_link", "upper_arm_link"},
+        {"lower_arm_link", "gripper_link"},
+        {"lower_arm_link", "moving_jaw_so101_v1_link"},
+        {"wrist_link", "moving_jaw_so101_v1_link"},
+    )
+
+    def __init__(self, shared_data):
+        urdf = shared_data / "so101" / "so101_new_calib.urdf"
+        self._model = pin.buildModelFromUrdf(str(urdf))
+        self._data = self._model.createData()
+        self._geometry = pin.buildGeomFromUrdf(
+            self._model, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parent)]
+        )
+        shapes = self._geometry.geometryObjects
+        for i, first in enumerate(shapes):
+            for j, second in enumerate(shapes[i + 1 :], i + 1):
+                links = {self._model.frames[shape.parentFrame].name for shape in (first, second)}
+                apart = abs(first.parentJoint - second.parentJoint) > 1
+                if apart and links not in self.NEVER:
+                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
+        self._geometry_data = self._geometry.createData()
+        self._manager = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
+            self._model, self._geometry, self._geometry_data
+        )
+
+    def in_collision(self, q):
+        return pin.computeCollisions(self._model, self._data, self._manager, q, True)

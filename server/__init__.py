@@ -1,0 +1,7 @@
+"""The server: rosbridge clients on one side, planners and the arm on the other."""
+
+import os
+
+# Clients such as ros-sharp send frames of 1024 bytes, and the default of 4096 frames would end their messages at 4 MiB.
+# The websockets package reads this variable when it is imported, so it is set before any module of the server is.
+os.environ.setdefault("WEBSOCKETS_MAX_FRAGMENTS", "16384")

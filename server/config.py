@@ -1,0 +1,157 @@
+"""Every setting of the server: one typed model, read from a TOML file, the environment and the command line."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
+
+from server.errors import ConfigurationError
+from server.goal_queue import GoalPolicy
+from server.moveit.parameters import MoveItParameters
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ServerSettings(_Section):
+    """Where clients connect.
+
+    Attributes:
+        host: address to listen on.
+        port: TCP port; 0 takes a free one.
+        log_level: least level of the log.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=9090, ge=0, le=65535)
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+
+class ArmSettings(_Section):
+    """The arm and its bus.
+
+    Attributes:
+        serial: serial device, URL or ``auto``; None for the simulated arm.
+        calibration: a lerobot calibration file; None for an ideal arm.
+        urdf: the robot's URDF; None for the built-in SO-101.
+        srdf: the SRDF that goes with it.
+        joint_state_rate_hz: rate of ``/joint_states`` [Hz].
+    """
+
+    serial: str | None = None
+    calibration: Path | None = None
+    urdf: Path | None = None
+    srdf: Path | None = None
+    joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
+
+    @model_validator(mode="after")
+    def _descriptions_come_in_pairs(self) -> ArmSettings:
+        if (self.urdf is None) != (self.srdf is None):
+            raise ValueError("urdf and srdf must be given together")
+        return self
+
+
+class GoalSettings(_Section):
+    """The queue before the arm.
+
+    Attributes:
+        policy: what happens to a goal that comes while another one is worked on.
+        capacity: how many goals may wait.
+    """
+
+    policy: GoalPolicy = GoalPolicy.QUEUE
+    capacity: int = Field(default=16, ge=1, le=1000)
+
+
+class PlanningSettings(_Section):
+    """The planner processes.
+
+    Attributes:
+        workers: how many goals may be planned at the same time; one more process is kept as a warm spare.
+    """
+
+    workers: int = Field(default=1, ge=1, le=16)
+
+
+class EmulatorSettings(_Section):
+    """The simulated arm.
+
+    Attributes:
+        drop: probability that a reply is lost.
+        corrupt: probability that a reply has a wrong byte.
+        seed: of the random faults.
+        write_log: file that gets a line of JSON for every write to a servo.
+    """
+
+    drop: float = Field(default=0.0, ge=0.0, le=1.0)
+    corrupt: float = Field(default=0.0, ge=0.0, le=1.0)
+    seed: int = 0
+    write_log: Path | None = None
+
+
+class Settings(BaseSettings):
+    """All settings. The command line overrides the environment, and that the file."""
+
+    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix="ARMBRIDGE_", env_nested_delimiter="__")
+
+    server: ServerSettings = ServerSettings()
+    arm: ArmSettings = ArmSettings()
+    moveit: MoveItParameters = MoveItParameters()
+    goals: GoalSettings = GoalSettings()
+    planning: PlanningSettings = PlanningSettings()
+    emulator: EmulatorSettings = EmulatorSettings()
+
+
+def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
+    """Read the settings.
+
+    Args:
+        file: a TOML file, or None.
+        overrides: section -> key -> value from the command line.
+
+    Raises:
+        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
+    """
+    try:
+        return _with_file(_read(file) if file else {})(**overrides)
+    except ValidationError as error:
+        raise ConfigurationError("; ".join(_sentence(problem) for problem in error.errors())) from error
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"configuration {file} cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"configuration {file} is not TOML: {error}") from error
+
+
+def _with_file(values: dict[str, Any]) -> type[Settings]:
+    """The settings class whose last source is the content of the file."""
+
+    class FromFile(Settings):
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - the base class's signature
+            file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - the base class's signature
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            return init_settings, env_settings, InitSettingsSource(settings_cls, values)
+
+    return FromFile
+
+
+def _sentence(problem: Any) -> str:
+    key = ".".join(str(part) for part in problem["loc"])
+    value = problem.get("input")
+    shown = "" if isinstance(value, dict | BaseModel) else f" (it is {value!r})"
+    return f"{key or 'settings'}: {problem['msg']}{shown}"

@@ -1,0 +1,102 @@
+"""The listening socket: makes a connection of every WebSocket client."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import socket
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+
+from protocol.limits import Limits
+from server.errors import StartError
+from server.gateway.connection import Connection
+from server.graph import Graph
+
+log = logging.getLogger("armbridge.gateway")
+
+BACKLOG = 128
+
+# Browsers close at once; a client that does not must not hold up the end of the server.
+CLOSE_TIMEOUT_S = 0.5
+
+
+class Listener:
+    """Accepts clients on one TCP port, whatever path and query they ask for.
+
+    Args:
+        graph: what clients take part in.
+        host: address to listen on.
+        port: TCP port; 0 takes a free one.
+    """
+
+    def __init__(self, graph: Graph, host: str, port: int) -> None:
+        self._graph = graph
+        self._host = host
+        self._port = port
+        self._limits = Limits()
+        self._socket: socket.socket | None = None
+        self._server: Server | None = None
+
+    @property
+    def port(self) -> int:
+        """The port in use."""
+        return self._port
+
+    async def bind(self) -> None:
+        """Take the port; clients that come now wait until :meth:`open`.
+
+        Raises:
+            StartError: the address is in use, not allowed or not ours.
+        """
+        loop = asyncio.get_running_loop()
+        try:
+            found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            family, kind, protocol, _, address = found[0]
+            listening = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise StartError(self._reason(error)) from error
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(address)
+            listening.listen(BACKLOG)
+        except OSError as error:
+            listening.close()
+            raise StartError(self._reason(error)) from error
+        self._socket = listening
+        self._port = listening.getsockname()[1]
+
+    async def open(self) -> None:
+        """Begin to serve clients."""
+        if self._socket is None:
+            raise AssertionError("open before bind")
+        self._server = await serve(
+            self._serve_client,
+            sock=self._socket,
+            max_size=self._limits.max_message_bytes,
+            # As in rosbridge_server: deflate doubles the cost of every message.
+            compression=None,
+            # Some clients offer a subprotocol and expect it to be passed over.
+            select_subprotocol=lambda _connection, _offered: None,
+            close_timeout=CLOSE_TIMEOUT_S,
+        )
+
+    async def close(self) -> None:
+        """Close every connection and the port."""
+        if self._server is not None:
+            self._server.close()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._server.wait_closed(), 2 * CLOSE_TIMEOUT_S)
+        elif self._socket is not None:
+            self._socket.close()
+
+    async def _serve_client(self, websocket: ServerConnection) -> None:
+        await Connection(websocket, self._graph, self._limits).run()
+
+    def _reason(self, error: OSError) -> str:
+        where = f"{self._host}:{self._port}"
+        if error.errno == errno.EADDRINUSE:
+            return f"port in use: {where} is taken by another program; choose one with --port"
+        return f"cannot listen on {where}: {error.strerror or error}"

@@ -1,0 +1,1 @@
+"""MoveIt's face: ROS messages on one side, planners and arm on the other."""

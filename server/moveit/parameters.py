@@ -1,0 +1,33 @@
+"""The parameters that MoveIt goal nodes take, under their usual names."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class MoveItParameters(BaseModel):
+    """How goals are planned when they do not say it themselves.
+
+    Attributes:
+        group_name: planning group of the SRDF.
+        end_effector_link: link that position goals move; empty for the tip of the group.
+        planning_frame: frame of poses with an empty frame_id; empty for the robot's root link.
+        num_planning_attempts: searches of which the shortest result is kept.
+        allowed_planning_time: after this a goal is answered TIMED_OUT [s].
+        max_velocity_scaling: share of the velocity limits.
+        max_acceleration_scaling: share of the acceleration limits.
+        position_tolerance: radius within which a position goal is reached [m].
+        joint_tolerance: a joint goal that lies beyond a limit by no more than this goes to the limit [rad].
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    group_name: str = "arm"
+    end_effector_link: str = ""
+    planning_frame: str = ""
+    num_planning_attempts: int = Field(default=5, ge=1, le=100)
+    allowed_planning_time: float = Field(default=5.0, gt=0.0, le=60.0)
+    max_velocity_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
+    max_acceleration_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
+    position_tolerance: float = Field(default=0.01, gt=0.0, le=0.1)
+    joint_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import uuid
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+
+from protocol.registry import Registry
+from server.errors import StartError
+from server.gateway.listener import Listener
+from server.graph import Graph
+from tests.helpers.conformance import cases, play
+
+REGISTRY = Registry.load()
+
+NOTHING_S = 0.02
+FRAME_TIMEOUT_S = 5.0
+
+
+class OverSockets:
+    """Real clients of a real listener; each send is waited for by an echo to its own sender."""
+
+    def __init__(self, listener: Listener) -> None:
+        self._listener = listener
+        self._clients: dict[str, ClientConnection] = {}
+
+    async def connect(self, client: str) -> ClientConnection:
+        if client not in self._clients:
+            self._clients[client] = await connect(f"ws://127.0.0.1:{self._listener.port}/any/path?x=1")
+            self._clients[client].frames = asyncio.Queue()  # type: ignore[attr-defined]
+        return self._clients[client]
+
+    async def send(self, client: str, frame: str | bytes) -> None:
+        await (await self.connect(client)).send(frame)
+        await self._barrier(client)
+
+    async def next_frame(self, client: str) -> str | bytes | None:
+        websocket = await self.connect(client)
+        kept: asyncio.Queue[str | bytes] = websocket.frames  # type: ignore[attr-defined]
+        if not kept.empty():
+            return kept.get_nowait()
+        with contextlib.suppress(TimeoutError):
+            return await asyncio.wait_for(websocket.recv(), NOTHING_S)
+        return None
+
+    async def close(self, client: str) -> None:
+        await self._clients.pop(client).close()
+        # The server's side of the close is not ordered with what other clients send next.
+        await asyncio.sleep(NOTHING_S)
+
+    async def advance(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+
+    async def end(self) -> None:
+        for websocket in self._clients.values():
+            await websocket.close()
+
+    async def _barrier(self, client: str) -> None:
+        """Return when the server has carried out all that the client sent."""
+        websocket = self._clients[client]
+        topic = f"/barrier_{uuid.uuid4().hex}"
+        await websocket.send(json.dumps({"op": "subscribe", "topic": topic, "type": "std_msgs/Empty"}))
+        await websocket.send(json.dumps({"op": "publish", "topic": topic, "msg": {}}))
+        await websocket.send(json.dumps({"op": "unsubscribe", "topic": topic}))
+        async with asyncio.timeout(FRAME_TIMEOUT_S):
+            while json.loads(frame := await websocket.recv())["topic"] != topic:
+                websocket.frames.put_nowait(frame)  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+async def listener() -> AsyncIterator[Listener]:
+    made = Listener(Graph(REGISTRY), "127.0.0.1", 0)
+    await made.bind()
+    await made.open()
+    yield made
+    await made.close()
+
+
+@pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
+async def test_conformance_over_sockets(listener: Listener, case: dict[str, Any]) -> None:
+    player = OverSockets(listener)
+    try:
+        await play(case, player)
+    finally:
+        await player.end()
+
+
+async def test_any_subprotocol_may_be_offered(listener: Listener) -> None:
+    async with connect(f"ws://127.0.0.1:{listener.port}", subprotocols=["anything"]) as websocket:  # type: ignore[list-item]
+        assert websocket.subprotocol is None
+
+
+async def test_a_message_in_1024_byte_frames_is_one_message(listener: Listener) -> None:
+    async with connect(f"ws://127.0.0.1:{listener.port}", max_size=None) as websocket:
+        await websocket.send(json.dumps({"op": "subscribe", "topic": "/t", "type": "std_msgs/String"}))
+        frame = json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 6_000_000}})
+        await websocket.send(frame[start : start + 1024] for start in range(0, len(frame), 1024))
+        received = await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S)
+    assert len(json.loads(received)["msg"]["data"]) == 6_000_000
+
+
+async def test_a_taken_port_is_told_with_its_number() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(StartError, match=f"port in use: 127.0.0.1:{port}"):
+            await Listener(Graph(REGISTRY), "127.0.0.1", port).bind()
+
+
+async def test_an_address_that_is_not_ours_is_told() -> None:
+    with pytest.raises(StartError, match=r"cannot listen on 192\.0\.2\.1:0"):
+        await Listener(Graph(REGISTRY), "192.0.2.1", 0).bind()
+
+
+async def test_closing_ends_every_connection(listener: Listener) -> None:
+    websocket = await connect(f"ws://127.0.0.1:{listener.port}")
+    await asyncio.wait_for(listener.close(), 3.0)
+    await asyncio.wait_for(websocket.wait_closed(), 3.0)
+    assert websocket.close_code == 1001

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from server import cli
+
+COMMAND = [sys.executable, "-m", "server.cli"]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_help_names_the_command_and_its_options() -> None:
+    assert "serve" in run("--help").stdout
+    answer = run("serve", "--help")
+    assert answer.returncode == 0
+    for option in ("--host", "--port", "--serial", "--calibration", "--urdf", "--srdf", "--config"):
+        assert option in answer.stdout
+
+
+def test_a_port_in_use_is_one_line_and_exit_1() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        answer = run("serve", "--port", str(port), "--log-level", "error")
+    assert answer.returncode == 1
+    assert answer.stderr.splitlines() == [
+        f"armbridge: port in use: 127.0.0.1:{port} is taken by another program; choose one with --port"
+    ]
+
+
+USAGE = {
+    "wrong setting": (["--port", "70000"], "server.port"),
+    "urdf alone": (["--urdf", "a.urdf"], "urdf and srdf must be given together"),
+    "missing configuration": (["--config", "/nowhere.toml"], "/nowhere.toml cannot be read"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), USAGE.values(), ids=USAGE.keys())
+def test_a_wrong_setting_is_one_line_and_exit_2(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["serve", *arguments]) == cli.EXIT_USAGE
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert words in error
+
+
+FILES = {
+    "calibration": (["--calibration"], "calibration"),
+    "description": (["--srdf", "/nowhere.srdf", "--urdf"], "cannot be read"),
+}
+
+
+@pytest.mark.parametrize(("options", "words"), FILES.values(), ids=FILES.keys())
+def test_a_file_that_cannot_be_used_is_one_line_and_exit_1(options: list[str], words: str, tmp_path: Path) -> None:
+    answer = run("serve", "--port", "0", *options, str(tmp_path / "missing"))
+    assert answer.returncode == 1
+    assert len(answer.stderr.splitlines()) == 1
+    assert words in answer.stderr

@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from protocol.errors import MessageError
+from protocol.publication import Publication
+from protocol.registry import Registry
+from server.errors import GraphError
+from server.graph import MAX_TOPICS, TYPE_OUTLIVES_USE_S, Graph, Node, Subscriber
+
+REGISTRY = Registry.load()
+
+
+class Listening:
+    """A node that keeps what it gets."""
+
+    def __init__(self) -> None:
+        self.node = Node("listener")
+        self.messages: list[Any] = []
+        self.refusals: list[MessageError] = []
+        self.subscriber = Subscriber(self._deliver, self.refusals.append)
+
+    def _deliver(self, publication: Publication) -> None:
+        self.messages.append(publication.msg)
+
+
+class Clock:
+    """Monotonic time that a test moves."""
+
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def graph(clock: Clock) -> Graph:
+    return Graph(REGISTRY, clock, wall_clock=lambda: 12.5)
+
+
+TALKER = Node("talker")
+
+
+def test_a_message_reaches_every_subscriber_complete(graph: Graph) -> None:
+    first, second = Listening(), Listening()
+    for listener in (first, second):
+        graph.subscribe(listener.node, "/t", "geometry_msgs/Point", listener.subscriber)
+    graph.publish(TALKER, "/t", {"x": 1})
+    assert first.messages == second.messages == [{"x": 1.0, "y": 0.0, "z": 0.0}]
+
+
+def test_a_publisher_that_subscribes_hears_itself(graph: Graph) -> None:
+    listener = Listening()
+    graph.advertise(listener.node, "/t", "std_msgs/String")
+    graph.subscribe(listener.node, "/t", None, listener.subscriber)
+    graph.publish(listener.node, "/t", {"data": "me"})
+    assert listener.messages == [{"data": "me"}]
+
+
+def test_an_omitted_header_gets_the_time_of_receipt(graph: Graph) -> None:
+    listener = Listening()
+    graph.subscribe(listener.node, "/t", "sensor_msgs/JointState", listener.subscriber)
+    graph.publish(TALKER, "/t", {})
+    assert listener.messages[0]["header"]["stamp"] == {"sec": 12, "nanosec": 500_000_000}
+
+
+def test_the_first_type_of_a_topic_stays(graph: Graph) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    listener = Listening()
+    with pytest.raises(GraphError, match=r"/t.*std_msgs/msg/String.*std_msgs/Bool"):
+        graph.subscribe(listener.node, "/t", "std_msgs/Bool", listener.subscriber)
+    graph.publish(TALKER, "/t", {"data": "x"})
+    assert listener.messages == []
+    assert graph.topic_types() == {"/t": "std_msgs/msg/String"}
+
+
+def test_both_spellings_of_a_type_are_the_same_type(graph: Graph) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    graph.advertise(Node("other"), "/t", "std_msgs/msg/String")
+
+
+def test_a_type_that_nobody_knows_is_refused(graph: Graph) -> None:
+    with pytest.raises(GraphError, match="std_msgs/Strang"):
+        graph.advertise(TALKER, "/t", "std_msgs/Strang")
+    assert graph.topic_types() == {}
+
+
+def test_publishing_on_a_topic_without_a_type_is_refused(graph: Graph) -> None:
+    with pytest.raises(GraphError, match="no type yet"):
+        graph.publish(TALKER, "/t", {})
+
+
+def test_a_message_that_does_not_fit_is_refused_to_its_sender_and_told_to_local_subscribers(graph: Graph) -> None:
+    listener = Listening()
+    graph.subscribe(listener.node, "/t", "std_msgs/String", listener.subscriber)
+    with pytest.raises(MessageError, match="data"):
+        graph.publish(TALKER, "/t", {"data": 5})
+    assert listener.messages == []
+    assert [error.path for error in listener.refusals] == ["data"]
+
+
+def test_a_latched_message_is_kept_for_who_comes_later(graph: Graph) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    graph.publish(TALKER, "/t", {"data": "old"})
+    graph.publish(TALKER, "/t", {"data": "new"})
+    listener = Listening()
+    latched = graph.subscribe(listener.node, "/t", None, listener.subscriber)
+    assert latched is not None
+    assert latched.msg == {"data": "new"}
+
+
+def test_a_node_that_left_gets_nothing_and_its_topics_are_forgotten(graph: Graph) -> None:
+    listener = Listening()
+    graph.advertise(TALKER, "/a", "std_msgs/String")
+    graph.subscribe(listener.node, "/a", None, listener.subscriber)
+    graph.subscribe(listener.node, "/b", "std_msgs/String", listener.subscriber)
+    graph.remove(listener.node)
+    graph.publish(TALKER, "/a", {"data": "x"})
+    assert listener.messages == []
+    assert list(graph.topic_types()) == ["/a"]
+    graph.unadvertise(TALKER, "/a")
+    assert graph.topic_types() == {}
+
+
+def test_the_type_of_a_topic_outlives_its_last_user_for_a_while(graph: Graph, clock: Clock) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    graph.remove(TALKER)
+    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    graph.publish(TALKER, "/t", {"data": "known still"})
+    graph.remove(TALKER)
+    graph.remove(Node("someone else"))
+    clock.now_s += TYPE_OUTLIVES_USE_S * 1.1
+    with pytest.raises(GraphError, match="no type yet"):
+        graph.publish(TALKER, "/t", {"data": "forgotten"})
+    graph.advertise(TALKER, "/t", "std_msgs/Bool")
+
+
+def test_topics_out_of_use_make_room_for_new_ones(graph: Graph) -> None:
+    for number in range(MAX_TOPICS):
+        graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
+    graph.remove(TALKER)
+    graph.advertise(TALKER, "/one_more", "std_msgs/Empty")
+    assert list(graph.topic_types()) == ["/one_more"]
+
+
+def test_the_number_of_topics_is_bounded(graph: Graph) -> None:
+    for number in range(MAX_TOPICS):
+        graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
+    with pytest.raises(GraphError, match=str(MAX_TOPICS)):
+        graph.advertise(TALKER, "/one_more", "std_msgs/Empty")

@@ -1,0 +1,324 @@
+"""The whole path, from a client's frame to the servos and back, on the command that ``make run`` starts."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import signal
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosedError
+
+from robot import model
+from robot.calibration import Calibration
+from tests.helpers.client import FrameClient, frame_client, goal_is, status_state
+from tests.helpers.server import RunningServer, read_write_log
+
+# What the Unreal client sends, to the letter.
+SUBSCRIBE = '{"op":"subscribe","topic":"/joint_states","type":"sensor_msgs/JointState"}'
+ADVERTISE = [
+    '{"op":"advertise","topic":"/moveit_goal_named","type":"std_msgs/String"}',
+    '{"op":"advertise","topic":"/moveit_goal_joints","type":"sensor_msgs/JointState"}',
+    '{"op":"advertise","topic":"/moveit_goal_pose","type":"geometry_msgs/PoseStamped"}',
+]
+NAMED = '{"op":"publish","topic":"/moveit_goal_named","msg":{"data":"ready"}}'
+JOINTS = (
+    '{"op":"publish","topic":"/moveit_goal_joints","msg":{"header":{"stamp":{"sec":0,"nanosec":0},"frame_id":""},'
+    '"name":["shoulder_pan","shoulder_lift","elbow_flex","wrist_flex","wrist_roll"],'
+    '"position":[0.3,-0.5,0.5,0.2,0.0],"velocity":[],"effort":[]}}'
+)
+POSE = (
+    '{"op":"publish","topic":"/moveit_goal_pose","msg":{"header":{"stamp":{"sec":0,"nanosec":0},'
+    '"frame_id":"base_link"},"pose":{"position":{"x":0.3,"y":0.1,"z":0.2},'
+    '"orientation":{"x":0.0,"y":0.0,"z":0.0,"w":1.0}}}}'
+)
+RESULT = "/moveit_goal_result"
+
+# Backlash, droop and one tick of rounding.
+ARRIVED_RAD = 0.06
+
+ARM_JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
+
+
+@pytest.fixture(scope="module")
+def write_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("emulator") / "writes.jsonl"
+
+
+@pytest.fixture(scope="module")
+def server(write_log: Path) -> Iterator[RunningServer]:
+    with RunningServer(settings={"ARMBRIDGE_EMULATOR__WRITE_LOG": str(write_log)}) as running:
+        yield running
+
+
+@pytest.fixture
+async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
+    async with frame_client(server.url) as connected:
+        await connected.open_goals()
+        yield connected
+
+
+async def goal_named(client: FrameClient, name: str) -> dict[str, Any]:
+    return await client.goal("/moveit_goal_named", {"data": name})
+
+
+async def test_the_unreal_client_moves_the_arm(server: RunningServer, write_log: Path) -> None:
+    async with frame_client(server.url) as client:
+        await client.send(SUBSCRIBE)
+        for frame in ADVERTISE:
+            await client.send(frame)
+        await client.subscribe(RESULT, "moveit_msgs/MoveItErrorCodes")
+        for count, frame in enumerate((NAMED, JOINTS, POSE), start=1):
+            await client.send(frame)
+            results = await client.wait_for(RESULT, lambda all_, count=count: len(all_) == count, 20.0)
+            assert (results[-1]["val"], results[-1]["message"]) == (1, "the arm is there")
+            if frame is JOINTS:
+                await assert_arrived(client, write_log, [0.3, -0.5, 0.5, 0.2, 0.0])
+    assert_no_goal_jumped(write_log)
+
+
+async def assert_arrived(client: FrameClient, write_log: Path, position_rad: list[float]) -> None:
+    """The servos stand where the goal was, and /joint_states says what the servos say."""
+    seen = len(client.messages("/joint_states"))
+    states = await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 2)
+    latest = dict(zip(states[-1]["name"], states[-1]["position"], strict=True))
+    present = read_write_log(write_log)[-1]["present"]
+    for joint, goal_rad in zip(Calibration.nominal().joints[:5], position_rad, strict=True):
+        servo_rad = joint.rad_from_ticks(present[str(joint.servo_id)])
+        assert servo_rad == pytest.approx(goal_rad, abs=ARRIVED_RAD)
+        assert latest[joint.joint] == pytest.approx(servo_rad, abs=0.01)
+
+
+def assert_no_goal_jumped(write_log: Path) -> None:
+    """Torque comes on at the goal, and no goal then moves faster than its joint may."""
+    robot = model.builtin()
+    goals = [entry for entry in read_write_log(write_log) if entry["address"] == 41]
+    for joint in Calibration.nominal().joints:
+        servo = str(joint.servo_id)
+        writes = [entry for entry in goals if servo in entry["data"]]
+        first = next(entry for entry in writes if entry["torque"][servo] == 1)
+        assert abs(goal_ticks(first, servo) - first["present"][servo]) <= 30
+        # One tick of 10 ms at the limit, half as much again for a late tick, and rounding.
+        step_ticks = joint.ticks_s_from_rad_s(robot.joints[joint.joint].max_velocity) * 0.01
+        for before, after in itertools.pairwise(writes):
+            gap_s = after["t"] - before["t"]
+            bound = step_ticks * max(1.5, gap_s / 0.01) + 2
+            assert abs(goal_ticks(after, servo) - goal_ticks(before, servo)) <= bound
+
+
+def goal_ticks(entry: dict[str, Any], servo: str) -> int:
+    low, high = entry["data"][servo][1:3]
+    return int(low | high << 8)
+
+
+async def test_joint_states_come_at_50_hz_with_every_joint(client: FrameClient) -> None:
+    await client.send(SUBSCRIBE)
+    states = await client.wait_for("/joint_states", lambda all_: len(all_) >= 100)
+    stamps = [state["header"]["stamp"]["sec"] + state["header"]["stamp"]["nanosec"] / 1e9 for state in states]
+    assert stamps == sorted(stamps)
+    assert (stamps[-1] - stamps[0]) / (len(stamps) - 1) == pytest.approx(0.02, rel=0.1)
+    for state in states:
+        assert state["name"] == [*ARM_JOINTS, "gripper"]
+        assert {len(state[key]) for key in ("position", "velocity", "effort")} == {6}
+
+
+async def test_the_unreachable_pose_of_the_first_users_is_explained_at_once(client: FrameClient) -> None:
+    pose = {"header": {"frame_id": ""}, "pose": {"position": {"x": 0.1, "y": 0.0, "z": 0.15}}}
+    result = await client.goal("/moveit_goal_pose", pose, timeout_s=2.0)
+    assert result["val"] == -31
+    assert "4.1 cm" in result["message"]
+    assert "nearest point it can reach" in result["message"]
+
+
+async def test_a_named_goal_forgives_case_and_blanks(client: FrameClient) -> None:
+    assert (await goal_named(client, " Home "))["val"] == 1
+
+
+async def test_a_goal_is_answered_once_with_its_topic_and_id(client: FrameClient) -> None:
+    result = await goal_named(client, "home")
+    await asyncio.sleep(0.2)
+    topic, _, goal_id = result["source"].partition("#")
+    assert topic == "/moveit_goal_named"
+    same = [answer for answer in client.messages(RESULT) if answer["source"] == result["source"]]
+    assert len(same) == 1
+    states = [status_state(s) for s in client.messages("/moveit_goal_status") if s["hardware_id"] == goal_id]
+    order = ["queued", "planning", "executing", "done"]
+    assert [key for key, _ in itertools.groupby(states)] == order
+
+
+BAD_GOALS = [
+    ("/moveit_goal_named", {"data": "redy"}, -16, ["'redy'", "home", "ready"]),
+    ("/moveit_goal_named", {"data": 5}, -16, ["data", "string", "5"]),
+    ("/moveit_goal_named", {"dota": "ready"}, -16, ["dota"]),
+    ("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [2.5]}, -16, ["shoulder_pan", "2.5", "1.92"]),
+    ("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": []}, -16, ["1", "0"]),
+    ("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [None]}, -16, ["shoulder_pan", "nan"]),
+    ("/moveit_goal_joints", {"name": ["knee"], "position": [0.1]}, -16, ["shoulder_pan"]),
+    ("/moveit_goal_joints", {"name": [], "position": []}, -16, ["shoulder_pan"]),
+    (
+        "/moveit_goal_joints",
+        {"name": ["shoulder_lift", "elbow_flex", "wrist_flex"], "position": [-1.74, 1.69, 1.65]},
+        -12,
+        ["link"],
+    ),
+    ("/moveit_goal_pose", {"header": {"frame_id": "moon"}}, -21, ["moon", "base_link"]),
+    ("/moveit_goal_pose", {"pose": {"position": {"x": 0.3, "y": None, "z": 0.2}}}, -16, ["position.y", "nan"]),
+    ("/moveit_goal_pose", {"pose": {"position": {"x": 3.0, "y": 0.0, "z": 0.2}}}, -31, ["nearest"]),
+]
+
+
+@pytest.mark.parametrize(("topic", "msg", "code", "words"), BAD_GOALS)
+async def test_a_bad_goal_is_answered_with_code_and_reason(
+    client: FrameClient, topic: str, msg: dict[str, Any], code: int, words: list[str]
+) -> None:
+    result = await client.goal(topic, msg, timeout_s=3.0)
+    assert result["val"] == code, result
+    for word in words:
+        assert word in result["message"]
+
+
+async def test_joints_that_are_not_named_keep_their_position(client: FrameClient) -> None:
+    await client.send(SUBSCRIBE)
+    assert (await goal_named(client, "ready"))["val"] == 1
+    assert (await client.goal("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [0.2]}))["val"] == 1
+    state = (await client.wait_for("/joint_states", bool))[-1]
+    assert state["position"][:3] == pytest.approx([0.2, -0.5, 0.5], abs=ARRIVED_RAD)
+
+
+async def test_stop_ends_the_motion_along_its_path_and_empties_the_queue(client: FrameClient) -> None:
+    assert (await goal_named(client, "home"))["val"] == 1
+    await client.send(SUBSCRIBE)
+    seen = len(client.messages(RESULT))
+    far = {"name": ["shoulder_pan"], "position": [1.5]}
+    await client.publish("/moveit_goal_joints", far)
+    for _ in range(3):
+        await client.publish("/moveit_goal_named", {"data": "ready"})
+    await client.wait_for("/joint_states", lambda all_: bool(all_) and all_[-1]["position"][0] > 0.2)
+    await client.publish("/stop", {})
+    results = (await client.wait_for(RESULT, lambda all_: len(all_) == seen + 4))[seen:]
+    assert [result["val"] for result in results] == [-7] * 4
+    await asyncio.sleep(0.3)
+    stopped = client.messages("/joint_states")[-1]
+    assert 0.2 < stopped["position"][0] < 1.2
+    assert stopped["velocity"] == pytest.approx([0.0] * 6, abs=0.05)
+    assert stopped["position"][1:5] == pytest.approx([0.0] * 4, abs=ARRIVED_RAD)
+
+
+async def test_the_stop_event_of_moveit_stops_the_motion(client: FrameClient) -> None:
+    assert (await goal_named(client, "home"))["val"] == 1
+    await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [-1.5]})
+    await client.wait_for("/moveit_goal_status", goal_is("executing"))
+    seen = len(client.messages(RESULT))
+    await client.publish("/trajectory_execution_event", {"data": "stop"})
+    # Nobody has advertised this topic: its type is known all the same.
+    results = await client.wait_for(RESULT, lambda all_: len(all_) > seen)
+    assert results[-1]["val"] == -7
+    assert "/trajectory_execution_event" in results[-1]["message"]
+
+
+async def test_a_goal_of_a_client_that_vanishes_is_finished(server: RunningServer, client: FrameClient) -> None:
+    assert (await goal_named(client, "home"))["val"] == 1
+    seen = len(client.messages(RESULT))
+    leaving = await connect(server.url)
+    await leaving.send(ADVERTISE[0])
+    await leaving.send(NAMED)
+    await client.wait_for("/moveit_goal_status", goal_is("executing"))
+    leaving.transport.abort()
+    results = await client.wait_for(RESULT, lambda all_: len(all_) > seen)
+    assert results[-1]["val"] == 1
+
+
+@pytest.mark.parametrize(
+    "frame",
+    ["{", "[]", "42", '{"op":"fly"}', '{"op":"publish"}', '{"op":"subscribe","topic":7}', "\N{SNOWMAN}", "[" * 5000],
+)
+async def test_a_senseless_frame_harms_nobody(client: FrameClient, frame: str) -> None:
+    await client.send(frame)
+    assert (await client.goal("/moveit_goal_named", {"data": "?"}))["val"] == -16
+
+
+async def test_a_goal_topic_keeps_its_type(server: RunningServer, client: FrameClient) -> None:
+    await client.send({"op": "advertise", "topic": "/moveit_goal_named", "type": "sensor_msgs/JointState"})
+    assert server.has_logged("already established with type std_msgs/msg/String")
+    assert (await client.goal("/moveit_goal_named", {"name": ["shoulder_pan"]}))["val"] == -16
+
+
+async def test_a_message_of_20_mb_closes_its_connection_only(server: RunningServer, client: FrameClient) -> None:
+    large = await connect(server.url)
+    await large.send(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 20_000_000}}))
+    with pytest.raises(ConnectionClosedError) as closed:
+        await large.recv()
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == 1009
+    assert "exceeds limit of 10000000 bytes" in closed.value.rcvd.reason
+    assert (await client.goal("/moveit_goal_named", {"data": "?"}))["val"] == -16
+
+
+async def test_topics_are_relayed_between_clients(server: RunningServer, client: FrameClient) -> None:
+    async with frame_client(server.url) as other:
+        await other.subscribe("chatter", "std_msgs/String")
+        await client.send({"op": "advertise", "topic": "/chatter", "type": "std_msgs/msg/String"})
+        # The two clients' frames are not ordered against each other: say it until it is heard.
+        while not other.messages("chatter"):
+            await client.publish("/chatter", {"data": "hello"})
+            await asyncio.sleep(0.02)
+    assert other.messages("chatter")[0]["data"] == "hello"
+
+
+async def test_a_planner_that_dies_costs_its_goal_only() -> None:
+    with RunningServer() as server:
+        async with frame_client(server.url) as client:
+            await client.open_goals()
+            assert (await goal_named(client, "ready"))["val"] == 1
+            workers = [
+                child
+                for child in psutil.Process(server.process.pid).children(recursive=True)
+                if "planners.worker" in child.cmdline()
+            ]
+            assert len(workers) == 2
+            for worker in workers:
+                worker.suspend()
+            await client.publish("/moveit_goal_named", {"data": "home"})
+            await client.wait_for("/moveit_goal_status", goal_is("planning"))
+            for worker in workers:
+                worker.kill()
+            results = await client.wait_for(RESULT, lambda all_: len(all_) == 2)
+            assert results[-1]["val"] == -29
+            assert (await goal_named(client, "home"))["val"] == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+async def test_a_signal_stops_the_moving_arm_and_ends_with_0_within_3_s(number: signal.Signals, tmp_path: Path) -> None:
+    log = tmp_path / "writes.jsonl"
+    with RunningServer(settings={"ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
+        children = psutil.Process(server.process.pid).children(recursive=True)
+        async with frame_client(server.url) as client:
+            await client.open_goals()
+            await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
+            await client.wait_for("/moveit_goal_status", goal_is("executing"))
+            code, seconds = await asyncio.to_thread(server.end, number)
+            assert client.messages(RESULT)[-1]["val"] == -7
+    assert code == 0
+    assert seconds < 3.0
+    _, alive = psutil.wait_procs(children, timeout=3)
+    assert not alive
+    assert_no_goal_jumped(log)
+    pan = [goal_ticks(entry, "1") for entry in read_write_log(log) if entry["address"] == 41 and "1" in entry["data"]]
+    last_steps = [after - before for before, after in itertools.pairwise(pan[-5:])]
+    assert max(map(abs, last_steps)) <= 2, "the last goals must come to rest"
+
+
+async def test_a_serial_port_that_does_not_exist_leaves_a_server_that_says_so() -> None:
+    with RunningServer("--port 0 --serial /dev/does-not-exist") as server:
+        assert server.has_logged("/dev/does-not-exist does not exist")
+        async with frame_client(server.url) as client:
+            await client.open_goals()
+            result = await goal_named(client, "ready")
+    assert result["val"] == -25
+    assert "/dev/does-not-exist does not exist" in result["message"]

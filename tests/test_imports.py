@@ -1,0 +1,93 @@
+"""The arrows between the rooms: server -> planners -> robot, server -> protocol, and no other."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("server", "planners", "robot", "protocol")
+
+# What each room may import of ours; a name with a dot is one module of a room.
+ALLOWED = {
+    "server": ("server", "protocol", "robot", "planners.problem", "planners.pool"),
+    "planners": ("planners", "robot.model", "robot.trajectory", "robot.processes"),
+    "robot": ("robot",),
+    "protocol": ("protocol",),
+}
+
+# Only the server knows sockets of clients and configuration; the two handles on child processes know asyncio.
+ASYNCIO_OUTSIDE_SERVER = {"robot/processes.py", "robot/arm.py", "planners/pool.py"}
+PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
+
+
+def modules(room: str) -> Iterator[Path]:
+    yield from (path for path in sorted((ROOT / room).rglob("*.py")) if "node_modules" not in path.parts)
+
+
+def imports(path: Path) -> set[str]:
+    """Full names of all that a module imports, anywhere in it."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            assert node.module is not None
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def allowed(name: str, room: str) -> bool:
+    return any(name == prefix or name.startswith(f"{prefix}.") for prefix in ALLOWED[room])
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_the_rooms_below_it(room: str) -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in modules(room)
+        for name in imports(path)
+        if name.split(".")[0] in ROOMS and not allowed(name, room)
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("room", ["planners", "robot", "protocol"])
+def test_asyncio_and_websockets_stay_in_the_server(room: str) -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in modules(room)
+        for name in imports(path)
+        if name.split(".")[0] in {"asyncio", "websockets", "uvloop", "pydantic_settings"}
+        and str(path.relative_to(ROOT)) not in ASYNCIO_OUTSIDE_SERVER
+    ]
+    assert not wrong
+
+
+def test_the_protocol_does_no_io_and_reads_no_clock() -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in modules("protocol")
+        for name in imports(path)
+        if name.split(".")[0] in {"socket", "time", "select", "threading", "logging", "subprocess"}
+    ]
+    assert not wrong
+
+
+def test_the_server_process_loads_no_planning_library() -> None:
+    program = "import sys, server.app; print(*sorted(set(sys.modules) & set(sys.argv[1:])))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", program, *PLANNING_LIBRARIES],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert loaded.stdout.split() == []

@@ -1,0 +1,49 @@
+"""The first example is run as it stands."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from server.config import load
+from tests.helpers.server import RunningServer
+
+ROOT = Path(__file__).parents[1]
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    """The fenced code blocks of a page."""
+    return re.findall(rf"```{language}\n(.*?)```", path.read_text(), re.DOTALL)
+
+
+def test_the_python_client_of_the_readme_moves_the_arm() -> None:
+    program = blocks(ROOT / "README.md", "python")[0]
+    assert "port=9090" in program
+    with RunningServer() as server:
+        done = subprocess.run(
+            [sys.executable, "-c", program.replace("port=9090", f"port={server.port}")],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.stdout == "1 the arm is there\n", done.stderr
+
+
+def test_the_configuration_page_shows_every_setting_with_its_default(tmp_path: Path) -> None:
+    page = tmp_path / "page.toml"
+    page.write_text(blocks(ROOT / "docs" / "configuration.md", "toml")[0])
+    assert load(page, {}).model_dump() == load(None, {}).model_dump()
+    text = page.read_text()
+    for section, settings in load(None, {}).model_dump().items():
+        assert f"[{section}]" in text
+        for key in settings:
+            assert re.search(rf"^(# )?{key} = ", text, re.MULTILINE), f"{section}.{key} is not on the page"
+
+
+def test_every_page_that_is_linked_exists() -> None:
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"

@@ -1,0 +1,33 @@
+"""Every module has a test of its own name, so that its place is found from either side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("server", "planners", "robot", "protocol")
+
+# Modules that hold only data or names, or run what others define; and the one process main that end-to-end tests run.
+WITHOUT_TEST = {
+    "robot/messages.py",
+    "planners/messages.py",
+    "planners/problem.py",
+    "server/errors.py",
+    "robot/errors.py",
+    "server/moveit/parameters.py",
+    # The children's mains: run by the tests of the handles on them.
+    "robot/loop.py",
+    "planners/worker.py",
+}
+
+
+def test_every_module_has_a_test_file() -> None:
+    missing = [
+        str(path.relative_to(ROOT))
+        for room in ROOMS
+        for path in sorted((ROOT / room).rglob("*.py"))
+        if not path.name.startswith("__")
+        and str(path.relative_to(ROOT)) not in WITHOUT_TEST
+        and not (ROOT / "tests" / path.relative_to(ROOT).with_name(f"test_{path.name}")).exists()
+    ]
+    assert not missing

@@ -1,0 +1,33 @@
+"""``python -m benchmarks [NAME ...]``: run the benchmarks and print their tables."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+from collections.abc import Callable
+
+from benchmarks import event_loop, goal_latency, joint_states, planning, processes, servo_loop
+
+BENCHMARKS: dict[str, Callable[[], None]] = {
+    "processes": processes.run,
+    "goal_latency": goal_latency.run,
+    "planning": planning.run,
+    "servo_loop": servo_loop.run,
+    "joint_states": joint_states.run,
+    "event_loop": event_loop.run,
+}
+
+
+def main() -> None:
+    """Run what was named, or everything."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=main.__doc__)
+    parser.add_argument("names", nargs="*", choices=[*BENCHMARKS, []], metavar="NAME", help=", ".join(BENCHMARKS))
+    names = parser.parse_args().names or list(BENCHMARKS)
+    print(f"Python {platform.python_version()} on {platform.machine()}, {os.cpu_count()} cores")
+    for name in names:
+        BENCHMARKS[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Start-up time, and what each process costs at rest."""
+
+from __future__ import annotations
+
+import time
+
+import psutil
+
+from benchmarks.figures import percentiles, print_table
+from tests.helpers.server import RunningServer
+
+STARTS = 5
+REST_S = 10.0
+
+# The planner workers load their libraries behind the start.
+WARM_UP_S = 3.0
+
+NAMES = {"robot.loop": "arm", "robot.emulator": "emulator", "planners.worker": "planner"}
+
+
+def run() -> None:
+    """Start the server several times; leave the last one alone and watch its processes."""
+    starts_s = []
+    for number in range(STARTS):
+        started_s = time.monotonic()
+        with RunningServer() as server:
+            starts_s.append(time.monotonic() - started_s)
+            if number == STARTS - 1:
+                rows = _at_rest(psutil.Process(server.process.pid))
+    print_table(
+        "Start of the process to the ready line [s]",
+        ["starts", "median", "max"],
+        [[str(STARTS), *percentiles(starts_s, 50, 100, scale=1.0)]],
+    )
+    print_table("At rest, no client", ["process", "CPU % of a core", "memory MB"], rows)
+
+
+def _at_rest(server: psutil.Process) -> list[list[str]]:
+    time.sleep(WARM_UP_S)
+    found = [server, *server.children(recursive=True)]
+    for process in found:
+        process.cpu_percent()
+    time.sleep(REST_S)
+    return [
+        [_name(process), f"{process.cpu_percent():.1f}", f"{process.memory_info().rss / 1e6:.0f}"] for process in found
+    ]
+
+
+def _name(process: psutil.Process) -> str:
+    command = process.cmdline()
+    return next((name for module, name in NAMES.items() if module in command), "server")

@@ -12,7 +12,7 @@ import numpy as np
 
 from robot.messages import Execute, Mode, MotionEnded, Outcome
 from robot.model import RobotModel
-from robot.motion import Playback
+from robot.playback import Playback
 from robot.trajectory import Trajectory, Vector
 
 # A trajectory may start this far from where the arm holds [rad]; the step bound levels the difference.

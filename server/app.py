@@ -21,14 +21,14 @@ from robot.messages import ArmConfig, Mode
 from robot.model import RobotModel
 from server.config import ArmSettings, Settings
 from server.emulated_bus import EmulatedBus
-from server.errors import ConfigurationError
+from server.errors import ConfigurationError, StartError
 from server.gateway.listener import Listener
 from server.goal_queue import GoalQueue
 from server.graph import Graph
 from server.joint_states import JointStates
+from server.moveit.execution import GoalExecutor
 from server.moveit.goal_topics import GoalTopics
 from server.moveit.goals import GoalTranslator, MotionRequest
-from server.moveit.motion import Motion
 from server.moveit.parameters import MoveItParameters
 
 log = logging.getLogger("armbridge")
@@ -129,9 +129,12 @@ class App:
         )
         self._joint_states.open()
         self._arm = Arm(config, self._joint_states.publish)
-        await self._arm.start(ARM_START_TIMEOUT_S)
+        try:
+            await self._arm.start(ARM_START_TIMEOUT_S)
+        except TimeoutError as error:
+            raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
         self._queue = GoalQueue(
-            Motion(self._arm, self._pool, self._settings.moveit),
+            GoalExecutor(self._arm, self._pool, self._settings.moveit),
             self._settings.goals.policy,
             self._settings.goals.capacity,
             self._goal_topics.on_progress,

@@ -112,6 +112,13 @@ def assert_no_goal_jumped(write_log: Path) -> None:
             assert abs(goal_ticks(after, servo) - goal_ticks(before, servo)) <= bound
 
 
+def assert_comes_to_rest(write_log: Path) -> None:
+    """The last goals of the shoulder pan stay where they are."""
+    goals = [entry for entry in read_write_log(write_log) if entry["address"] == 41]
+    pan = [goal_ticks(entry, "1") for entry in goals if "1" in entry["data"]]
+    assert max(abs(after - before) for before, after in itertools.pairwise(pan[-3:])) <= 2
+
+
 def goal_ticks(entry: dict[str, Any], servo: str) -> int:
     low, high = entry["data"][servo][1:3]
     return int(low | high << 8)
@@ -309,9 +316,21 @@ async def test_a_signal_stops_the_moving_arm_and_ends_with_0_within_3_s(number: 
     _, alive = psutil.wait_procs(children, timeout=3)
     assert not alive
     assert_no_goal_jumped(log)
-    pan = [goal_ticks(entry, "1") for entry in read_write_log(log) if entry["address"] == 41 and "1" in entry["data"]]
-    last_steps = [after - before for before, after in itertools.pairwise(pan[-5:])]
-    assert max(map(abs, last_steps)) <= 2, "the last goals must come to rest"
+    assert_comes_to_rest(log)
+
+
+async def test_a_killed_server_leaves_an_arm_at_rest_and_no_process_behind(tmp_path: Path) -> None:
+    log = tmp_path / "writes.jsonl"
+    with RunningServer(settings={"ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
+        children = psutil.Process(server.process.pid).children(recursive=True)
+        async with frame_client(server.url) as client:
+            await client.open_goals()
+            await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
+            await client.wait_for("/moveit_goal_status", goal_is("executing"))
+            await asyncio.to_thread(server.end, signal.SIGKILL)
+    _, alive = psutil.wait_procs(children, timeout=5)
+    assert not alive
+    assert_comes_to_rest(log)
 
 
 async def test_a_serial_port_that_does_not_exist_leaves_a_server_that_says_so() -> None:

@@ -15,7 +15,7 @@ from server.goal_queue import Answer, GoalState, Progress
 from server.moveit.goals import MotionRequest
 from server.moveit.parameters import MoveItParameters
 
-log = logging.getLogger("armbridge.motion")
+log = logging.getLogger("armbridge.execution")
 
 # States come at 50 Hz; one this old means that the arm process is stuck.
 STATE_MAX_AGE_S = 1.0
@@ -40,7 +40,7 @@ CODE_OF_OUTCOME = {
 }
 
 
-class Motion:
+class GoalExecutor:
     """Runs one goal at a time, from request to answer.
 
     Args:

@@ -19,8 +19,8 @@ from robot.messages import ArmConfig, ArmState, Mode
 from server.config import EmulatorSettings
 from server.emulated_bus import EmulatedBus
 from server.goal_queue import GoalState, Progress
+from server.moveit.execution import GoalExecutor
 from server.moveit.goals import MotionRequest
-from server.moveit.motion import Motion
 from server.moveit.parameters import MoveItParameters
 
 
@@ -30,12 +30,12 @@ class Rig:
 
     arm: Arm
     pool: PlannerPool
-    motion: Motion
+    executor: GoalExecutor
     states: list[ArmState]
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
-        return await self.motion.run(MotionRequest(JointGoal(positions_rad)), self.news.append)
+        return await self.executor.run(MotionRequest(JointGoal(positions_rad)), self.news.append)
 
     async def until(self, condition: Callable[[], bool]) -> None:
         async with asyncio.timeout(10.0):
@@ -54,7 +54,7 @@ async def rig() -> AsyncIterator[Rig]:
     pool = PlannerPool(robot)
     await pool.start()
     parameters = MoveItParameters(max_velocity_scaling=1.0, max_acceleration_scaling=1.0)
-    yield Rig(arm, pool, Motion(arm, pool, parameters), states)
+    yield Rig(arm, pool, GoalExecutor(arm, pool, parameters), states)
     await arm.close()
     await pool.close()
     await bus.close()
@@ -81,7 +81,7 @@ async def test_a_stop_while_planning_is_answered_with_its_reason(rig: Rig) -> No
     running = asyncio.create_task(rig.run(shoulder_pan=0.8))
     await asyncio.sleep(0)
     await asyncio.sleep(0)
-    rig.motion.stop("stopped by a test")
+    rig.executor.stop("stopped by a test")
     answer = await running
     assert answer.code is MoveItErrorCode.PREEMPTED
     assert answer.message.startswith("stopped by a test")
@@ -93,7 +93,7 @@ async def test_a_stop_ends_planning_that_hangs(rig: Rig) -> None:
         os.kill(pid, signal.SIGSTOP)
     running = asyncio.create_task(rig.run(shoulder_pan=0.8))
     await asyncio.sleep(0.05)
-    rig.motion.stop("stopped by a test")
+    rig.executor.stop("stopped by a test")
     answer = await asyncio.wait_for(running, 2.0)
     assert answer.code is MoveItErrorCode.PREEMPTED
     assert answer.message == "stopped by a test while planning"
@@ -104,7 +104,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
     await rig.run(shoulder_pan=0.01)
     running = asyncio.create_task(rig.run(shoulder_pan=1.5))
     await asyncio.sleep(delay_s)
-    rig.motion.stop("stopped by a test")
+    rig.executor.stop("stopped by a test")
     answer = await asyncio.wait_for(running, 3.0)
     assert answer.code is MoveItErrorCode.PREEMPTED
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
@@ -114,7 +114,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
 async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = model.builtin()
     arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
-    motion = Motion(arm, PlannerPool(robot), MoveItParameters())
-    answer = await motion.run(MotionRequest(JointGoal({"shoulder_pan": 0.5})), lambda _progress: None)
+    executor = GoalExecutor(arm, PlannerPool(robot), MoveItParameters())
+    answer = await executor.run(MotionRequest(JointGoal({"shoulder_pan": 0.5})), lambda _progress: None)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot.motion import BRAKING_SHARE, Playback
+from robot.playback import BRAKING_SHARE, Playback
 from tests.helpers.trajectories import smooth_move
 
 PERIOD_S = 0.01

@@ -64,7 +64,6 @@ def _solve(planner: Planner, problem: PlanningProblem, stop: StopFlag) -> Plan |
 
 
 if __name__ == "__main__":
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     run(channel_of_child())
     # Not through the interpreter's end, where the native libraries print what they think they leaked.
     os._exit(0)

@@ -233,7 +233,6 @@ class _Ticker:
 
 def main() -> None:
     """Run the arm process: the first message is its configuration."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     channel = channel_of_child()
     config = channel.receive_first()
     if config is None:

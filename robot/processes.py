@@ -24,6 +24,9 @@ from typing import Any
 
 log = logging.getLogger("armbridge.processes")
 
+# Of the server and its children alike: they share one terminal.
+LOG_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+
 LENGTH = struct.Struct("<I")
 
 # The largest message is a robot with its hulls (250 kB); anything near this bound is a bug.
@@ -130,11 +133,17 @@ class Channel:
 
 
 def channel_of_child(arguments: list[str] | None = None) -> Channel:
-    """Open the channel a child was started with; Ctrl-C is the server's to handle, never the child's."""
+    """Open the channel a child was started with, and log as its server does.
+
+    Ctrl-C is the server's to handle, never the child's.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parser = argparse.ArgumentParser()
     parser.add_argument("--fd", type=int, required=True)
-    return Channel(socket.socket(fileno=parser.parse_args(arguments).fd))
+    parser.add_argument("--log-level", type=int, default=logging.INFO)
+    options = parser.parse_args(arguments)
+    logging.basicConfig(level=options.log_level, format=LOG_FORMAT)
+    return Channel(socket.socket(fileno=options.fd))
 
 
 class Child:
@@ -159,7 +168,8 @@ class Child:
         self._on_exit = on_exit
         ours, theirs = socket.socketpair()
         with theirs:
-            self._process = start_module(module, ["--fd", str(theirs.fileno())], (theirs.fileno(),))
+            arguments = ["--fd", str(theirs.fileno()), "--log-level", str(logging.getLogger().getEffectiveLevel())]
+            self._process = start_module(module, arguments, (theirs.fileno(),))
         self._socket = ours
         if niceness:
             with contextlib.suppress(OSError):

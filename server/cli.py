@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from robot.processes import LOG_FORMAT
 from server.config import Settings, load
 from server.errors import ConfigurationError, StartError
 
@@ -33,11 +34,7 @@ def _serve(settings: Settings) -> int:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.app import serve
 
-    logging.basicConfig(
-        level=settings.server.log_level.upper(),
-        format="%(asctime)s %(levelname)-7s %(name)s: %(message)s",
-        stream=sys.stderr,
-    )
+    logging.basicConfig(level=settings.server.log_level.upper(), format=LOG_FORMAT, stream=sys.stderr)
     # A line for every handshake and request that is no WebSocket; the gateway tells what matters of a client.
     logging.getLogger("websockets").setLevel(logging.WARNING)
     try:

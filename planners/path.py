@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,11 +75,21 @@ class JointSpace:
             end: last point, checked as well.
             step_m: the most that any robot point moves from one check to the next [m].
         """
-        return all(self.free(start + share * (end - start)) for share in self._shares(end - start, step_m))
+        return self.curve_free(np.array([start, end]), step_m)
 
     def curve_free(self, points: Vector, step_m: float = CHECK_STEP_M) -> bool:
-        """Whether the robot touches nothing along a polyline of shape (m, n); its first point is taken to be free."""
-        return all(self.line_free(a, b, step_m) for a, b in pairwise(points))
+        """Whether the robot touches nothing along a polyline.
+
+        Args:
+            points: shape (m, n); the first is taken to be free, the last is checked.
+            step_m: the most that any robot point moves from one check to the next [m].
+        """
+        moved_m = np.cumsum(np.abs(np.diff(points, axis=0)) @ self._travel_m_per_rad)
+        travel_m = np.concatenate(([0.0], moved_m))
+        count = max(1, int(np.ceil(travel_m[-1] / step_m)))
+        checks_m = np.arange(count + 1) * (travel_m[-1] / count)
+        checked = np.stack([np.interp(checks_m, travel_m, joint) for joint in points.T], axis=1)
+        return all(self.free(checked[i]) for i in coarse_to_fine(count))
 
     def space(self) -> ob.RealVectorStateSpace:
         """This space as OMPL sees it, with edge checks no further apart than :data:`CHECK_STEP_M`."""
@@ -95,15 +104,14 @@ class JointSpace:
         space.setLongestValidSegmentFraction(step_rad / space.getMaximumExtent())
         return space
 
-    def _shares(self, move: Vector, step_m: float) -> Iterator[float]:
-        """Shares of a move to check, coarse to fine, so that a blocked line is found out early; the end comes first."""
-        count = max(1, int(np.ceil(float(self._travel_m_per_rad @ np.abs(move)) / step_m)))
-        yield 1.0
-        stride = 1 << (count - 1).bit_length()
-        while stride > 1:
-            for i in range(stride // 2, count, stride):
-                yield i / count
-            stride //= 2
+
+def coarse_to_fine(count: int) -> Iterator[int]:
+    """1 to ``count``, each once: the last first, then halves, quarters and so on, to find out early what is blocked."""
+    yield count
+    stride = 1 << (count - 1).bit_length()
+    while stride > 1:
+        yield from range(stride // 2, count, stride)
+        stride //= 2
 
 
 def search(

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planners.path import CHECK_STEP_M, JointSpace, search, shortcut
+from planners.path import CHECK_STEP_M, JointSpace, coarse_to_fine, search, shortcut
 from tests.planners.invariants import BLOCKED_LINES, never
 
 HOME = np.zeros(5)
@@ -30,13 +30,25 @@ def test_line_through_the_arm_itself_is_blocked_both_ways(joint_space, blocked):
     assert not joint_space.line_free(goal, start)
 
 
-@pytest.mark.parametrize("step_m", [0.001, 0.005, 0.3])
-def test_checks_of_a_line_are_no_further_apart_than_the_step(joint_space, collision, step_m):
-    move = np.array([1.0, -0.5, 0.3, 0.0, 2.0])
-    shares = sorted([0.0, *joint_space._shares(move, step_m)])
-    assert shares[-1] == 1.0
-    assert np.diff(shares).max() * (collision.travel_m_per_rad[:5] @ np.abs(move)) <= step_m + 1e-12
-    assert len(set(shares)) == len(shares)
+@pytest.mark.parametrize("step_m", [0.001, 0.005, 0.05])
+def test_checks_of_a_curve_are_no_further_apart_than_the_step(joint_space, collision, step_m, monkeypatch):
+    corners = np.array([[0.0] * 5, [1.0, -0.5, 0.3, 0.0, 2.0], [0.9, -0.5, 0.3, 0.0, 2.0], [0.9, 0.0, 0.0, 0.0, 0.0]])
+    checked = []
+    monkeypatch.setattr(joint_space, "free", lambda point: checked.append(point) is None)
+    assert joint_space.curve_free(corners, step_m)
+    total_m = (np.abs(np.diff(corners, axis=0)) @ collision.travel_m_per_rad[:5]).sum()
+    assert total_m / len(checked) <= step_m + 1e-12
+    # Evenly along the curve: no two neighbours are further apart than their share of it.
+    near_start = min(checked, key=lambda point: np.abs(point - corners[0]).sum())
+    assert collision.travel_m_per_rad[:5] @ np.abs(near_start - corners[0]) == pytest.approx(total_m / len(checked))
+    assert any(np.array_equal(point, corners[-1]) for point in checked)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 8, 9, 100])
+def test_every_check_is_made_once_and_the_last_one_first(count):
+    order = list(coarse_to_fine(count))
+    assert order[0] == count
+    assert sorted(order) == list(range(1, count + 1))
 
 
 def test_curve_is_blocked_when_one_of_its_lines_is(joint_space, blocked):

@@ -9,13 +9,26 @@ from dataclasses import dataclass
 class Limits:
     """Bounds of one client's session."""
 
-    # rosbridge_server's max_message_size, which its clients are used to.
+    # rosbridge_server's max_message_size, which its clients are used to. It bounds a frame, an object that comes in
+    # several frames, and all fragments that wait for others.
     max_message_bytes: int = 10_000_000
+    # Clients that do not wait for the socket run a few operations together.
+    max_objects_per_frame: int = 1_000
+    # The largest message in pieces of a kilobyte, which is as small as clients cut.
+    max_fragments: int = 10_000
+    # One message after the other is what clients send; a few more for those that interleave.
+    max_fragmented_messages: int = 16
+    # rosbridge_server's fragment_timeout.
+    fragment_timeout_s: float = 600.0
     # A client that lists every topic of a large robot subscribes to a few hundred.
     max_subscriptions: int = 1_000
     # As for subscriptions.
     max_publications: int = 1_000
+    # Services, and as many actions; a client that stands for a whole robot offers a few dozen.
+    max_offers: int = 1_000
+    # Calls that wait for their responses, and as many goals; clients call one by one, or a burst at their start.
+    max_calls_in_flight: int = 1_000
     # Ten seconds of joint states at 100 Hz with room to spare: a client further behind wants the newest.
-    max_queued_topic_bytes: int = 1_048_576
-    # With the topic data, 2 MiB for a client that stops reading.
-    max_queued_reply_bytes: int = 1_048_576
+    max_queued_topic_bytes: int = 983_040
+    # With the topic data, and 128 KiB that are on their way into the socket, 2 MiB for a client that stops reading.
+    max_queued_reply_bytes: int = 983_040

@@ -34,18 +34,37 @@ OperationId: TypeAlias = Annotated[
     Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int | None,
     Field(description=f"text of up to {MAX_ID_CHARACTERS} characters, an integer or null"),
 ]
+# What providers answer is told apart by the id that they were given, so there it must be one.
+GivenId: TypeAlias = Annotated[
+    str, Field(max_length=MAX_ID_CHARACTERS, description=f"text of up to {MAX_ID_CHARACTERS} characters")
+]
 Count: TypeAlias = Annotated[int, Field(ge=0, description="an integer >= 0")]
+FragmentId: TypeAlias = Annotated[
+    Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int,
+    Field(description=f"text of up to {MAX_ID_CHARACTERS} characters or an integer"),
+]
+Total: TypeAlias = Annotated[int, Field(ge=1, description="an integer >= 1")]
+Integer: TypeAlias = Annotated[int, Field(description="an integer")]
+Text: TypeAlias = Annotated[str, Field(description="text")]
 # rosbridge refuses fractions here, and clients that compute the rate then get nothing.
 Milliseconds: TypeAlias = Annotated[float, Field(ge=0, allow_inf_nan=False, description="milliseconds >= 0")]
+Seconds: TypeAlias = Annotated[
+    Annotated[float, Field(ge=0, allow_inf_nan=False)] | None, Field(description="seconds >= 0, or null")
+]
 # ros-sharp always sends 2147483647, so there is no upper bound.
 FragmentSize: TypeAlias = Annotated[
     Annotated[int, Field(gt=0)] | None, Field(description="a number of characters > 0, or null")
 ]
 Flag: TypeAlias = Annotated[bool, Field(description="true or false")]
 JsonObject: TypeAlias = Annotated[dict[str, Any], Field(description="an object")]
+# Providers that fail give a sentence, an object or nothing; whether it fits is for the one who knows the type.
+Anything: TypeAlias = Annotated[Any, Field(description="any value")]
 Qos: TypeAlias = Annotated[dict[str, Any] | None, Field(description="an object or null")]
 Compression: TypeAlias = Annotated[
     Literal["none", "png", "cbor", "cbor-raw"], Field(description="none, png, cbor or cbor-raw")
+]
+Level: TypeAlias = Annotated[
+    Literal["none", "error", "warning", "info"], Field(description="none, error, warning or info")
 ]
 
 
@@ -55,6 +74,7 @@ class Operation(BaseModel):
     Attributes:
         op: the operation's name.
         id: the client's own mark, returned as it came.
+        fragment_size: greatest length of what the client gets from now on [characters]; None for no change.
     """
 
     # Strict: text is no number and 1 is no truth value, or "false" would latch a topic.
@@ -62,6 +82,7 @@ class Operation(BaseModel):
 
     op: str
     id: OperationId = None
+    fragment_size: FragmentSize = None
 
 
 class Advertise(Operation):
@@ -113,7 +134,6 @@ class Subscribe(Operation):
         type: the messages' type, None for the topic's established type.
         throttle_rate: least time between two messages [ms].
         queue_length: messages kept for the throttle to let through, 0 for none.
-        fragment_size: greatest length of an outgoing frame [characters].
         compression: the encoding asked for.
         qos: ROS 2 quality of service, accepted and not applied.
     """
@@ -123,7 +143,6 @@ class Subscribe(Operation):
     type: OptionalName = None
     throttle_rate: Milliseconds = 0.0
     queue_length: Count = 0
-    fragment_size: FragmentSize = None
     compression: Compression = "none"
     qos: Qos = None
 
@@ -135,13 +154,182 @@ class Unsubscribe(Operation):
     topic: Name
 
 
-OPERATIONS: dict[str, type[Operation]] = {
-    "advertise": Advertise,
-    "unadvertise": Unadvertise,
-    "publish": Publish,
-    "subscribe": Subscribe,
-    "unsubscribe": Unsubscribe,
-}
+class CallService(Operation):
+    """Call a service.
+
+    Attributes:
+        service: its name; what follows a ``#`` is the id, where no id is given.
+        args: the request's fields by name or in order of declaration; anything else stands for no fields.
+        type: the service's type as the client calls it, which tells its dialect.
+        timeout: how long to wait for the response [s], 0 for as long as the server allows, None for its default.
+    """
+
+    op: Literal["call_service"] = "call_service"
+    service: Name
+    args: Anything = None
+    type: Anything = None
+    timeout: Seconds = None
+
+
+class AdvertiseService(Operation):
+    """Offer a service, instead of whoever offered it before."""
+
+    op: Literal["advertise_service"] = "advertise_service"
+    service: Name
+    type: Name
+
+
+class UnadvertiseService(Operation):
+    """Withdraw a service; calls in flight fail."""
+
+    op: Literal["unadvertise_service"] = "unadvertise_service"
+    service: Name
+
+
+class ServiceResponse(Operation):
+    """Answer a call, as its provider.
+
+    Attributes:
+        id: the call's, as the provider got it.
+        values: the response's fields; where it failed a sentence, an object or nothing.
+        result: whether the service succeeded.
+    """
+
+    op: Literal["service_response"] = "service_response"
+    id: GivenId
+    service: Name
+    values: Anything = None
+    result: Flag
+
+
+class SendActionGoal(Operation):
+    """Send a goal to an action server.
+
+    Attributes:
+        args: the goal's fields, as in `CallService`.
+        feedback: whether the client wants to hear of the goal's progress.
+    """
+
+    op: Literal["send_action_goal"] = "send_action_goal"
+    action: Name
+    action_type: Name
+    args: Anything = None
+    feedback: Flag = False
+
+
+class CancelActionGoal(Operation):
+    """Ask for the end of a goal that the client has sent under this id."""
+
+    op: Literal["cancel_action_goal"] = "cancel_action_goal"
+    action: Name
+
+
+class AdvertiseAction(Operation):
+    """Offer an action, instead of whoever offered it before."""
+
+    op: Literal["advertise_action"] = "advertise_action"
+    action: Name
+    type: Name
+
+
+class UnadvertiseAction(Operation):
+    """Withdraw an action; goals in flight end."""
+
+    op: Literal["unadvertise_action"] = "unadvertise_action"
+    action: Name
+
+
+class ActionFeedback(Operation):
+    """Tell how a goal goes, as its provider; the id is the goal's, as the provider got it."""
+
+    op: Literal["action_feedback"] = "action_feedback"
+    id: GivenId
+    action: Name
+    values: JsonObject = Field(default_factory=dict)
+
+
+class ActionResult(Operation):
+    """End a goal, as its provider.
+
+    Attributes:
+        id: the goal's, as the provider got it.
+        values: the result's fields; where it failed a sentence, an object or nothing.
+        status: how it ended, a value of action_msgs/GoalStatus.
+        result: whether there is a result.
+    """
+
+    op: Literal["action_result"] = "action_result"
+    id: GivenId
+    action: Name
+    values: Anything = None
+    status: Integer
+    result: Flag
+
+
+class Fragment(Operation):
+    """One piece of a longer frame.
+
+    Attributes:
+        data: the piece's text.
+        num: its place, from 0.
+        total: how many pieces there are.
+    """
+
+    op: Literal["fragment"] = "fragment"
+    id: FragmentId
+    data: Text
+    num: Count
+    total: Total
+
+
+class Png(Operation):
+    """A frame packed into a picture: its bytes are those of the pixels.
+
+    Attributes:
+        data: the picture, as base64 text.
+    """
+
+    op: Literal["png"] = "png"
+    data: Text
+
+
+class SetLevel(Operation):
+    """Choose which status messages the client gets from now on."""
+
+    op: Literal["set_level"] = "set_level"
+    level: Level
+
+
+class Status(Operation):
+    """A message for the server's log."""
+
+    op: Literal["status"] = "status"
+    level: Level = "info"
+    msg: Text
+
+
+_MODELS: tuple[type[Operation], ...] = (
+    Advertise,
+    Unadvertise,
+    Publish,
+    Subscribe,
+    Unsubscribe,
+    CallService,
+    AdvertiseService,
+    UnadvertiseService,
+    ServiceResponse,
+    SendActionGoal,
+    CancelActionGoal,
+    AdvertiseAction,
+    UnadvertiseAction,
+    ActionFeedback,
+    ActionResult,
+    Fragment,
+    Png,
+    SetLevel,
+    Status,
+)
+OPERATIONS: dict[str, type[Operation]] = {model.model_fields["op"].default: model for model in _MODELS}
 
 
 def parse(value: object) -> Operation:

@@ -1,30 +1,30 @@
-"""Frames waiting for one client: topic data, which may be dropped, and replies, which may not.
+"""Parcels waiting for one client: topic data, which may be dropped, and replies, which may not.
 
 Topic data has one bound in bytes over all topics, and its rule is to drop the oldest. A slow client so costs
-a fixed amount of memory, and what it reads at last is recent.
+a fixed amount of memory, and what it reads at last is recent. A message is a parcel:
+one frame, or several fragments that are sent or dropped together.
 """
 
 from __future__ import annotations
 
+import heapq
 import itertools
 from collections import OrderedDict, deque
+from collections.abc import Iterable, Iterator
 
 from protocol.limits import Limits
+from protocol.parcel import Frame, Parcel
 from protocol.subscriptions import Subscription
-
-# What the interpreter spends on a waiting frame beside its bytes (170 were measured, the rest is the allocator's),
-# so that a flood of tiny frames is bounded too.
-FRAME_OVERHEAD_BYTES = 256
 
 
 class Outbox:
-    """The frames of one client, in order of queuing.
+    """The messages of one client, in order of queuing.
 
     Args:
         limits: the client's bounds.
 
     Attributes:
-        dropped: number of topic frames given up because the client was slow or its queue_length was reached;
+        dropped: number of topic messages given up because the client was slow or its queue_length was reached;
             those that came too early for a throttle without a queue are not counted.
         overflowed: whether replies piled up beyond their bound.
     """
@@ -34,70 +34,108 @@ class Outbox:
         self.overflowed = False
         self._limits = limits
         self._sequence = itertools.count()
-        self._replies: list[tuple[int, bytes]] = []
+        # By sequence number, oldest first.
+        self._replies: OrderedDict[int, Parcel] = OrderedDict()
         self._reply_bytes = 0
         # All topic data by sequence number, oldest first; and which of them wait for each subscription.
-        self._topic_frames: OrderedDict[int, tuple[bytes, Subscription]] = OrderedDict()
+        self._topic_data: OrderedDict[int, tuple[Parcel, Subscription]] = OrderedDict()
         self._topic_bytes = 0
         self._waiting: dict[Subscription, deque[int]] = {}
 
-    def put_reply(self, frame: bytes) -> None:
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits."""
+        return not self._topic_data and not self._replies
+
+    def put_reply(self, parcel: Parcel) -> None:
         """Queue a reply; one alone may have any size, one too many beside others sets `overflowed`."""
-        size = len(frame) + FRAME_OVERHEAD_BYTES
-        if self._replies and self._reply_bytes + size > self._limits.max_queued_reply_bytes:
+        if self._replies and self._reply_bytes + parcel.size_bytes > self._limits.max_queued_reply_bytes:
             self.overflowed = True
             return
-        self._replies.append((next(self._sequence), frame))
-        self._reply_bytes += size
+        self._replies[next(self._sequence)] = parcel
+        self._reply_bytes += parcel.size_bytes
 
-    def put_topic_data(self, subscription: Subscription, frame: bytes) -> None:
+    def put_topic_data(self, subscription: Subscription, parcel: Parcel) -> None:
         """Queue topic data that its subscription has admitted, and drop what is then too much."""
         while 0 < subscription.queue_length <= len(self._waiting.get(subscription, ())):
             self._drop(self._waiting[subscription][0])
         sequence = next(self._sequence)
         self._waiting.setdefault(subscription, deque()).append(sequence)
-        self._topic_frames[sequence] = frame, subscription
-        self._topic_bytes += len(frame) + FRAME_OVERHEAD_BYTES
+        self._topic_data[sequence] = parcel, subscription
+        self._topic_bytes += parcel.size_bytes
         # The newest always stays, even one that is larger than the bound: else it could never be delivered.
-        while self._topic_bytes > self._limits.max_queued_topic_bytes and len(self._topic_frames) > 1:
-            self._drop(next(iter(self._topic_frames)))
+        while self._topic_bytes > self._limits.max_queued_topic_bytes and len(self._topic_data) > 1:
+            self._drop(next(iter(self._topic_data)))
 
-    def take_due(self, now: float) -> list[bytes]:
-        """Take out every frame that may leave now, in order of queuing.
+    def take_due(self, now: float, budget_bytes: int) -> list[Frame]:
+        """Take out what may leave now, in order of queuing, until the budget is used up.
 
         Args:
             now: present time [s], monotonic.
+            budget_bytes: no further message is taken once the taken ones have this size.
         """
-        # Replies have no throttle; the list is handed over rather than copied.
-        due = self._replies
-        self._replies = []
-        self._reply_bytes = 0
-        for subscription, waiting in list(self._waiting.items()):
-            leaving = itertools.islice(waiting.copy(), subscription.due_count(len(waiting), now))
-            frames = [(sequence, self._take(sequence)) for sequence in leaving]
-            if frames and not subscription.closed:
-                subscription.sent(now)
-                due += frames
-        # Sequence numbers differ, so the frames themselves are never compared.
-        due.sort()
-        return [frame for _, frame in due]
+        if not self._replies and len(self._topic_data) == 1:
+            return self._take_only(now)
+        due: list[Frame] = []
+        taken_bytes = 0
+        for sequence in self._due(now):
+            parcel = self._take_reply(sequence) if sequence in self._replies else self._take_sent(sequence, now)
+            taken_bytes += parcel.size_bytes
+            due += parcel.frames
+            if taken_bytes >= budget_bytes:
+                break
+        return due
 
     def next_due(self, now: float) -> float | None:
-        """Return when the next frame may leave [s]: `now` when one is due, None when nothing waits."""
+        """Return when the next message may leave [s]: `now` when one is due, None when nothing waits."""
         if self._replies:
             return now
         return min((max(now, subscription.due_s) for subscription in self._waiting), default=None)
+
+    def _take_only(self, now: float) -> list[Frame]:
+        """Take out the one message that waits, as mostly with a client that keeps up, if it may leave."""
+        ((sequence, (parcel, subscription)),) = self._topic_data.items()
+        if not subscription.closed and not subscription.due_count(1, now):
+            return []
+        self._take(sequence)
+        subscription.sent(now)
+        return [] if subscription.closed else list(parcel.frames)
+
+    def _due(self, now: float) -> Iterator[int]:
+        """Go over the sequence numbers of all that may leave, in order; taking them out meanwhile is fine."""
+        lanes: list[Iterable[int]] = [list(self._replies)] if self._replies else []
+        self._forget_closed()
+        for subscription, waiting in self._waiting.items():
+            count = subscription.due_count(len(waiting), now)
+            if count:
+                lanes.append(list(itertools.islice(waiting, count)))
+        return iter(lanes[0]) if len(lanes) == 1 else heapq.merge(*lanes)
+
+    def _forget_closed(self) -> None:
+        for subscription in [one for one in self._waiting if one.closed]:
+            for sequence in list(self._waiting[subscription]):
+                self._take(sequence)
+
+    def _take_reply(self, sequence: int) -> Parcel:
+        parcel = self._replies.pop(sequence)
+        self._reply_bytes -= parcel.size_bytes
+        return parcel
+
+    def _take_sent(self, sequence: int, now: float) -> Parcel:
+        parcel, subscription = self._take(sequence)
+        subscription.sent(now)
+        return parcel
 
     def _drop(self, sequence: int) -> None:
         self._take(sequence)
         self.dropped += 1
 
-    def _take(self, sequence: int) -> bytes:
+    def _take(self, sequence: int) -> tuple[Parcel, Subscription]:
         """Take out topic data; of its subscription it must be the oldest."""
-        frame, subscription = self._topic_frames.pop(sequence)
-        self._topic_bytes -= len(frame) + FRAME_OVERHEAD_BYTES
+        parcel, subscription = self._topic_data.pop(sequence)
+        self._topic_bytes -= parcel.size_bytes
         waiting = self._waiting[subscription]
         waiting.popleft()
         if not waiting:
             del self._waiting[subscription]
-        return frame
+        return parcel, subscription

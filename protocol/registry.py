@@ -1,21 +1,39 @@
-"""The interface tables: looks a ROS 2 type up by name and tells its fields, bounds and defaults."""
+"""The interface tables: looks a type up by name and tells its fields, bounds, defaults and constants.
+
+A `Registry` speaks one generation of ROS. The one of ROS 2, which the server works with, also knows the types
+that exist only in ROS 1, in ROS 2 spelling; `Registry.ros1` tells how ROS 1 declares its types.
+"""
 
 from __future__ import annotations
 
-import json
+import functools
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any
+from typing import Literal, TypeAlias
 
+from protocol import tables
 from protocol.errors import InterfaceError
+from protocol.tables import Definition, Table
+
+Kind: TypeAlias = Literal["msg", "srv", "action"]
 
 _INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 PRIMITIVES = frozenset((*_INTEGERS, "bool", "byte", "char", "float32", "float64", "string"))
 
 # `float64`, `geometry_msgs/Point`, `float64[]`, `float64[9]`, `float64[<=3]`
 _TYPE_PATTERN = re.compile(r"(?P<base>[\w/]+)(?P<array>\[(?P<bounded><=)?(?P<size>\d+)?\])?")
+
+# A text constant of ROS 2: quoted, perhaps with a comment behind it.
+_QUOTED_PATTERN = re.compile(r"(?P<quote>[\"'])(?P<text>.*?)(?P=quote)\s*(#.*)?")
+
+_KIND_WORDS: dict[str, str] = {"msg": "a message type", "srv": "a service type", "action": "an action type"}
+
+# Name of a member's message type behind its service or action -> key of the member in the tables.
+_MEMBERS = {member.title(): member for member in ("request", "response", "goal", "result", "feedback")}
+
+# How ROS 2 calls the two primitives of ROS 1 that it has no primitives for.
+_ROS2_NAMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,68 +77,162 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True)
+class Constant:
+    """A constant of a message type: its primitive type, its name and its value."""
+
+    base: str
+    name: str
+    value: bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
 class MessageType:
-    """A message type: its canonical name and its fields in order of declaration."""
+    """A message type: its canonical name, its fields and its constants in order of declaration."""
 
     name: str
     fields: tuple[Field, ...]
+    constants: tuple[Constant, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceType:
+    """A service type; its members are message types named ``pkg/srv/Name_Request`` and ``…_Response``."""
+
+    name: str
+    request: MessageType
+    response: MessageType
+
+
+@dataclass(frozen=True, slots=True)
+class ActionType:
+    """An action type; its members are message types named ``pkg/action/Name_Goal``, ``…_Result``, ``…_Feedback``."""
+
+    name: str
+    goal: MessageType
+    result: MessageType
+    feedback: MessageType
 
 
 class Registry:
-    """All interface types the server knows.
+    """All interface types the server knows, as one generation of ROS declares them.
 
     Args:
-        table: canonical name -> the interface's definition, as in ``interfaces/ros2.json``.
+        table: the interface definitions of this generation.
+        ros1_table: those of ROS 1, for the registry of ROS 2.
     """
 
-    def __init__(self, table: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, table: Table, ros1_table: Table | None = None) -> None:
         self._table = table
+        self._ros1_table = ros1_table or {}
         self._messages: dict[str, MessageType] = {}
 
     @classmethod
     def load(cls) -> Registry:
-        """Read the ROS 2 tables that ship with this package."""
-        # Read through importlib, for the package may be installed as a zip.
-        text = resources.files("protocol").joinpath("interfaces", "ros2.json").read_text("utf-8")
-        return cls(json.loads(text))
+        """Read the tables that ship with this package."""
+        return cls(tables.read_ros2(), tables.read_ros1())
 
-    def canonical(self, name: str) -> str:
-        """Return the three-part name of a message type given in two parts or three.
+    @functools.cached_property
+    def ros1(self) -> Registry:
+        """The types as ROS 1 declares them; ``time`` and ``duration`` are message types of these names."""
+        return Registry({**tables.ROS1_TIMES, **self._ros1_table})
+
+    def type_names(self) -> Iterator[str]:
+        """Go over the canonical names of this generation's messages, services and actions."""
+        return (name for name in self._table if name not in tables.ROS1_TIMES)
+
+    def knows(self, name: str, kind: Kind = "msg") -> bool:
+        """Whether a type of this name and kind can be looked up."""
+        definition = self._find(_canonical(name, kind))
+        return definition is not None and definition["kind"] == kind
+
+    def exists_only_in_ros1(self, name: str, kind: Kind = "msg") -> bool:
+        """Whether a client that uses this type must be speaking ROS 1."""
+        canonical = _canonical(name, kind)
+        return _definition(self._table, canonical) is None and _definition(self._ros1_table, canonical) is not None
+
+    def canonical(self, name: str, kind: Kind = "msg") -> str:
+        """Return the three-part name of a type given in two parts or three.
 
         Raises:
-            InterfaceError: no such type, or a service or action.
+            InterfaceError: no such type, or one of another kind.
         """
-        parts = name.split("/")
-        # Two parts always mean a message: a name may also be an action's, as control_msgs/GripperCommand is.
-        canonical = f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
-        definition = self._table.get(canonical)
-        if definition is None:
-            raise InterfaceError(name, "unknown (package and name must match, in upper and lower case too)")
-        if definition["kind"] != "msg":
-            raise InterfaceError(name, f"is of kind {definition['kind']}, wanted a message type")
-        return canonical
+        return self._look_up(name, kind)[0]
 
     def message(self, name: str) -> MessageType:
-        """Look a message type up, ``std_msgs/String`` or ``std_msgs/msg/String``.
+        """Look a message type up, ``std_msgs/String``, ``std_msgs/msg/String`` or ``std_srvs/srv/SetBool_Request``.
 
         Raises:
             InterfaceError: no such type, or a service or action.
         """
-        canonical = self.canonical(name)
+        canonical, definition = self._look_up(name, "msg")
         message_type = self._messages.get(canonical)
         # Parsed when first asked for: a server uses a few dozen of the types, and start-up does not pay for the rest.
         if message_type is None:
-            fields = tuple(self._field(row) for row in self._table[canonical]["fields"])
-            message_type = self._messages[canonical] = MessageType(canonical, fields)
+            message_type = self._messages[canonical] = self._read(canonical, definition)
         return message_type
+
+    def service(self, name: str) -> ServiceType:
+        """Look a service type up, ``std_srvs/SetBool`` or ``std_srvs/srv/SetBool``.
+
+        Raises:
+            InterfaceError: no such type, or a message or action.
+        """
+        canonical = self.canonical(name, "srv")
+        return ServiceType(canonical, *(self.message(f"{canonical}_{member}") for member in ("Request", "Response")))
+
+    def action(self, name: str) -> ActionType:
+        """Look an action type up, ``control_msgs/PointHead`` or ``control_msgs/action/PointHead``.
+
+        Raises:
+            InterfaceError: no such type, or a message or service.
+        """
+        canonical = self.canonical(name, "action")
+        return ActionType(canonical, *(self.message(f"{canonical}_{part}") for part in ("Goal", "Result", "Feedback")))
+
+    def _find(self, canonical: str) -> Definition | None:
+        return _definition(self._table, canonical) or _definition(self._ros1_table, canonical)
+
+    def _look_up(self, name: str, kind: Kind) -> tuple[str, Definition]:
+        canonical = _canonical(name, kind)
+        definition = self._find(canonical)
+        if definition is None:
+            raise InterfaceError(name, "unknown (package and name must match, in upper and lower case too)")
+        if definition["kind"] != kind:
+            raise InterfaceError(name, f"is of kind {definition['kind']}, wanted {_KIND_WORDS[kind]}")
+        return canonical, definition
+
+    def _read(self, canonical: str, definition: Definition) -> MessageType:
+        constants = (Constant(base, name, _value(base, text)) for base, name, text in definition["consts"])
+        return MessageType(canonical, tuple(self._field(row) for row in definition["fields"]), tuple(constants))
 
     def _field(self, row: list[str]) -> Field:
         name, declared, *defaults = row
         match = _TYPE_PATTERN.fullmatch(declared)
         if match is None:
             raise InterfaceError(declared, f"of field {name} cannot be read")
-        base = match["base"] if match["base"] in PRIMITIVES else self.canonical(match["base"])
-        return Field(name, base, _array_bounds(match), _default(base, defaults[0]) if defaults else None)
+        base = self._base(match["base"])
+        return Field(name, base, _array_bounds(match), _value(base, defaults[0]) if defaults else None)
+
+    def _base(self, name: str) -> str:
+        if name in PRIMITIVES:
+            return name
+        return self.canonical(name if name in self._table else _ROS2_NAMES.get(name, name))
+
+
+def _canonical(name: str, kind: Kind) -> str:
+    # Which kind two parts mean must be told: control_msgs/GripperCommand is a message and an action.
+    parts = name.split("/")
+    return f"{parts[0]}/{kind}/{parts[1]}" if len(parts) == 2 else name
+
+
+def _definition(table: Table, canonical: str) -> Definition | None:
+    """Look a definition up; a member of a service or action is a message."""
+    definition = table.get(canonical)
+    if definition is not None:
+        return definition
+    owner, _, member = canonical.rpartition("_")
+    fields = table.get(owner, {}).get(_MEMBERS.get(member, ""))
+    return {"kind": "msg", **fields} if fields is not None else None
 
 
 def _array_bounds(match: re.Match[str]) -> ArrayBounds | None:
@@ -130,9 +242,10 @@ def _array_bounds(match: re.Match[str]) -> ArrayBounds | None:
     return ArrayBounds(0 if match["bounded"] or size is None else size, size)
 
 
-def _default(base: str, text: str) -> bool | int | float | str:
+def _value(base: str, text: str) -> bool | int | float | str:
+    if base == "string":
+        quoted = _QUOTED_PATTERN.fullmatch(text)
+        return quoted["text"] if quoted else text
     if base == "bool":
-        return text == "true"
-    if base.startswith("float"):
-        return float(text)
-    return text if base == "string" else int(text)
+        return text.lower() in ("true", "1")
+    return float(text) if base.startswith("float") else int(text, 0)

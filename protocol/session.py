@@ -1,23 +1,35 @@
-"""One client's protocol state: frames in, operations out; publications in, frames out.
+"""One client's protocol state: frames in, operations out; publications and replies in, frames out.
 
-The session touches no socket and reads no clock. Its driver hands it what arrives, asks the graph whether an
-operation is acceptable, records it in `Session.publications` or `Session.subscriptions`, and sends what
+The session touches no socket and reads no clock. Its driver hands it what arrives, carries the operations out, records
+topics in `Session.publications` or `Session.subscriptions`, answers with `Session.reply`, and sends what
 `Session.data_to_send` returns.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, Literal
 
-from protocol import operations
-from protocol.codecs import json
+from protocol import fragments, operations
+from protocol.codecs import bson, json, png
+from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
+from protocol.framing import FrameReader
 from protocol.limits import Limits
-from protocol.operations import Operation
+from protocol.operations import Fragment, Operation, Png
 from protocol.outbox import Outbox
-from protocol.publication import Publication
+from protocol.parcel import Frame, Parcel, pack
+from protocol.publication import Encoding, Publication
 from protocol.registrations import Publications
-from protocol.subscriptions import Subscriptions
+from protocol.subscriptions import Subscription, Subscriptions
+
+# What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
+SEND_BUDGET_BYTES = 65_536
+
+# Each level tells what the ones before it tell.
+LEVELS = ("none", "error", "warning", "info")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,44 +52,88 @@ class Session:
 
     Args:
         limits: what the client may cost.
+        dialect: how the client spells messages, until it shows otherwise.
 
     Attributes:
         limits: as given.
         publications: the topics the client has advertised.
         subscriptions: the topics the client has subscribed to.
+        status_level: which status messages the client gets, one of `LEVELS`.
+        dialect: the spelling of messages that go to the client.
     """
 
-    def __init__(self, limits: Limits | None = None) -> None:
+    def __init__(self, limits: Limits | None = None, dialect: Dialect = "ros2") -> None:
         self.limits = limits or Limits()
         self.publications = Publications(self.limits.max_publications)
         self.subscriptions = Subscriptions(self.limits.max_subscriptions)
+        # None asked for: some clients log a traceback for every status message.
+        self.status_level = "none"
+        self.dialect = dialect
         self._outbox = Outbox(self.limits)
+        self._reader = FrameReader(self.limits)
+        self._reassembly = fragments.Reassembly(self.limits)
+        self._fragment_size: int | None = None
+        self._fragment_ids = itertools.count(1)
+        # Feedback may be dropped like topic data; all goals share one lane, so that it keeps its order.
+        self._feedback = Subscription("feedback of goals")
 
     # What comes from the client.
 
-    def receive_frame(self, frame: str | bytes) -> list[Operation | Refusal]:
-        """Read one frame; text and binary frames carry the same JSON.
+    def receive_frame(self, frame: str | bytes, now: float) -> list[Operation | Refusal]:
+        """Read one frame; text and binary frames carry the same JSON, binary ones BSON as well.
 
         Carry out the operations in this order, and log the refusals; the connection lives on after each of
         them. Nothing that a client sends makes this raise.
+
+        Args:
+            frame: as it came.
+            now: present time [s], monotonic.
         """
         # Before decoding: what is too long must not cost the time and memory of being decoded.
         size_bytes = _size_bytes(frame)
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]
+        items: list[Operation | Refusal] = []
+        for value in self._reader.feed(frame):
+            items += self._read(value, now)
+        return items
+
+    def _read(self, value: object, now: float) -> list[Operation | Refusal]:
         try:
-            value = json.decode(frame)
-        except FrameError as error:
-            return [Refusal(None, None, str(error))]
-        try:
-            return [operations.parse(value)]
+            if isinstance(value, FrameError):
+                raise value
+            operation = operations.parse(value)
+            if operation.fragment_size is not None:
+                self._fragment_size = operation.fragment_size
+            if isinstance(operation, Fragment | Png):
+                return self._unpack(operation, now)
         except OperationError as error:
             return [Refusal(error.op, _id(value), str(error))]
+        except FrameError as error:
+            return [Refusal(None, None, str(error))]
+        return [operation]
+
+    def _unpack(self, operation: Fragment | Png, now: float) -> list[Operation | Refusal]:
+        """Read what is packed into fragments or a picture, as soon as it is there."""
+        try:
+            packed = self._packed(operation, now)
+            inner = None if packed is None else operations.parse(json.decode(packed))
+        except FrameError as error:
+            raise OperationError(operation.op, "data", str(error)) from error
+        # Fragments of fragments serve nobody, and each layer would cost the work of a whole message.
+        if isinstance(inner, Fragment | Png):
+            raise OperationError(operation.op, "data", f"wanted an operation inside, got another {inner.op}")
+        return [] if inner is None else [inner]
+
+    def _packed(self, operation: Fragment | Png, now: float) -> str | bytes | None:
+        return png.decode(operation.data) if isinstance(operation, Png) else self._reassembly.add(operation, now)
 
     # What goes to the client.
 
-    def deliver(self, publication: Publication, now: float) -> None:
+    def deliver(
+        self, publication: Publication, now: float, send_at_once: Callable[[Parcel], bool] = lambda _parcel: False
+    ) -> None:
         """Queue topic data, if the client has subscribed to the topic, under the rules of its subscription.
 
         After calling this, send what `data_to_send` returns as soon as the socket takes it.
@@ -85,24 +141,56 @@ class Session:
         Args:
             publication: the message.
             now: present time [s], monotonic.
+            send_at_once: offered the message when nothing waits before it, and true when it has been sent: clients
+                that keep up are spared the queue.
+
+        Raises:
+            ProtocolError: the message cannot be encoded as the subscription wants it.
         """
         subscription = self.subscriptions.get(publication.topic)
-        if subscription is not None and subscription.admit(now):
-            self._outbox.put_topic_data(subscription, publication.frame(subscription.spelled_topic))
+        if subscription is None or not subscription.admit(now):
+            return
+        encoding: Encoding = subscription.compression
+        if encoding == "none" and self.speaks_bson:
+            encoding = "bson"
+        size = subscription.fragment_size or self._fragment_size
+        parcel = publication.parcel(subscription.spelled_topic, encoding, self.dialect, size)
+        if subscription.paced or not self._outbox.empty or not send_at_once(parcel):
+            self._outbox.put_topic_data(subscription, parcel)
 
-    def send(self, frame: bytes) -> None:
-        """Queue a reply, which is never dropped; afterwards look at `overflowed`."""
-        self._outbox.put_reply(frame)
+    def reply(self, fields: Mapping[str, Any]) -> None:
+        """Queue an operation, which is never dropped; afterwards look at `overflowed`.
 
-    def data_to_send(self, now: float) -> list[bytes]:
-        """Return the frames that are due, in order of queuing; send each as one text frame.
+        Args:
+            fields: the operation, with the values of its message in the client's dialect.
+        """
+        self._outbox.put_reply(self._parcel(fields))
 
-        Call it only when the socket takes data: what is not fetched is bounded here, what is fetched is not.
+    def feedback(self, fields: Mapping[str, Any]) -> None:
+        """Queue an action_feedback, which is dropped when the client reads too slowly."""
+        self._outbox.put_topic_data(self._feedback, self._parcel(fields))
+
+    def status(self, level: Literal["error", "warning", "info"], text: str, mark: str | int | None) -> None:
+        """Queue a status message, if the client has asked for this level.
+
+        Args:
+            level: how grave it is.
+            text: one line.
+            mark: id of the operation it is about, None where it has none.
+        """
+        if LEVELS.index(level) <= LEVELS.index(self.status_level):
+            self.reply(with_id({"op": "status", "level": level, "msg": text}, mark))
+
+    def data_to_send(self, now: float) -> list[Frame]:
+        """Return frames that are due, in order of queuing, `SEND_BUDGET_BYTES` of them and one message at most.
+
+        Call it only when the socket takes data, and until nothing is due: what is not fetched is bounded here,
+        what is fetched is not.
 
         Args:
             now: present time [s], monotonic.
         """
-        return self._outbox.take_due(now)
+        return self._outbox.take_due(now, SEND_BUDGET_BYTES)
 
     def next_due(self, now: float) -> float | None:
         """Return when to call `data_to_send` next [s]: `now` when data is due, None when nothing waits.
@@ -113,14 +201,37 @@ class Session:
         return self._outbox.next_due(now)
 
     @property
+    def waiting(self) -> bool:
+        """Whether anything is queued, due or not."""
+        return not self._outbox.empty
+
+    @property
+    def speaks_bson(self) -> bool:
+        """Whether the client is answered in BSON, as its last frame was."""
+        return self._reader.last_was_bson
+
+    @property
     def overflowed(self) -> bool:
         """Whether replies piled up beyond ``max_queued_reply_bytes``: close the connection."""
         return self._outbox.overflowed
 
     @property
     def dropped(self) -> int:
-        """Number of topic frames dropped because the client was slow or its queue_length was reached."""
+        """Number of topic messages dropped because the client was slow or its queue_length was reached."""
         return self._outbox.dropped
+
+    def _encode(self, fields: Mapping[str, Any]) -> Frame:
+        if self.speaks_bson:
+            return Frame(bson.encode(fields), text=False)
+        return Frame(json.encode(fields), text=True)
+
+    def _parcel(self, fields: Mapping[str, Any]) -> Parcel:
+        return pack(self._encode(fields), self._fragment_size, f"reply:{next(self._fragment_ids)}")
+
+
+def with_id(fields: dict[str, Any], mark: str | int | None) -> dict[str, Any]:
+    """Return an operation with the id that it answers to, which is left out where none was sent."""
+    return fields if mark is None else {**fields, "id": mark}
 
 
 def _size_bytes(frame: str | bytes) -> int:

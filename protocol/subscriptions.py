@@ -1,7 +1,8 @@
 """A client's subscriptions: merges several ids on one topic into one delivery, and says when it may happen.
 
-Rules of rosbridge: the merged throttle_rate and queue_length are the least of all ids. With a throttle and no
-queue, messages that come too early are dropped; with a queue they wait, and when it is full the oldest goes.
+Rules of rosbridge: the merged throttle_rate, queue_length and fragment_size are the least of all ids, the merged
+compression is the first of `COMPRESSIONS` that any id asks for. With a throttle and no queue, messages that come too
+early are dropped; with a queue they wait, and when it is full the oldest goes.
 """
 
 from __future__ import annotations
@@ -12,15 +13,27 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from protocol.names import qualify
-from protocol.operations import Subscribe
+from protocol.operations import Compression, Subscribe
 from protocol.registrations import Registrations
+
+# From rosbridge_library, capabilities/subscribe.py: the first that any id asks for serves them all.
+COMPRESSIONS: tuple[Compression, ...] = ("cbor-raw", "cbor", "png", "none")
 
 
 class Rule(NamedTuple):
-    """What one id asks for: the least time between two messages [s], and how many may wait (0: none)."""
+    """What one id asks for.
+
+    Attributes:
+        throttle_s: least time between two messages [s].
+        queue_length: how many messages may wait, 0 for none.
+        compression: one of `COMPRESSIONS`.
+        fragment_size: greatest length of a frame [characters], None for the client's.
+    """
 
     throttle_s: float
     queue_length: int
+    compression: Compression = "none"
+    fragment_size: int | None = None
 
 
 @dataclass(eq=False, slots=True)
@@ -31,6 +44,8 @@ class Subscription:
         spelled_topic: the topic as the first subscription spelled it; so it is spelled in what is delivered.
         throttle_s: least time between two messages [s], 0 for all at once.
         queue_length: how many messages may wait, 0 for as many as the client's bound allows.
+        compression: the encoding of the messages, one of `COMPRESSIONS`.
+        fragment_size: greatest length of a frame [characters], None for the client's.
         last_sent_s: when the last message left [s], in the caller's clock.
         closed: whether the last id has gone; what still waits is not sent any more.
     """
@@ -38,16 +53,18 @@ class Subscription:
     spelled_topic: str
     throttle_s: float = 0.0
     queue_length: int = 0
+    compression: Compression = "none"
+    fragment_size: int | None = None
     last_sent_s: float = -math.inf
     closed: bool = False
 
     @property
     def due_s(self) -> float:
         """When the next message may leave [s]; minus infinity when all that wait may leave at any time."""
-        return self.last_sent_s + self.throttle_s if self._paced else -math.inf
+        return self.last_sent_s + self.throttle_s if self.paced else -math.inf
 
     @property
-    def _paced(self) -> bool:
+    def paced(self) -> bool:
         """Whether messages wait for the throttle to let them through one by one."""
         return self.throttle_s > 0 and self.queue_length > 0 and not self.closed
 
@@ -55,6 +72,8 @@ class Subscription:
         """Set the rule that serves all ids."""
         self.throttle_s = min(rule.throttle_s for rule in rules)
         self.queue_length = min(rule.queue_length for rule in rules)
+        self.compression = min((rule.compression for rule in rules), key=COMPRESSIONS.index)
+        self.fragment_size = min((rule.fragment_size for rule in rules if rule.fragment_size is not None), default=None)
 
     def admit(self, now: float) -> bool:
         """Decide on a message that has just come: take it, or drop it because it comes too early.
@@ -76,13 +95,13 @@ class Subscription:
             waiting: number of messages that wait.
             now: present time [s], monotonic.
         """
-        if self._paced:
+        if self.paced:
             return 1 if now >= self.due_s else 0
         return waiting
 
     def sent(self, now: float) -> None:
         """Note that messages have left, for the throttle to count from."""
-        if self._paced:
+        if self.paced:
             self.last_sent_s = now
 
 
@@ -117,7 +136,9 @@ class Subscriptions:
         Raises:
             OperationError: the client's limit is reached.
         """
-        rule = Rule(operation.throttle_rate / 1000, operation.queue_length)
+        rule = Rule(
+            operation.throttle_rate / 1000, operation.queue_length, operation.compression, operation.fragment_size
+        )
         first = self._rules.put(operation.topic, operation.id, rule)
         # The delivery outlives the id that opened it: its spelling and its throttle's clock belong to the topic.
         subscription = self._merged.setdefault(qualify(operation.topic), Subscription(operation.topic))

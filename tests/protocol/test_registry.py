@@ -1,12 +1,8 @@
-import json
-from pathlib import Path
-
 import pytest
 
 from protocol.errors import InterfaceError
-from protocol.registry import ArrayBounds, Registry
-
-REFERENCE = Path(__file__).parents[3] / "shared" / "data" / "interfaces_ros2.json"
+from protocol.messages import Stamp, complete
+from protocol.registry import ArrayBounds, Constant, Registry
 
 
 def field(registry, type_name, field_name):
@@ -14,18 +10,12 @@ def field(registry, type_name, field_name):
 
 
 def every_message_name(registry):
-    return [name for name, definition in registry._table.items() if definition["kind"] == "msg"]
+    return [name for name in registry.type_names() if registry.knows(name)]
 
 
 def test_a_type_is_the_same_in_two_parts_and_in_three(registry):
     assert registry.message("std_msgs/String") is registry.message("std_msgs/msg/String")
     assert registry.canonical("std_msgs/String") == "std_msgs/msg/String"
-
-
-def test_the_tables_hold_every_interface_of_the_reference():
-    if not REFERENCE.exists():
-        pytest.skip(f"the reference tables are not at {REFERENCE}")
-    assert Registry.load()._table == json.loads(REFERENCE.read_text())
 
 
 def test_every_message_type_of_the_tables_and_all_that_it_refers_to_can_be_read(registry):
@@ -82,11 +72,92 @@ def test_defaults_come_in_the_type_of_their_field(registry):
 
 
 def test_a_field_type_that_cannot_be_read_is_refused_by_name():
-    table = {"a/msg/B": {"kind": "msg", "fields": [["data", "float64[x]"]]}}
+    table = {"a/msg/B": {"kind": "msg", "fields": [["data", "float64[x]"]], "consts": []}}
     with pytest.raises(InterfaceError, match="field data"):
         Registry(table).message("a/B")
 
 
 def test_a_text_default_stays_text():
-    table = {"a/msg/B": {"kind": "msg", "fields": [["data", "string", "7"]]}}
+    table = {"a/msg/B": {"kind": "msg", "fields": [["data", "string", "7"]], "consts": []}}
     assert Registry(table).message("a/B").fields[0].default == "7"
+
+
+@pytest.mark.parametrize("name", ["std_srvs/SetBool", "std_srvs/srv/SetBool"])
+def test_a_service_has_a_request_and_a_response_that_are_message_types(registry, name):
+    service = registry.service(name)
+    assert service.name == "std_srvs/srv/SetBool"
+    assert service.request is registry.message("std_srvs/srv/SetBool_Request")
+    assert [field.name for field in service.response.fields] == ["success", "message"]
+
+
+@pytest.mark.parametrize("name", ["control_msgs/GripperCommand", "control_msgs/action/GripperCommand"])
+def test_an_action_has_three_members_that_are_message_types(registry, name):
+    action = registry.action(name)
+    assert action.name == "control_msgs/action/GripperCommand"
+    assert action.goal is registry.message("control_msgs/action/GripperCommand_Goal")
+    assert [field.name for field in action.feedback.fields] == [field.name for field in action.result.fields]
+
+
+def test_members_can_be_completed_like_messages(registry):
+    completed = complete(registry, "std_srvs/srv/SetBool_Request", {}, Stamp(1, 2))
+    assert completed == {"data": False}
+
+
+@pytest.mark.parametrize("generation", ["ros2", "ros1"])
+def test_every_service_and_action_and_all_that_they_refer_to_can_be_read(registry, generation):
+    chosen = registry if generation == "ros2" else registry.ros1
+    kinds = {"msg": chosen.message, "srv": chosen.service, "action": chosen.action}
+    for name in chosen.type_names():
+        assert kinds[name.split("/")[1]](name).name == name
+
+
+@pytest.mark.parametrize("name", ["std_msgs/String", "std_srvs/srv/SetBool_Goal", "std_srvs/Nothing", "std_srvs/srv/"])
+def test_what_is_no_service_is_refused_as_one(registry, name):
+    with pytest.raises(InterfaceError):
+        registry.service(name)
+
+
+def test_constants_keep_their_order_type_and_value(registry):
+    assert registry.message("visualization_msgs/UVCoordinate").constants == ()
+    assert registry.message("shape_msgs/SolidPrimitive").constants[:2] == (
+        Constant("uint8", "BOX", 1),
+        Constant("uint8", "SPHERE", 2),
+    )
+
+
+def test_text_constants_lose_their_quotes_and_comments(registry):
+    constants = {each.name: each.value for each in registry.message("control_msgs/VDA5050State").constants}
+    assert constants["MODE_SEMI_AUTOMATIC"] == "SEMIAUTOMATIC"
+
+
+def test_ros1_declares_times_and_headers_its_own_way(registry):
+    header = registry.ros1.message("std_msgs/Header")
+    assert [(field.name, field.base) for field in header.fields][:2] == [("seq", "uint32"), ("stamp", "time")]
+    assert [field.name for field in registry.ros1.message("time").fields] == ["secs", "nsecs"]
+
+
+def test_types_that_exist_only_in_ros1_can_be_used_in_ros2_spelling(registry):
+    completed = complete(registry, "std_msgs/Time", {"data": "now"}, Stamp(1, 2))
+    assert completed == {"data": {"sec": 1, "nanosec": 2}}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "only"),
+    [
+        ("std_msgs/Time", "msg", True),
+        ("std_msgs/msg/Time", "msg", True),
+        ("moveit_msgs/MoveGroupActionGoal", "msg", True),
+        ("rosapi/Topics", "srv", True),
+        ("rosapi_msgs/Topics", "srv", False),
+        ("std_msgs/String", "msg", False),
+        ("std_msgs/Nothing", "msg", False),
+        ("time", "msg", False),
+    ],
+)
+def test_a_type_that_exists_only_in_ros1_tells_that_a_client_speaks_it(registry, name, kind, only):
+    assert registry.exists_only_in_ros1(name, kind) is only
+
+
+@pytest.mark.parametrize(("name", "known"), [("std_msgs/String", True), ("std_srvs/srv/Empty", False), ("time", False)])
+def test_a_type_is_known_as_a_message_or_not(registry, name, known):
+    assert registry.knows(name) is known

@@ -88,6 +88,24 @@ def test_one_subscription_too_many_is_refused_and_changes_nothing():
     assert table.get("/b") is None
 
 
+def test_the_compression_that_any_id_wants_most_serves_all():
+    for compressions, chosen in [
+        (("none", "png"), "png"),
+        (("png", "cbor", "none"), "cbor"),
+        (("cbor", "cbor-raw"), "cbor-raw"),
+    ]:
+        table = subscriptions(*(subscribe(id=one, compression=one) for one in compressions))
+        assert table.get("/a").compression == chosen
+
+
+def test_the_least_fragment_size_that_is_given_serves_all():
+    table = subscriptions(subscribe(id=1), subscribe(id=2, fragment_size=500), subscribe(id=3, fragment_size=200))
+    assert table.get("/a").fragment_size == 200
+    table.remove("/a", 3)
+    table.remove("/a", 2)
+    assert table.get("/a").fragment_size is None
+
+
 # The rules
 
 

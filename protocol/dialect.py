@@ -1,0 +1,160 @@
+"""The two spellings of a message: that of ROS 2, which the server works with, and that of ROS 1.
+
+They differ in the times (``secs`` and ``nsecs``), in the header's ``seq``, in the names of types, and in fields
+that one generation added, dropped or renamed. What ROS 1 lacks is left out on the way there and has its default
+on the way back.
+
+A pair of types is compiled once into a translation; types that both spell alike need none.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, TypeAlias
+
+from protocol import values
+from protocol.registry import Field, MessageType, Registry
+
+Dialect: TypeAlias = Literal["ros2", "ros1"]
+
+# Translates one value; None where both dialects spell it alike.
+Translation: TypeAlias = Callable[[Any], Any] | None
+
+# As many as there are compiled types in protocol.messages.
+_MAX_COMPILED_TYPES = 1024
+
+# ROS 1 type -> its name of a field -> ROS 2's name, beyond those that differ in upper and lower case alone.
+_RENAMED: Mapping[str, Mapping[str, str]] = {
+    "time": {"secs": "sec", "nsecs": "nanosec"},
+    "duration": {"secs": "sec", "nsecs": "nanosec"},
+    "control_msgs/msg/JointTrajectoryControllerState": {"desired": "reference", "actual": "feedback"},
+}
+
+_ROS1_TYPES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+
+# The one package that ROS 1 calls otherwise.
+_ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1 = "rosapi_msgs/", "rosapi/"
+
+
+def spell_type(type_name: str, dialect: Dialect) -> str:
+    """Return a type's name as clients of a dialect know it: ``std_msgs/msg/String`` or ``std_msgs/String``.
+
+    Args:
+        type_name: canonical name of a message, service or action, or of a member of one of the latter.
+        dialect: the client's dialect.
+    """
+    if dialect == "ros2":
+        return type_name
+    package, *others = _in_ros1(type_name).split("/")
+    # ROS 1 runs the names of a service and of its member together.
+    return f"{package}/{others[-1].replace('_', '')}" if others else package
+
+
+def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> dict[str, Any]:
+    """Spell a complete message as ROS 1 does.
+
+    Values inside arrays and single primitives are passed on as they are, whatever an encoding made of them.
+
+    Args:
+        registry: the ROS 2 registry.
+        type_name: name of the message's type.
+        msg: a message as `protocol.messages.complete` returns it; it is left as it was and may share parts
+            with what is returned.
+    """
+    translate = _to_ros1(registry, registry.message(type_name).name)
+    return dict(msg) if translate is None else translate(msg)
+
+
+def from_ros1(registry: Registry, type_name: str, msg: object) -> Any:
+    """Spell what a ROS 1 client sent as ROS 2 does; to be validated and completed afterwards.
+
+    Fields may be missing, and what cannot be understood is passed on for the validation to refuse.
+
+    Args:
+        registry: the ROS 2 registry.
+        type_name: name of the message's type.
+        msg: the message as it was decoded.
+    """
+    translate = _from_ros1(registry, registry.message(type_name).name)
+    return msg if translate is None else translate(msg)
+
+
+def _in_ros1(type_name: str) -> str:
+    """Return the name under which the ROS 1 tables hold a type, if they do."""
+    if type_name.startswith(_ROSAPI_OF_ROS2):
+        return type_name.replace(_ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1, 1)
+    return _ROS1_TYPES.get(type_name, type_name)
+
+
+def _counterpart(registry: Registry, ours: MessageType) -> MessageType:
+    """Return the type as ROS 1 declares it; one that exists only in ROS 2 is spelled as if ROS 1 had it."""
+    name = _in_ros1(ours.name)
+    return registry.ros1.message(name) if registry.ros1.knows(name) else ours
+
+
+def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | None]]:
+    """Return ROS 1's fields, each with that of ROS 2 which means the same, None where there is none."""
+    exact = {field.name: field for field in ours.fields}
+    in_lower_case = {field.name.lower(): field for field in ours.fields}
+    renamed = _RENAMED.get(theirs.name, {})
+    return [
+        (field, exact.get(renamed.get(field.name, field.name)) or in_lower_case.get(field.name.lower()))
+        for field in theirs.fields
+    ]
+
+
+@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+def _to_ros1(registry: Registry, type_name: str) -> Translation:
+    ours = registry.message(type_name)
+    pairs = _pair(ours, _counterpart(registry, ours))
+    plan = [
+        (theirs.name, field.name, _over(field, _to_ros1(registry, field.base) if not field.primitive else None))
+        for theirs, field in pairs
+        if field is not None
+    ]
+    # All that ROS 1 alone has are single numbers; a copy would be needed for arrays.
+    added = {theirs.name: values.zero(theirs.base) for theirs, field in pairs if field is None}
+    if not added and [(name, name, None) for name in (field.name for field in ours.fields)] == plan:
+        return None
+    order = [theirs.name for theirs, _ in pairs]
+
+    def translate(msg: Mapping[str, Any]) -> dict[str, Any]:
+        spelled = {name: msg[our_name] if step is None else step(msg[our_name]) for name, our_name, step in plan}
+        return {name: spelled[name] if name in spelled else added[name] for name in order} if added else spelled
+
+    return translate
+
+
+@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+def _from_ros1(registry: Registry, type_name: str) -> Translation:
+    ours = registry.message(type_name)
+    pairs = _pair(ours, _counterpart(registry, ours))
+    names = {theirs.name: field.name if field else None for theirs, field in pairs}
+    steps = {field.name: _over(field, _from_ros1(registry, field.base)) for field in ours.fields if not field.primitive}
+    if not any(steps.values()) and all(name == our_name for name, our_name in names.items()):
+        return None
+
+    def translate(msg: Any) -> Any:
+        if type(msg) is not dict:
+            return msg
+        spelled = {}
+        for name, value in msg.items():
+            our_name = names.get(name, name)
+            if our_name is None:
+                continue
+            # Given in both spellings, it keeps the wrong name, for the validation to refuse.
+            our_name = name if our_name in msg else our_name
+            step = steps.get(our_name)
+            spelled[our_name] = value if step is None else step(value)
+        return spelled
+
+    return translate
+
+
+def _over(field: Field, translate: Translation) -> Translation:
+    """Return the translation of a field whose elements, or whose one value, are translated like this."""
+    if translate is None or field.array is None:
+        return translate
+    # An array that is none is left for the validation to refuse.
+    return lambda value: [translate(element) for element in value] if type(value) is list else value

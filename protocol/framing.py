@@ -1,0 +1,162 @@
+"""What clients make of frames: reads the objects in them.
+
+Most frames are one JSON object. Some clients run several together, cut one into several frames, or send something
+in front of it; some send BSON. All of it is read in a time that grows with its length alone.
+"""
+
+from __future__ import annotations
+
+import re
+
+from protocol.codecs import bson, json
+from protocol.errors import FrameError
+from protocol.limits import Limits
+
+# Where an object may begin: garbage seldom has a brace with a key, or nothing, behind it. At the end of what is there
+# the rest may be still to come.
+_START = re.compile(rb'\{(?=[ \t\r\n]*+(?:["}]|\Z))')
+
+# Nothing below is tried twice: all quantifiers are possessive. The rest of a text whose quote has been passed; what
+# contains no brace that counts; and, so that a long list of small objects is read quickly, whole objects as well.
+_TEXT = rb'(?:[^"\\]++|\\.)*+'
+_NO_BRACES = rb'[^"{}]++|"' + _TEXT + rb'"'
+_INSIDE_TEXT = re.compile(_TEXT, re.DOTALL)
+_OUTSIDE_TEXT = re.compile(rb"(?:" + _NO_BRACES + rb"|\{(?:" + _NO_BRACES + rb")*+\})*+", re.DOTALL)
+
+_QUOTE, _OPEN = b'"{'
+
+# A frame that holds more of them than this is not worth reading on, nor its refusals logging.
+MAX_REFUSALS_PER_FRAME = 8
+
+
+class FrameReader:
+    """Reads the frames of one client.
+
+    Args:
+        limits: how long an object in several frames may be, and how many objects a frame may hold.
+
+    Attributes:
+        last_was_bson: whether the last frame was BSON; then the client is answered in BSON.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.last_was_bson = False
+        self._limits = limits
+        # What begins with an object whose end has not come yet, and how far its end has been looked for.
+        self._pending = bytearray()
+        self._end = _ObjectEnd()
+
+    def feed(self, frame: str | bytes) -> list[object | FrameError]:
+        """Return what was completed by this frame, in order: decoded values, and errors for what is none.
+
+        Args:
+            frame: text, or the bytes of a binary frame.
+        """
+        self.last_was_bson = isinstance(frame, bytes) and bson.is_document(frame)
+        try:
+            if isinstance(frame, bytes) and self.last_was_bson:
+                return [bson.decode(frame)]
+            value = json.decode(frame)
+        except FrameError as error:
+            return [error] if self.last_was_bson else self._read_on(frame, error)
+        if not self._pending:
+            return [value]
+        # An operation tells that what waits will not end; any other value may belong into its middle.
+        if isinstance(value, dict) and "op" in value:
+            return [*self._give_up(), value]
+        return self._read_on(frame, FrameError("not an operation"))
+
+    def _read_on(self, frame: str | bytes, error: FrameError) -> list[object | FrameError]:
+        """Look for objects in what came before and this frame, which is none by itself."""
+        try:
+            data = frame if isinstance(frame, bytes) else frame.encode()
+        except UnicodeEncodeError:
+            return [error]
+        size_bytes = len(self._pending) + len(data)
+        if size_bytes > self._limits.max_message_bytes:
+            self._pending.clear()
+            problem = f"an object without an end after {size_bytes} bytes, the limit is"
+            return [FrameError(f"{problem} {self._limits.max_message_bytes}")]
+        found = self._find_objects(data)
+        return found if found or self._pending else [error]
+
+    def _find_objects(self, data: bytes) -> list[object | FrameError]:
+        """Return the objects that end in this data; one that does not end stays pending."""
+        found: list[object | FrameError] = []
+        refusals = 0
+        opened = bool(self._pending)
+        self._pending += data
+        while opened or self._open():
+            opened = False
+            try:
+                if not self._end.find(self._pending):
+                    return found
+                found.append(json.decode(bytes(self._pending[: self._end.position])))
+            except FrameError as error:
+                found.append(error)
+                refusals += 1
+            del self._pending[: self._end.position]
+            if refusals == MAX_REFUSALS_PER_FRAME or len(found) == self._limits.max_objects_per_frame:
+                found += self._give_up()
+        return found
+
+    def _open(self) -> bool:
+        """Go to where the next object may begin; without one nothing of what waits is of use."""
+        start = _START.search(self._pending)
+        del self._pending[: len(self._pending) if start is None else start.start()]
+        self._end = _ObjectEnd()
+        return start is not None
+
+    def _give_up(self) -> list[object | FrameError]:
+        """Forget what waits, and say so if it is something."""
+        size_bytes = len(self._pending)
+        self._pending.clear()
+        return [FrameError(f"{size_bytes} bytes in which no object ends are given up")] if size_bytes else []
+
+
+class _ObjectEnd:
+    """Finds the brace that ends an object, over as many pieces as it takes.
+
+    Attributes:
+        position: how far the object has been read; just past its end, once that is found.
+    """
+
+    __slots__ = ("_depth", "_in_text", "position")
+
+    def __init__(self) -> None:
+        # Inside of the object, behind its first brace.
+        self.position = 1
+        self._depth = 1
+        self._in_text = False
+
+    def find(self, data: bytearray) -> bool:
+        """Read on to the end of the object; False when it has not come yet.
+
+        Args:
+            data: begins with the object; longer every time.
+
+        Raises:
+            FrameError: nested deeper than any message is.
+        """
+        while self._skip(data):
+            mark = data[self.position]
+            self.position += 1
+            if mark == _QUOTE:
+                self._in_text = not self._in_text
+            elif mark == _OPEN:
+                self._depth += 1
+            else:
+                self._depth -= 1
+            if self._depth == 0:
+                return True
+            if self._depth > json.MAX_NESTING_DEPTH:
+                raise FrameError(f"nested deeper than the limit of {json.MAX_NESTING_DEPTH} levels")
+        return False
+
+    def _skip(self, data: bytearray) -> bool:
+        """Go to the next mark that counts; False when there is none, or it cannot be told yet what it is."""
+        match = (_INSIDE_TEXT if self._in_text else _OUTSIDE_TEXT).match(data, self.position)
+        if match is not None:
+            self.position = match.end()
+        # A text stops at a backslash only when what it escapes has not come yet.
+        return self.position < len(data) and (not self._in_text or data[self.position] == _QUOTE)

@@ -1,0 +1,128 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.dialect import from_ros1, spell_type, to_ros1
+from protocol.messages import Stamp, complete
+from protocol.registry import Registry
+from tests.helpers.messages import made_up
+
+REGISTRY = Registry.load()
+NOW = Stamp(1, 2)
+SHARED = [name for name in REGISTRY.type_names() if REGISTRY.knows(name) and REGISTRY.ros1.knows(name)]
+
+
+def assert_spelled_as(registry, type_name, msg):
+    """Every field of the type, in its order, and no other."""
+    fields = registry.message(type_name).fields
+    assert list(msg) == [field.name for field in fields]
+    for field in fields:
+        if not field.primitive:
+            for one in [msg[field.name]] if field.array is None else msg[field.name]:
+                assert_spelled_as(registry, field.base, one)
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_a_message_goes_out_with_the_fields_that_ros1_declares(name):
+    assert_spelled_as(REGISTRY.ros1, name, to_ros1(REGISTRY, name, made_up(REGISTRY, name, 1)))
+
+
+@given(st.integers(0, 2**32))
+def test_what_both_generations_have_comes_back_as_it_was(seed):
+    name = "moveit_msgs/msg/MotionPlanRequest"
+    message = made_up(REGISTRY, name, seed)
+    for constraint in message["goal_constraints"]:
+        for volume in constraint["position_constraints"]:
+            for shape in volume["constraint_region"]["primitives"]:
+                shape["polygon"] = {"points": []}
+    message = without_polygons(message)
+    assert complete(REGISTRY, name, from_ros1(REGISTRY, name, to_ros1(REGISTRY, name, message)), NOW) == message
+
+
+def without_polygons(value):
+    if isinstance(value, dict):
+        return {key: {"points": []} if key == "polygon" else without_polygons(child) for key, child in value.items()}
+    return [without_polygons(child) for child in value] if isinstance(value, list) else value
+
+
+def test_times_and_headers_are_spelled_in_ros1_style_at_any_depth():
+    message = complete(REGISTRY, "tf2_msgs/TFMessage", {"transforms": [{"header": {"frame_id": "a"}}]}, NOW)
+    header = to_ros1(REGISTRY, "tf2_msgs/TFMessage", message)["transforms"][0]["header"]
+    assert header == {"seq": 0, "stamp": {"secs": 1, "nsecs": 2}, "frame_id": "a"}
+
+
+def test_renamed_fields_take_their_values_along():
+    message = complete(REGISTRY, "sensor_msgs/CameraInfo", {"d": [1.0], "k": [2.0] * 9}, NOW)
+    spelled = to_ros1(REGISTRY, "sensor_msgs/CameraInfo", message)
+    assert (spelled["D"], spelled["K"]) == ([1.0], [2.0] * 9)
+    assert (
+        complete(REGISTRY, "sensor_msgs/CameraInfo", from_ros1(REGISTRY, "sensor_msgs/CameraInfo", spelled), NOW)
+        == message
+    )
+
+
+def test_fields_that_ros1_lacks_are_left_out_and_those_it_has_alone_are_zero():
+    message = complete(REGISTRY, "control_msgs/PidState", {"error": 3.0, "p_gain": 5.0}, NOW)
+    spelled = to_ros1(REGISTRY, "control_msgs/PidState", message)
+    assert (spelled["error"], spelled["p_term"]) == (3.0, 0.0)
+    assert "p_gain" not in spelled
+
+
+def test_fields_that_ros2_lacks_are_dropped_on_the_way_in():
+    assert from_ros1(REGISTRY, "control_msgs/PidState", {"p_term": 1.0, "error": 2.0}) == {"error": 2.0}
+
+
+def test_a_type_that_exists_only_in_ros2_is_spelled_as_if_ros1_had_it():
+    message = complete(REGISTRY, "rcl_interfaces/Log", {"msg": "a"}, NOW)
+    assert to_ros1(REGISTRY, "rcl_interfaces/Log", message)["stamp"] == {"secs": 0, "nsecs": 0}
+
+
+def test_a_type_that_exists_only_in_ros1_is_spelled_as_ros1_does():
+    message = complete(REGISTRY, "control_msgs/PointHeadActionGoal", {}, NOW)
+    assert_spelled_as(
+        REGISTRY.ros1,
+        "control_msgs/PointHeadActionGoal",
+        to_ros1(REGISTRY, "control_msgs/PointHeadActionGoal", message),
+    )
+
+
+def test_rosapi_answers_are_paired_with_those_of_ros1():
+    message = complete(REGISTRY, "rosapi_msgs/srv/GetTime_Response", {"time": {"sec": 3}}, NOW)
+    assert to_ros1(REGISTRY, "rosapi_msgs/srv/GetTime_Response", message) == {"time": {"secs": 3, "nsecs": 0}}
+
+
+def test_a_message_may_be_partial_on_the_way_in():
+    assert from_ros1(REGISTRY, "sensor_msgs/JointState", {"header": {"stamp": {"secs": 5}}}) == {
+        "header": {"stamp": {"sec": 5}}
+    }
+
+
+@pytest.mark.parametrize("msg", [None, 3, "now", [], {"header": 3}, {"header": {"stamp": "now"}}, {"nonsense": {}}])
+def test_what_cannot_be_understood_is_passed_on_to_the_validation(msg):
+    assert from_ros1(REGISTRY, "sensor_msgs/JointState", msg) == msg
+
+
+def test_a_field_in_both_spellings_is_left_to_the_validation():
+    both = {"secs": 1, "sec": 2}
+    assert from_ros1(REGISTRY, "builtin_interfaces/Time", both) == both
+
+
+def test_the_message_is_left_as_it_was():
+    message = complete(REGISTRY, "std_msgs/Header", {}, NOW)
+    to_ros1(REGISTRY, "std_msgs/Header", message)
+    assert message == {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": ""}
+
+
+@pytest.mark.parametrize(
+    ("name", "spelled"),
+    [
+        ("std_msgs/msg/String", "std_msgs/String"),
+        ("builtin_interfaces/msg/Time", "time"),
+        ("rosapi_msgs/srv/Topics", "rosapi/Topics"),
+        ("std_srvs/srv/SetBool_Request", "std_srvs/SetBoolRequest"),
+        ("control_msgs/action/PointHead", "control_msgs/PointHead"),
+    ],
+)
+def test_type_names_have_two_parts_in_ros1_and_three_in_ros2(name, spelled):
+    assert spell_type(name, "ros1") == spelled
+    assert spell_type(name, "ros2") == name

@@ -1,0 +1,113 @@
+import pytest
+from rosbags.typesys import get_types_from_msg
+
+from protocol.errors import InterfaceError
+from protocol.interface_text import full_text, typedefs
+from protocol.registry import Registry
+
+REGISTRY = Registry.load()
+MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
+SEPARATOR = "=" * 80
+
+
+def dependencies(registry, name):
+    inner = {field.base for field in registry.message(name).fields if not field.primitive}
+    return inner.union(*(dependencies(registry, each) for each in inner))
+
+
+def test_a_text_is_the_definition_and_those_of_what_it_refers_to():
+    assert full_text(REGISTRY, "std_msgs/Header").split("\n") == [
+        "builtin_interfaces/Time stamp",
+        "string frame_id",
+        "",
+        SEPARATOR,
+        "MSG: builtin_interfaces/Time",
+        "int32 sec",
+        "uint32 nanosec",
+        "",
+    ]
+
+
+def test_constants_defaults_and_bounds_are_written_as_definitions_write_them():
+    assert "uint8 BOX=1\n" in full_text(REGISTRY, "shape_msgs/SolidPrimitive")
+    assert "float64[<=3] dimensions\n" in full_text(REGISTRY, "shape_msgs/SolidPrimitive")
+    assert "float64 w 1.0\n" in full_text(REGISTRY, "geometry_msgs/Quaternion")
+    assert "bool read_only false\n" in full_text(REGISTRY, "rcl_interfaces/ParameterDescriptor")
+    assert 'string NONE="none"\n' in full_text(REGISTRY, "control_msgs/VDA5050SafetyState")
+
+
+def test_ros1_has_its_own_text_without_sections_for_its_times():
+    text = full_text(REGISTRY.ros1, "std_msgs/Header")
+    assert text == "uint32 seq\ntime stamp\nstring frame_id\n"
+
+
+@pytest.mark.parametrize("name", MESSAGE_TYPES)
+def test_a_parser_finds_every_type_and_every_field_in_the_text(name):
+    package, _, short = name.split("/")
+    found = get_types_from_msg(full_text(REGISTRY, name), f"{package}/msg/{short}")
+    assert set(found) == {name, *dependencies(REGISTRY, name)}
+    for each, (_, fields) in found.items():
+        assert [field for field, _ in fields] == [field.name for field in REGISTRY.message(each).fields]
+
+
+def test_typedefs_begin_with_the_type_and_go_depth_first():
+    names = [each["type"] for each in typedefs(REGISTRY, "geometry_msgs/PoseStamped")]
+    assert names == [
+        "geometry_msgs/PoseStamped",
+        "std_msgs/Header",
+        "builtin_interfaces/Time",
+        "geometry_msgs/Pose",
+        "geometry_msgs/Point",
+        "geometry_msgs/Quaternion",
+    ]
+
+
+def test_a_typedef_tells_the_fields_by_name_type_length_and_example():
+    definition = typedefs(REGISTRY, "sensor_msgs/CameraInfo")[0]
+    rows = zip(
+        definition["fieldnames"],
+        definition["fieldtypes"],
+        definition["fieldarraylen"],
+        definition["examples"],
+        strict=True,
+    )
+    assert list(rows)[:6] == [
+        ("header", "std_msgs/Header", -1, "{}"),
+        ("height", "uint32", -1, "0"),
+        ("width", "uint32", -1, "0"),
+        ("distortion_model", "string", -1, ""),
+        ("d", "float64", 0, "[]"),
+        ("k", "float64", 9, "[]"),
+    ]
+
+
+def test_a_bounded_array_may_have_any_length():
+    definition = typedefs(REGISTRY, "shape_msgs/SolidPrimitive")[0]
+    assert definition["fieldarraylen"][1] == 0
+
+
+def test_a_typedef_tells_the_constants_as_text():
+    definition = typedefs(REGISTRY, "shape_msgs/SolidPrimitive")[0]
+    assert (definition["constnames"][0], definition["constvalues"][0]) == ("BOX", "1")
+
+
+def test_members_of_services_have_typedefs_too():
+    assert typedefs(REGISTRY, "std_srvs/srv/SetBool_Request")[0]["type"] == "std_srvs/SetBool_Request"
+
+
+def test_a_time_of_ros1_is_a_typedef_of_its_own():
+    assert typedefs(REGISTRY.ros1, "std_msgs/Header")[1]["fieldnames"] == ["secs", "nsecs"]
+
+
+@pytest.mark.parametrize("tell", [full_text, typedefs])
+def test_an_unknown_type_is_refused(tell):
+    with pytest.raises(InterfaceError):
+        tell(REGISTRY, "std_msgs/Nothing")
+
+
+@pytest.mark.parametrize("name", MESSAGE_TYPES)
+def test_every_field_type_with_a_slash_has_a_typedef(name):
+    definitions = typedefs(REGISTRY, name)
+    known = {each["type"] for each in definitions}
+    assert len(known) == len(definitions)
+    assert {kind for each in definitions for kind in each["fieldtypes"] if "/" in kind} <= known

@@ -6,6 +6,7 @@ import asyncio
 import gc
 import logging
 import signal
+import time
 from dataclasses import dataclass
 
 import uvloop
@@ -30,6 +31,8 @@ from server.moveit.execution import GoalExecutor
 from server.moveit.goal_topics import GoalTopics
 from server.moveit.goals import GoalTranslator, MotionRequest
 from server.moveit.parameters import MoveItParameters
+from server.rosapi import RosApi
+from server.rosout import Rosout
 
 log = logging.getLogger("armbridge")
 
@@ -87,7 +90,10 @@ class App:
         description = Description.read(settings.arm)
         check_parameters(settings.moveit, description.robot)
         self._description = description
-        self._graph = Graph(Registry.load())
+        registry = Registry.load()
+        self._graph = Graph(registry, relay_unknown_types=settings.server.relay_unknown_types)
+        self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
+        self._rosout: Rosout | None = None
         self._joint_states = JointStates(self._graph)
         self._goal_topics = GoalTopics(self._graph, GoalTranslator(description.robot, settings.moveit))
         self._listener = Listener(self._graph, settings.server.host, settings.server.port)
@@ -117,6 +123,9 @@ class App:
         log.info("stopped")
 
     async def _start(self) -> None:
+        self._rosout = Rosout(self._graph, asyncio.get_running_loop())
+        self._rosout.open()
+        self._rosapi.open()
         # The port first: nothing else needs to start, and no arm to be switched on, when it is taken.
         await self._listener.bind()
         await self._pool.start()
@@ -154,6 +163,8 @@ class App:
         await self._pool.close()
         if self._emulated_bus is not None:
             await self._emulated_bus.close()
+        if self._rosout is not None:
+            self._rosout.close()
 
     def _what_runs_where(self) -> str:
         arm = self._arm

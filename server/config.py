@@ -25,11 +25,13 @@ class ServerSettings(_Section):
         host: address to listen on.
         port: TCP port; 0 takes a free one.
         log_level: least level of the log.
+        relay_unknown_types: take topics and services whose types the server does not know, and relay them unchecked.
     """
 
     host: str = "127.0.0.1"
     port: int = Field(default=9090, ge=0, le=65535)
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    relay_unknown_types: bool = False
 
 
 class ArmSettings(_Section):

@@ -1,12 +1,15 @@
 """Errors of the server room.
 
 ServerError
-├── GraphError          an operation on a topic that the graph refuses
+├── GraphError          an operation on a topic, service or action that the graph refuses
+├── ServiceError        a service that cannot do what it is asked for
 ├── ConfigurationError  a setting that is wrong or contradicts another
 └── StartError          a part of the server that cannot start
 """
 
 from __future__ import annotations
+
+from typing import Literal
 
 
 class ServerError(Exception):
@@ -14,15 +17,19 @@ class ServerError(Exception):
 
 
 class GraphError(ServerError):
-    """An operation on a topic that the graph refuses.
+    """An operation that the graph refuses.
 
     Attributes:
-        topic: the topic's name.
+        name: the topic, service or action.
     """
 
-    def __init__(self, topic: str, message: str) -> None:
-        super().__init__(f"topic {topic}: {message}")
-        self.topic = topic
+    def __init__(self, kind: Literal["topic", "service", "action"], name: str, message: str) -> None:
+        super().__init__(f"{kind} {name}: {message}")
+        self.name = name
+
+
+class ServiceError(ServerError):
+    """A service that cannot do what it is asked for; its caller gets the text."""
 
 
 class ConfigurationError(ServerError):

@@ -1,4 +1,4 @@
-"""Topics in one process: a local part and a remote client use them alike.
+"""Topics in one process, and services and actions beside them: a local part and a remote client use them alike.
 
 Every message on a topic is complete and valid against the topic's type. The first to name a type for a topic
 decides it, for as long as anyone publishes or subscribes there, and a little longer.
@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from protocol.errors import InterfaceError, MessageError
-from protocol.messages import Stamp, complete
 from protocol.publication import Publication
 from protocol.registry import Registry
+from server.actions import Actions
 from server.errors import GraphError
+from server.interfaces import Interfaces
+from server.node import Node
+from server.retained import Retained
+from server.services import Services
+from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.graph")
 
@@ -25,20 +29,6 @@ MAX_TOPICS = 10_000
 
 # rosbridge_server's unregister_timeout: some clients open a new socket between advertise and publish.
 TYPE_OUTLIVES_USE_S = 10.0
-
-
-class Node:
-    """Anyone who publishes or subscribes: a connection, or a part of the server.
-
-    Args:
-        name: how logs call it.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __repr__(self) -> str:
-        return self.name
 
 
 @dataclass(frozen=True)
@@ -64,7 +54,6 @@ class Topic:
     publishers: set[Node] = field(default_factory=set)
     subscribers: dict[Node, Subscriber] = field(default_factory=dict)
     latching: set[Node] = field(default_factory=set)
-    latched: Publication | None = None
 
     @property
     def used(self) -> bool:
@@ -73,12 +62,19 @@ class Topic:
 
 
 class Graph:
-    """All topics.
+    """All topics, services and actions.
 
     Args:
-        registry: message types.
+        registry: types.
         clock: monotonic time [s].
         wall_clock: seconds since the epoch, for stamps.
+        call_later: does something after a delay.
+        relay_unknown_types: take types that the registry does not know, and relay what is said in them unseen.
+
+    Attributes:
+        interfaces: types and messages.
+        services: who offers and calls what.
+        actions: who offers which, and the goals on their way.
     """
 
     def __init__(
@@ -86,15 +82,35 @@ class Graph:
         registry: Registry,
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
+        call_later: CallLater = call_later,
+        *,
+        relay_unknown_types: bool = False,
     ) -> None:
-        self._registry = registry
+        self.interfaces = Interfaces(registry, wall_clock, relay_unknown_types=relay_unknown_types)
+        self.services = Services(self.interfaces, call_later)
+        self.actions = Actions(self.interfaces, self.services, call_later)
         self._clock = clock
-        self._wall_clock = wall_clock
         self._topics: dict[str, Topic] = {}
+        self._retained = Retained()
 
     def topic_types(self) -> dict[str, str]:
         """Canonical type of every topic in use."""
         return {name: topic.type_name for name, topic in self._topics.items() if topic.used}
+
+    def topic_type(self, name: str) -> str | None:
+        """Canonical type of a topic, given by its fully qualified name; None when nobody has said it."""
+        topic = self._topics.get(name)
+        return None if topic is None or self._outlived(topic) else topic.type_name
+
+    def publishers(self, name: str) -> list[Node]:
+        """Who publishes on a topic, given by its fully qualified name."""
+        topic = self._topics.get(name)
+        return [] if topic is None else list(topic.publishers)
+
+    def subscribers(self, name: str) -> list[Node]:
+        """Who has subscribed to a topic, given by its fully qualified name."""
+        topic = self._topics.get(name)
+        return [] if topic is None else list(topic.subscribers)
 
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
         """Register ``node`` as publisher.
@@ -112,21 +128,25 @@ class Graph:
         topic = self._topics.get(name)
         if topic is not None and node in topic.publishers:
             topic.publishers.remove(node)
+            last_latching = topic.latching == {node}
             topic.latching.discard(node)
+            if last_latching:
+                # As the type, what is latched outlives a socket that is only closed to be opened anew.
+                self._retained.unlatch_at(name, self._clock() + TYPE_OUTLIVES_USE_S)
             self._left(topic)
 
-    def subscribe(self, node: Node, name: str, type_name: str | None, subscriber: Subscriber) -> Publication | None:
+    def subscribe(self, node: Node, name: str, type_name: str | None, subscriber: Subscriber) -> list[Publication]:
         """Deliver the topic's messages to ``node``, one subscriber a node.
 
         Returns:
-            The topic's latched message, if it has one.
+            What was published before and is still to be delivered, oldest first.
 
         Raises:
             GraphError: the type is unknown, differs from the topic's, or is not given for an unknown topic.
         """
         topic = self._topic(name, type_name)
         topic.subscribers[node] = subscriber
-        return topic.latched
+        return self._retained.of(name, self._clock())
 
     def unsubscribe(self, node: Node, name: str) -> None:
         """End the delivery to ``node``; nothing happens when there is none."""
@@ -136,60 +156,75 @@ class Graph:
             self._left(topic)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left, on every topic."""
+        """Forget a node that has left, everywhere."""
+        self.actions.remove(node)
+        self.services.remove(node)
         for name in list(self._topics):
             self.unadvertise(node, name)
             self.unsubscribe(node, name)
 
-    def publish(self, node: Node, name: str, message: Mapping[str, Any] | None) -> None:
+    def publish(self, node: Node, name: str, message: object, *, latch: bool = False, lifespan_s: float = 0.0) -> None:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
+
+        Args:
+            node: who publishes.
+            name: fully qualified name of the topic.
+            message: the message.
+            latch: keep it for who subscribes later, as for a topic advertised so.
+            lifespan_s: otherwise, for how long it reaches who subscribes later [s].
 
         Raises:
             GraphError: nobody has said what type the topic has.
             MessageError: the message does not fit the type; the topic's local subscribers are told as well.
         """
         topic = self._topic(name, None)
+        received = self.interfaces.now()
         try:
-            completed = complete(self._registry, topic.type_name, {} if message is None else message, self._now())
+            completed = self.interfaces.complete(topic.type_name, message, received)
         except MessageError as error:
             for subscriber in list(topic.subscribers.values()):
                 if subscriber.refused is not None:
                     subscriber.refused(error)
             raise
         topic.publishers.add(node)
-        publication = Publication(topic.name, topic.type_name, completed)
-        if node in topic.latching:
-            topic.latched = publication
+        if latch:
+            topic.latching.add(node)
+        publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received)
+        self._retain(publication, node in topic.latching, lifespan_s)
         for subscriber in list(topic.subscribers.values()):
             subscriber.deliver(publication)
 
-    def _now(self) -> Stamp:
-        return Stamp.from_seconds(self._wall_clock())
+    def _retain(self, publication: Publication, latch: bool, lifespan_s: float) -> None:
+        if latch and not self._retained.latch(publication):
+            log.warning("topic %s: too large to be latched beside what is latched already", publication.topic)
+        elif not latch and lifespan_s > 0:
+            self._retained.keep(publication, self._clock(), lifespan_s)
 
     def _topic(self, name: str, type_name: str | None) -> Topic:
         """The topic, made when it is new and ``type_name`` says what it carries."""
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
-                raise GraphError(name, "has no type yet: advertise it first, or name the type")
+                raise GraphError("topic", name, "has no type yet: advertise it first, or name the type")
             self._make_room(name)
+            self._retained.forget(name)
             topic = self._topics[name] = Topic(name, self._canonical(name, type_name), self._clock())
         elif type_name is not None and self._canonical(name, type_name) != topic.type_name:
-            raise GraphError(name, f"is already established with type {topic.type_name}, not {type_name}")
+            raise GraphError("topic", name, f"is already established with type {topic.type_name}, not {type_name}")
         return topic
 
     def _canonical(self, name: str, type_name: str) -> str:
         try:
-            return self._registry.message(type_name).name
+            return self.interfaces.canonical(type_name, "msg")
         except InterfaceError as error:
-            raise GraphError(name, str(error)) from error
+            raise GraphError("topic", name, str(error)) from error
 
     def _make_room(self, name: str) -> None:
         """See that one more topic fits; those that nobody uses any more are only kept while there is room."""
         if len(self._topics) >= MAX_TOPICS:
             self._topics = {key: topic for key, topic in self._topics.items() if topic.used}
         if len(self._topics) >= MAX_TOPICS:
-            raise GraphError(name, f"cannot be added: there are {MAX_TOPICS} topics already")
+            raise GraphError("topic", name, f"cannot be added: there are {MAX_TOPICS} topics already")
 
     def _outlived(self, topic: Topic) -> bool:
         return not topic.used and self._clock() - topic.last_used_s > TYPE_OUTLIVES_USE_S
@@ -197,5 +232,3 @@ class Graph:
     def _left(self, topic: Topic) -> None:
         """Note that someone has just left the topic."""
         topic.last_used_s = self._clock()
-        if not topic.used:
-            topic.latched = None

@@ -6,7 +6,8 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot.messages import ArmState
-from server.graph import Graph, Node
+from server.graph import Graph
+from server.node import Node
 
 TOPIC = "/joint_states"
 

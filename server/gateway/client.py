@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from typing import Any
 
-from protocol.errors import OperationError, ProtocolError
+from protocol.dialect import Dialect
+from protocol.errors import OperationError, ProtocolError, shorten
 from protocol.limits import Limits
-from protocol.names import qualify
-from protocol.operations import Advertise, Operation, Publish, Subscribe, Unadvertise, Unsubscribe
-from protocol.publication import Publication
+from protocol.operations import Operation, SetLevel, Status
+from protocol.parcel import Parcel
 from protocol.session import Refusal, Session
 from server.errors import GraphError
-from server.graph import Graph, Node, Subscriber
+from server.gateway.client_actions import ClientActions
+from server.gateway.client_services import ClientServices
+from server.gateway.client_topics import ClientTopics
+from server.gateway.spelling import Spelling
+from server.graph import Graph
+from server.node import Node
 
 log = logging.getLogger("armbridge.gateway")
+
+_LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO}
 
 
 class Client:
@@ -26,28 +34,40 @@ class Client:
         limits: what it may cost.
         clock: monotonic time [s].
         wake: called when there is something to send.
+        dialect: how it spells messages, until it shows otherwise.
+        send_at_once: sends a message if the socket takes it without waiting, and says whether it has.
     """
 
     def __init__(
-        self, name: str, graph: Graph, limits: Limits, clock: Callable[[], float], wake: Callable[[], None]
+        self,
+        name: str,
+        graph: Graph,
+        limits: Limits,
+        clock: Callable[[], float],
+        wake: Callable[[], None],
+        dialect: Dialect = "ros2",
+        send_at_once: Callable[[Parcel], bool] = lambda _parcel: False,
     ) -> None:
-        self.node = Node(name)
-        self.session = Session(limits)
+        self.node = Node(name, remote=True)
+        self.session = Session(limits, dialect)
         self._graph = graph
         self._clock = clock
         self._wake = wake
-        self._subscriber = Subscriber(self._deliver)
+        spelling = Spelling(self.session, graph.interfaces.registry)
+        topics = ClientTopics(self.node, self.session, graph, spelling, clock, wake, self._refuse_error, send_at_once)
+        services = ClientServices(self.node, graph.services, spelling, limits, self._send)
+        actions = ClientActions(self.node, graph.actions, spelling, limits, self._send, self._send_feedback)
         self._handlers: Mapping[type[Operation], Callable[..., None]] = {
-            Advertise: self._advertise,
-            Unadvertise: self._unadvertise,
-            Publish: self._publish,
-            Subscribe: self._subscribe,
-            Unsubscribe: self._unsubscribe,
+            **topics.handlers,
+            **services.handlers,
+            **actions.handlers,
+            SetLevel: self._set_level,
+            Status: self._log_status,
         }
 
     def receive_frame(self, frame: str | bytes) -> None:
         """Carry out what a frame asks for; nothing in it can raise."""
-        for item in self.session.receive_frame(frame):
+        for item in self.session.receive_frame(frame, self._clock()):
             if isinstance(item, Refusal):
                 self._refuse(item)
             else:
@@ -62,49 +82,31 @@ class Client:
     def _carry_out(self, operation: Operation) -> None:
         try:
             self._handlers[type(operation)](operation)
-        except OperationError as error:
-            self._refuse(Refusal(operation.op, operation.id, str(error)))
         except (ProtocolError, GraphError) as error:
-            self._refuse(Refusal(operation.op, operation.id, f"{operation.op}: {error}"))
+            self._refuse_error(operation.op, error, operation.id)
         except Exception:  # a bug in serving one operation must not take the client with it
             log.exception("%s: %s failed", self.node, operation.op)
 
+    def _refuse_error(self, op: str, error: ProtocolError | GraphError, mark: str | int | None = None) -> None:
+        # An OperationError names the operation itself.
+        text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
+        self._refuse(Refusal(op, mark, text))
+
     def _refuse(self, refusal: Refusal) -> None:
         log.warning("%s: refused: %s", self.node, refusal.text)
+        self.session.status("error", refusal.text, refusal.id)
+        self._wake()
 
-    def _advertise(self, operation: Advertise) -> None:
-        topic = qualify(operation.topic)
-        self._graph.advertise(self.node, topic, operation.type, latch=operation.latch)
-        try:
-            self.session.publications.add(operation)
-        except OperationError:
-            if topic not in self.session.publications:
-                self._graph.unadvertise(self.node, topic)
-            raise
+    def _set_level(self, operation: SetLevel) -> None:
+        self.session.status_level = operation.level
 
-    def _unadvertise(self, operation: Unadvertise) -> None:
-        if self.session.publications.remove(operation.topic, operation.id):
-            self._graph.unadvertise(self.node, qualify(operation.topic))
+    def _log_status(self, operation: Status) -> None:
+        log.log(_LOG_LEVELS[operation.level], "%s says: %s", self.node, shorten(operation.msg))
 
-    def _publish(self, operation: Publish) -> None:
-        self._graph.publish(self.node, qualify(operation.topic), operation.msg)
+    def _send(self, fields: dict[str, Any]) -> None:
+        self.session.reply(fields)
+        self._wake()
 
-    def _subscribe(self, operation: Subscribe) -> None:
-        topic = qualify(operation.topic)
-        latched = self._graph.subscribe(self.node, topic, operation.type, self._subscriber)
-        try:
-            first = self.session.subscriptions.add(operation)
-        except OperationError:
-            if topic not in self.session.subscriptions:
-                self._graph.unsubscribe(self.node, topic)
-            raise
-        if first and latched is not None:
-            self._deliver(latched)
-
-    def _unsubscribe(self, operation: Unsubscribe) -> None:
-        if self.session.subscriptions.remove(operation.topic, operation.id):
-            self._graph.unsubscribe(self.node, qualify(operation.topic))
-
-    def _deliver(self, publication: Publication) -> None:
-        self.session.deliver(publication, self._clock())
+    def _send_feedback(self, fields: dict[str, Any]) -> None:
+        self.session.feedback(fields)
         self._wake()

@@ -6,18 +6,29 @@ import asyncio
 import contextlib
 import logging
 import time
+from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio.server import ServerConnection
+from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.exceptions import ConnectionClosed
+from websockets.protocol import State
 
+from protocol.dialect import Dialect
 from protocol.limits import Limits
+from protocol.parcel import Parcel
 from server.gateway.client import Client
 from server.graph import Graph
+from server.node import Node
 
 log = logging.getLogger("armbridge.gateway")
 
 # RFC 6455 7.4.1: the client broke a rule of ours (it does not read its replies).
 POLICY_VIOLATION = 1008
+
+# How long a client that does not read may take to hear why it is closed.
+CLOSE_TIMEOUT_S = 1.0
+
+# Frames of one client are carried out for no longer than this before others have their turn.
+TURN_S = 0.001
 
 
 class Connection:
@@ -27,12 +38,26 @@ class Connection:
         websocket: the open connection.
         graph: what the client takes part in.
         limits: what the client may cost.
+
+    Attributes:
+        address: where the client connects from.
     """
 
     def __init__(self, websocket: ServerConnection, graph: Graph, limits: Limits) -> None:
         self._websocket = websocket
         self._wake = asyncio.Event()
-        self._client = Client(f"client {_address(websocket)}", graph, limits, time.monotonic, self._wake.set)
+        self.address, port = _address(websocket)
+        name = f"client {self.address}:{port}"
+        self._sending = False
+        self._closing: asyncio.Task[None] | None = None
+        self._client = Client(
+            name, graph, limits, time.monotonic, self._wake_up, _dialect(websocket), self._send_at_once
+        )
+
+    @property
+    def node(self) -> Node:
+        """The client in the graph."""
+        return self._client.node
 
     async def run(self) -> None:
         """Serve the client until it leaves."""
@@ -47,11 +72,14 @@ class Connection:
             self._client.leave()
 
     async def _read(self) -> None:
+        turn_began_s = time.monotonic()
         try:
             async for frame in self._websocket:
                 self._client.receive_frame(frame)
                 # A client that floods us gets its turn, no more: others are served between its frames.
-                await asyncio.sleep(0)
+                if time.monotonic() - turn_began_s > TURN_S:
+                    await asyncio.sleep(0)
+                    turn_began_s = time.monotonic()
         except ConnectionClosed as closed:
             log.warning("%s: connection closed: %s", self._client.node, closed)
         else:
@@ -61,13 +89,39 @@ class Connection:
         session = self._client.session
         while True:
             self._wake.clear()
-            for frame in session.data_to_send(time.monotonic()):
-                await self._websocket.send(frame, text=True)
-            if session.overflowed:
-                log.warning("%s: does not read its replies; closing", self._client.node)
-                await self._websocket.close(POLICY_VIOLATION, "replies are not read")
-                return
-            await self._until_something_is_due()
+            frames = session.data_to_send(time.monotonic())
+            self._sending = bool(frames)
+            for frame in frames:
+                await self._websocket.send(frame.data, text=frame.text)
+            self._sending = False
+            if not frames:
+                await self._until_something_is_due()
+
+    def _wake_up(self) -> None:
+        """Have the rest sent; a client whose replies pile up is dropped, for the writer may wait for it in vain."""
+        if not self._client.session.overflowed:
+            self._wake.set()
+        elif self._closing is None:
+            log.warning("%s: does not read its replies; closing", self._client.node)
+            self._closing = asyncio.create_task(self._close(), name=f"close {self._client.node}")
+
+    async def _close(self) -> None:
+        """Say why, and end the connection even if the client hears nothing."""
+        with contextlib.suppress(TimeoutError, ConnectionClosed):
+            await asyncio.wait_for(self._websocket.close(POLICY_VIOLATION, "replies are not read"), CLOSE_TIMEOUT_S)
+        self._websocket.transport.abort()
+
+    def _send_at_once(self, parcel: Parcel) -> bool:
+        """Send a message if the socket takes it without waiting; says whether it has.
+
+        A task and an event for each message would cost more than the message.
+        """
+        websocket = self._websocket
+        if self._sending or websocket.transport.get_write_buffer_size() or websocket.state is not State.OPEN:
+            return False
+        for frame in parcel.frames:
+            broadcast((websocket,), frame.data, text=frame.text)
+        return True
 
     async def _until_something_is_due(self) -> None:
         now_s = time.monotonic()
@@ -79,6 +133,13 @@ class Connection:
             await asyncio.wait_for(self._wake.wait(), due_s - now_s)
 
 
-def _address(websocket: ServerConnection) -> str:
+def _address(websocket: ServerConnection) -> tuple[str, int]:
+    """Address and port of the client; a connection that broke off at once has none any more."""
     address = websocket.remote_address
-    return f"{address[0]}:{address[1]}" if isinstance(address, tuple) else str(address)
+    return (str(address[0]), int(address[1])) if isinstance(address, tuple) else ("unknown", 0)
+
+
+def _dialect(websocket: ServerConnection) -> Dialect:
+    """Which ROS the client asks for in its URL: ``?ros=1`` for ROS 1."""
+    query = urlsplit(websocket.request.path).query if websocket.request else ""
+    return "ros1" if parse_qs(query).get("ros") == ["1"] else "ros2"

@@ -11,6 +11,7 @@ import socket
 from websockets.asyncio.server import Server, ServerConnection, serve
 
 from protocol.limits import Limits
+from server.client_list import ClientList
 from server.errors import StartError
 from server.gateway.connection import Connection
 from server.graph import Graph
@@ -18,6 +19,10 @@ from server.graph import Graph
 log = logging.getLogger("armbridge.gateway")
 
 BACKLOG = 128
+
+# A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
+# beyond it the socket is closed (1009) before it is read.
+OVERSIZE = 2
 
 # Browsers close at once; a client that does not must not hold up the end of the server.
 CLOSE_TIMEOUT_S = 0.5
@@ -39,6 +44,7 @@ class Listener:
         self._limits = Limits()
         self._socket: socket.socket | None = None
         self._server: Server | None = None
+        self._clients = ClientList(graph)
 
     @property
     def port(self) -> int:
@@ -72,10 +78,11 @@ class Listener:
         """Begin to serve clients."""
         if self._socket is None:
             raise AssertionError("open before bind")
+        self._clients.open()
         self._server = await serve(
             self._serve_client,
             sock=self._socket,
-            max_size=self._limits.max_message_bytes,
+            max_size=OVERSIZE * self._limits.max_message_bytes,
             # As in rosbridge_server: deflate doubles the cost of every message.
             compression=None,
             # Some clients offer a subprotocol and expect it to be passed over.
@@ -93,7 +100,12 @@ class Listener:
             self._socket.close()
 
     async def _serve_client(self, websocket: ServerConnection) -> None:
-        await Connection(websocket, self._graph, self._limits).run()
+        connection = Connection(websocket, self._graph, self._limits)
+        self._clients.add(connection.node, connection.address)
+        try:
+            await connection.run()
+        finally:
+            self._clients.remove(connection.node)
 
     def _reason(self, error: OSError) -> str:
         where = f"{self._host}:{self._port}"

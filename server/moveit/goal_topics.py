@@ -10,8 +10,9 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
 from server.goal_queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
-from server.graph import Graph, Node, Subscriber
+from server.graph import Graph, Subscriber
 from server.moveit.goals import GoalTranslator, MotionRequest
+from server.node import Node
 
 log = logging.getLogger("armbridge.goals")
 

@@ -84,7 +84,7 @@ async def frame_client(url: str) -> AsyncIterator[FrameClient]:
 
 def status_state(status: dict[str, Any]) -> str:
     """``state`` of a goal's status."""
-    return next(pair["value"] for pair in status["values"] if pair["key"] == "state")
+    return str(next(pair["value"] for pair in status["values"] if pair["key"] == "state"))
 
 
 def goal_is(state: str) -> Callable[[list[dict[str, Any]]], bool]:

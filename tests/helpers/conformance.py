@@ -1,10 +1,25 @@
 """Conformance cases: what clients send and what must come back, as data.
 
-A case is ``{"name", "section", "steps"}``. A step is one of ``{"client", "send": object}``, ``{"client", "send_text":
-text}``, ``{"client", "send_binary": text}``, ``{"client", "expect": object}`` (the client's next frame, equal to the
-letter and in the order of its keys; ``"<any>"`` stands for any value), ``{"client", "expect_nothing": true}``,
-``{"client", "close": true}`` and ``{"advance_ms": number}``. A client connects with its first step; every case starts
-with a fresh server.
+A case is ``{"name", "section", "steps"}``, and ``"relay_unknown_types": true`` where the server is to be configured so.
+A step is about one client, or lets time pass; a client connects with its first step; every case starts with a fresh
+server.
+
+| step | what happens |
+|---|---|
+| ``{"client", "send": object}`` | a text frame with the object as JSON |
+| ``{"client", "send_text": text}``, ``{"client", "send_binary": text}`` | a frame of this text, as text or as UTF-8 |
+| ``{"client", "send_hex": text}`` | a binary frame of these bytes |
+| ``{"client", "send_bson": object}`` | a binary frame with the object as BSON |
+| ``{"client", "expect": object}`` | the client's next frame is JSON text, equal to the letter, keys in this order |
+| ``{"client", "expect_any_order": [object, ...]}`` | the next frames, in whatever order |
+| ``{"client", "expect_bson": object}``, ``{"client", "expect_cbor": object}`` | a binary frame of this content |
+| ``{"client", "expect_png": object}`` | JSON text with a picture that carries this content |
+| ``{"client", "expect_fragments": object, "pieces": number}`` | so many fragments, which together are this |
+| ``{"client", "expect_nothing": true}`` | nothing is there for the client |
+| ``{"client", "close": true}`` | the client leaves |
+| ``{"advance_ms": number}`` | time passes |
+
+In what is expected ``"<any>"`` stands for any value, and ``"<... words ...>"`` for text that contains the words.
 """
 
 from __future__ import annotations
@@ -13,16 +28,25 @@ import json
 from pathlib import Path
 from typing import Any, Protocol
 
+import bson
+import cbor2
+
+from protocol.codecs import png
+
 FOLDER = Path(__file__).parents[1] / "conformance"
 
 ANY = "<any>"
+CONTAINS = ("<... ", " ...>")
 
 
 class Player(Protocol):
     """Plays steps on some server."""
 
     async def send(self, client: str, frame: str | bytes) -> None: ...
-    async def next_frame(self, client: str) -> bytes | str | None: ...
+    async def next_frame(self, client: str) -> bytes | str | None:
+        """The client's next frame, text as str; None when none comes."""
+
+    async def nothing_comes(self, client: str) -> bool: ...
     async def close(self, client: str) -> None: ...
     async def advance(self, seconds: float) -> None: ...
 
@@ -38,18 +62,49 @@ async def play(case: dict[str, Any], player: Player) -> None:
         where = f"step {number} {step}"
         if "advance_ms" in step:
             await player.advance(step["advance_ms"] / 1000)
-            continue
-        client = step["client"]
-        if "expect" in step:
-            frame = await player.next_frame(client)
-            assert frame is not None, f"{where}: nothing came"
-            assert_matches(step["expect"], json.loads(frame), where)
-        elif "expect_nothing" in step:
-            assert await player.next_frame(client) is None, where
         elif "close" in step:
-            await player.close(client)
+            await player.close(step["client"])
+        elif "expect_nothing" in step:
+            assert await player.nothing_comes(step["client"]), where
+        elif any(key.startswith("expect") for key in step):
+            await expect(step, player, where)
         else:
-            await player.send(client, _frame(step))
+            await player.send(step["client"], _frame(step))
+
+
+async def expect(step: dict[str, Any], player: Player, where: str) -> None:
+    """See that what comes next is what the step says."""
+
+    async def next_frame() -> str | bytes:
+        frame = await player.next_frame(step["client"])
+        assert frame is not None, f"{where}: nothing came"
+        return frame
+
+    async def next_object() -> Any:
+        frame = await next_frame()
+        assert isinstance(frame, str), f"{where}: a binary frame came"
+        return json.loads(frame)
+
+    if "expect" in step:
+        assert_matches(step["expect"], await next_object(), where)
+    elif "expect_any_order" in step:
+        left = [await next_object() for _ in step["expect_any_order"]]
+        for wanted in step["expect_any_order"]:
+            left.remove(next(got for got in left if matches(wanted, got)))
+    elif "expect_png" in step:
+        packed = await next_object()
+        assert list(packed) == ["op", "data"], where
+        assert_matches(step["expect_png"], json.loads(png.decode(packed["data"])), where)
+    elif "expect_fragments" in step:
+        pieces = [await next_object() for _ in range(step["pieces"])]
+        assert [(piece["num"], piece["total"]) for piece in pieces] == [(n, len(pieces)) for n in range(len(pieces))]
+        assert {(piece["op"], piece["id"]) for piece in pieces} == {("fragment", pieces[0]["id"])}, where
+        assert_matches(step["expect_fragments"], json.loads("".join(piece["data"] for piece in pieces)), where)
+    else:
+        key, decode = ("expect_bson", bson.decode) if "expect_bson" in step else ("expect_cbor", cbor2.loads)
+        frame = await next_frame()
+        assert isinstance(frame, bytes), f"{where}: a text frame came"
+        assert_matches(step[key], decode(frame), where)
 
 
 def _frame(step: dict[str, Any]) -> str | bytes:
@@ -57,14 +112,28 @@ def _frame(step: dict[str, Any]) -> str | bytes:
         return str(step["send_text"])
     if "send_binary" in step:
         return str(step["send_binary"]).encode()
-    return json.dumps(step["send"])
+    if "send_hex" in step:
+        return bytes.fromhex(step["send_hex"])
+    return bson.encode(step["send_bson"]) if "send_bson" in step else json.dumps(step["send"])
+
+
+def matches(wanted: Any, got: Any) -> bool:
+    """Whether :func:`assert_matches` passes."""
+    try:
+        assert_matches(wanted, got, "")
+    except AssertionError:
+        return False
+    return True
 
 
 def assert_matches(wanted: Any, got: Any, where: str) -> None:
     """Equal, with the keys in the same order, but for what may be any."""
     if wanted == ANY:
         return
-    if isinstance(wanted, dict) and isinstance(got, dict):
+    if isinstance(wanted, str) and wanted.startswith(CONTAINS[0]):
+        words = wanted.removeprefix(CONTAINS[0]).removesuffix(CONTAINS[1])
+        assert words in got, f"{where}: got {got!r}"
+    elif isinstance(wanted, dict) and isinstance(got, dict):
         assert list(got) == list(wanted), where
         for key, value in wanted.items():
             assert_matches(value, got[key], f"{where} at {key}")
@@ -73,5 +142,5 @@ def assert_matches(wanted: Any, got: Any, where: str) -> None:
         for index, value in enumerate(wanted):
             assert_matches(value, got[index], f"{where} at {index}")
     else:
-        assert got == wanted, where
+        assert got == wanted, f"{where}: got {got!r}"
         assert type(got) is type(wanted), where

@@ -7,8 +7,10 @@ import pytest
 from protocol.errors import MessageError
 from protocol.publication import Publication
 from protocol.registry import Registry
+from server import retained
 from server.errors import GraphError
-from server.graph import MAX_TOPICS, TYPE_OUTLIVES_USE_S, Graph, Node, Subscriber
+from server.graph import MAX_TOPICS, TYPE_OUTLIVES_USE_S, Graph, Subscriber
+from server.node import Node
 
 REGISTRY = Registry.load()
 
@@ -111,9 +113,21 @@ def test_a_latched_message_is_kept_for_who_comes_later(graph: Graph) -> None:
     graph.publish(TALKER, "/t", {"data": "old"})
     graph.publish(TALKER, "/t", {"data": "new"})
     listener = Listening()
-    latched = graph.subscribe(listener.node, "/t", None, listener.subscriber)
-    assert latched is not None
-    assert latched.msg == {"data": "new"}
+    kept = graph.subscribe(listener.node, "/t", None, listener.subscriber)
+    assert [publication.msg for publication in kept] == [{"data": "new"}]
+
+
+def test_what_was_latched_is_not_revived_by_another_publisher_that_leaves(graph: Graph, clock: Clock) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    graph.publish(TALKER, "/t", {"data": "old"})
+    listener, other = Listening(), Node("other")
+    graph.subscribe(listener.node, "/t", None, listener.subscriber)
+    graph.remove(TALKER)
+    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    graph.advertise(other, "/t", "std_msgs/String")
+    graph.unadvertise(other, "/t")
+    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    assert graph.subscribe(Node("late"), "/t", None, listener.subscriber) == []
 
 
 def test_a_node_that_left_gets_nothing_and_its_topics_are_forgotten(graph: Graph) -> None:
@@ -155,3 +169,78 @@ def test_the_number_of_topics_is_bounded(graph: Graph) -> None:
         graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
     with pytest.raises(GraphError, match=str(MAX_TOPICS)):
         graph.advertise(TALKER, "/one_more", "std_msgs/Empty")
+
+
+def data_for_newcomer(graph: Graph, topic: str = "/t") -> list[Any]:
+    listener = Listening()
+    kept = [publication.msg["data"] for publication in graph.subscribe(listener.node, topic, None, listener.subscriber)]
+    graph.unsubscribe(listener.node, topic)
+    return kept
+
+
+def test_what_has_a_lifespan_reaches_who_subscribes_within_it(graph: Graph, clock: Clock) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    graph.publish(TALKER, "/t", {"data": "x"}, lifespan_s=1.0)
+    assert data_for_newcomer(graph) == ["x"]
+    clock.now_s += 1.1
+    assert data_for_newcomer(graph) == []
+
+
+def test_without_a_lifespan_nothing_is_kept(graph: Graph) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    graph.publish(TALKER, "/t", {"data": "x"})
+    assert data_for_newcomer(graph) == []
+
+
+def test_a_latched_message_outlives_its_publisher_as_the_type_does(graph: Graph, clock: Clock) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    graph.publish(TALKER, "/t", {"data": "x"})
+    graph.remove(TALKER)
+    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    assert data_for_newcomer(graph) == ["x"]
+    clock.now_s += TYPE_OUTLIVES_USE_S * 0.2
+    assert data_for_newcomer(graph) == []
+
+
+def test_a_topic_of_a_new_type_has_nothing_of_the_old_one(graph: Graph) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    graph.publish(TALKER, "/t", {"data": "x"})
+    graph.remove(TALKER)
+    for number in range(MAX_TOPICS):
+        graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
+    graph.remove(TALKER)
+    graph.advertise(TALKER, "/t", "std_msgs/Bool")
+    assert data_for_newcomer(graph) == []
+
+
+def test_what_is_too_large_to_be_latched_is_delivered_and_logged(
+    graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retained, "MAX_LATCHED_BYTES", 100)
+    listener = Listening()
+    graph.subscribe(listener.node, "/t", "std_msgs/String", listener.subscriber)
+    graph.publish(TALKER, "/t", {"data": "x" * 200}, latch=True)
+    assert len(listener.messages) == 1
+    assert "/t: too large to be latched" in caplog.text
+
+
+def test_who_takes_part_can_be_looked_up(graph: Graph) -> None:
+    listener = Listening()
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    graph.subscribe(listener.node, "/t", None, listener.subscriber)
+    assert graph.publishers("/t") == [TALKER]
+    assert graph.subscribers("/t") == [listener.node]
+    assert graph.topic_type("/t") == "std_msgs/msg/String"
+    assert graph.publishers("/nobody") == graph.subscribers("/nobody") == []
+    assert graph.topic_type("/nobody") is None
+
+
+def test_unknown_types_are_relayed_as_they_come_where_it_is_allowed(clock: Clock) -> None:
+    graph = Graph(REGISTRY, clock, relay_unknown_types=True)
+    listener = Listening()
+    graph.subscribe(listener.node, "/t", "acme_msgs/Thing", listener.subscriber)
+    graph.publish(TALKER, "/t", {"anything": [None]})
+    assert listener.messages == [{"anything": [None]}]
+    assert graph.topic_types() == {"/t": "acme_msgs/msg/Thing"}
+    with pytest.raises(GraphError, match="acme_msgs/Other"):
+        graph.advertise(TALKER, "/t", "acme_msgs/Other")

@@ -8,8 +8,9 @@ import pytest
 
 from protocol.registry import Registry
 from robot.messages import ArmState, Mode
-from server.graph import Graph, Node, Subscriber
+from server.graph import Graph, Subscriber
 from server.joint_states import TOPIC, JointStates
+from server.node import Node
 
 
 @pytest.fixture

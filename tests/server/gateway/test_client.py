@@ -1,108 +1,71 @@
 from __future__ import annotations
 
-import json
-from collections import deque
+import logging
 from typing import Any
 
 import pytest
 
 from protocol.limits import Limits
-from protocol.registry import Registry
-from server.gateway.client import Client
-from server.graph import Graph
 from tests.helpers.conformance import cases, play
-
-REGISTRY = Registry.load()
-
-
-class InProcess:
-    """Clients on one graph, without sockets, in a time of their own."""
-
-    def __init__(self, limits: Limits | None = None) -> None:
-        self.now_s = 50.0
-        self.graph = Graph(REGISTRY, lambda: self.now_s)
-        self._limits = limits or Limits()
-        self._clients: dict[str, Client] = {}
-        self._frames: dict[str, deque[bytes]] = {}
-
-    def client(self, name: str) -> Client:
-        if name not in self._clients:
-            self._clients[name] = Client(name, self.graph, self._limits, lambda: self.now_s, lambda: None)
-            self._frames[name] = deque()
-        return self._clients[name]
-
-    async def send(self, client: str, frame: str | bytes) -> None:
-        self.client(client).receive_frame(frame)
-        self._collect()
-
-    async def next_frame(self, client: str) -> bytes | None:
-        self.client(client)
-        self._collect()
-        frames = self._frames[client]
-        return frames.popleft() if frames else None
-
-    async def close(self, client: str) -> None:
-        self._clients.pop(client).leave()
-
-    async def advance(self, seconds: float) -> None:
-        self.now_s += seconds
-        self._collect()
-
-    def _collect(self) -> None:
-        for name, client in self._clients.items():
-            self._frames[name] += client.session.data_to_send(self.now_s)
+from tests.helpers.in_process import InProcess
 
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
 async def test_conformance_in_process(case: dict[str, Any]) -> None:
-    await play(case, InProcess())
+    await play(case, InProcess(relay_unknown_types=case.get("relay_unknown_types", False)))
 
 
 @pytest.fixture
 def world() -> InProcess:
-    return InProcess(Limits(max_subscriptions=2, max_publications=2))
+    return InProcess()
 
 
-async def say(world: InProcess, client: str, **operation: Any) -> None:
-    await world.send(client, json.dumps(operation))
-
-
-@pytest.mark.parametrize("op", ["subscribe", "advertise"])
-async def test_what_is_over_the_limit_leaves_no_trace_in_the_graph(
-    world: InProcess, op: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    for topic in ("/a", "/b", "/c"):
-        await say(world, "x", op=op, topic=topic, type="std_msgs/String")
-    assert list(world.graph.topic_types()) == ["/a", "/b"]
-    assert "limit is 2" in caplog.text
-
-
-async def test_an_operation_at_the_limit_keeps_what_the_client_has_on_that_topic(world: InProcess) -> None:
-    for mark in ("1", "2", "3"):
-        await say(world, "x", op="subscribe", topic="/a", type="std_msgs/String", id=mark)
-    await say(world, "y", op="publish", topic="/a", msg={"data": "hello"})
-    assert await world.next_frame("x") is not None
-
-
-async def test_a_refusal_is_logged_with_client_operation_and_reason(
+def test_a_refusal_is_logged_with_client_operation_and_reason(
     world: InProcess, caplog: pytest.LogCaptureFixture
 ) -> None:
-    await say(world, "x", op="publish", topic="/nobody", msg={})
+    world.say("x", op="publish", topic="/nobody", msg={})
     assert "x: refused: publish: topic /nobody" in caplog.text
 
 
-async def test_a_latched_message_comes_with_the_first_subscription_only(world: InProcess) -> None:
-    await say(world, "x", op="advertise", topic="/a", type="std_msgs/String", latch=True)
-    await say(world, "x", op="publish", topic="/a", msg={"data": "kept"})
-    for mark in ("1", "2"):
-        await say(world, "y", op="subscribe", topic="/a", id=mark)
-    assert await world.next_frame("y") is not None
-    assert await world.next_frame("y") is None
+@pytest.mark.parametrize(("level", "logged"), [("error", "ERROR"), ("warning", "WARNING"), ("info", "INFO")])
+def test_a_status_from_a_client_is_logged_at_its_level_and_shortened(
+    world: InProcess, caplog: pytest.LogCaptureFixture, level: str, logged: str
+) -> None:
+    with caplog.at_level(logging.DEBUG):
+        world.say("x", op="status", level=level, msg="y" * 10_000)
+    (record,) = caplog.records
+    assert record.levelname == logged
+    assert record.getMessage().startswith("x says: yyy")
+    assert len(record.getMessage()) < 200
 
 
-async def test_a_client_that_left_gets_nothing(world: InProcess) -> None:
-    await say(world, "x", op="subscribe", topic="/a", type="std_msgs/String")
-    left = world.client("x")
+def test_a_bug_in_one_operation_does_not_take_the_client_with_it(
+    world: InProcess, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(world.graph, "advertise", lambda *_, **__: 1 / 0)
+    world.say("x", op="advertise", topic="/a", type="std_msgs/String")
+    assert "x: advertise failed" in caplog.text
+    world.say("x", op="subscribe", topic="/b", type="std_msgs/String")
+    assert "/b" in world.graph.topic_types()
+
+
+async def test_a_client_that_leaves_takes_all_with_it(world: InProcess) -> None:
+    world.say("x", op="advertise_service", service="/s", type="std_srvs/SetBool")
+    world.say("x", op="advertise_action", action="/a", type="control_msgs/PointHead")
+    world.say("x", op="subscribe", topic="/t", type="std_msgs/String")
     await world.close("x")
-    await say(world, "y", op="publish", topic="/a", msg={"data": "late"})
-    assert left.session.data_to_send(world.now_s) == []
+    assert world.graph.services.types() == {}
+    assert world.graph.actions.types() == {}
+    assert world.graph.topic_types() == {}
+
+
+async def test_messages_that_were_dropped_are_told_when_the_client_leaves(caplog: pytest.LogCaptureFixture) -> None:
+    world = InProcess(Limits(max_queued_topic_bytes=1000))
+    slow = world.client("slow")
+    slow.receive_frame('{"op":"subscribe","topic":"/t","type":"std_msgs/String"}')
+    talker = world.client("talker")
+    for _ in range(10):
+        talker.receive_frame('{"op":"publish","topic":"/t","msg":{"data":"%s"}}' % ("x" * 200))
+    await world.close("slow")
+    assert f"slow: {slow.session.dropped} messages were dropped" in caplog.text
+    assert slow.session.dropped > 0

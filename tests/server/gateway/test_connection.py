@@ -1,15 +1,19 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
 
 from protocol.registry import Registry
 from server.gateway.listener import Listener
-from server.graph import Graph, Node
+from server.graph import Graph
+from server.node import Node
 
 TALKER = Node("talker")
 
@@ -77,3 +81,78 @@ async def test_a_client_that_breaks_off_is_taken_out_of_the_graph(graph: Graph, 
     async with asyncio.timeout(5.0):
         while graph._topics["/t"].subscribers:
             await asyncio.sleep(0.005)
+
+
+async def until_logged(caplog: pytest.LogCaptureFixture, text: str) -> None:
+    async with asyncio.timeout(5.0):
+        while text not in caplog.text:
+            await asyncio.sleep(0.01)
+
+
+async def test_a_client_that_does_not_read_its_replies_is_closed_with_a_code_and_a_log_line(
+    graph: Graph, url: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    graph.services.offer(TALKER, "/long", "std_srvs/Trigger", lambda _: {"message": "x" * 100_000})
+    deaf = await connect(url)
+    deaf.transport.pause_reading()
+    for _ in range(200):
+        await deaf.send(json.dumps({"op": "call_service", "service": "/long"}))
+    await until_logged(caplog, "does not read its replies; closing")
+    deaf.transport.resume_reading()
+    async with asyncio.timeout(5.0):
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                await deaf.recv()
+    assert deaf.close_code == 1008
+
+
+async def test_text_and_binary_frames_go_out_as_such(graph: Graph, url: str) -> None:
+    async with connect(url) as reading:
+        await reading.send(SUBSCRIBE)
+        await until_subscribed(graph, 1)
+        graph.publish(TALKER, "/t", {"data": "x"})
+        assert isinstance(await asyncio.wait_for(reading.recv(), 5.0), str)
+        await reading.send(json.dumps({"op": "subscribe", "topic": "/t", "compression": "cbor", "id": "c"}))
+        await asyncio.wait_for(await reading.ping(), 5.0)
+        await asyncio.sleep(0.01)
+        graph.publish(TALKER, "/t", {"data": "x"})
+        assert isinstance(await asyncio.wait_for(reading.recv(), 5.0), bytes)
+
+
+async def test_a_client_that_asks_for_ros1_in_its_url_gets_ros1_spelling(graph: Graph, url: str) -> None:
+    graph.advertise(TALKER, "/h", "std_msgs/Header", latch=True)
+    graph.publish(TALKER, "/h", {"stamp": {"sec": 1, "nanosec": 2}})
+    for query, stamp in [("?ros=1", {"secs": 1, "nsecs": 2}), ("?ros=2&x=1", {"sec": 1, "nanosec": 2})]:
+        async with connect(f"{url}/{query}") as client:
+            await client.send(json.dumps({"op": "subscribe", "topic": "/h"}))
+            assert json.loads(await asyncio.wait_for(client.recv(), 5.0))["msg"]["stamp"] == stamp
+
+
+async def test_a_call_that_runs_does_not_hold_up_what_the_client_says_next(graph: Graph, url: str) -> None:
+    answer = asyncio.Event()
+
+    async def slow(_request: dict[str, Any]) -> dict[str, Any]:
+        await answer.wait()
+        return {}
+
+    graph.services.offer(TALKER, "/slow", "std_srvs/Trigger", slow)
+    async with connect(url) as client:
+        for service in ("/slow", "/nobody"):
+            await client.send(json.dumps({"op": "call_service", "service": service}))
+        assert json.loads(await asyncio.wait_for(client.recv(), 5.0))["service"] == "/nobody"
+        answer.set()
+        assert json.loads(await asyncio.wait_for(client.recv(), 5.0))["service"] == "/slow"
+
+
+async def test_a_client_that_does_not_read_its_replies_is_closed(url: str, caplog: pytest.LogCaptureFixture) -> None:
+    deaf = await connect(url, max_size=None)
+    deaf.transport.pause_reading()
+    call = json.dumps({"op": "call_service", "service": "/nobody", "id": "x" * 500})
+    async with asyncio.timeout(20.0):
+        while "does not read its replies" not in caplog.text:
+            for _ in range(100):
+                await deaf.send(call)
+            await asyncio.sleep(0)
+        while "connection closed" not in caplog.text:
+            await asyncio.sleep(0.05)
+    deaf.transport.abort()

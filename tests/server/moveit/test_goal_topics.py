@@ -11,10 +11,11 @@ from protocol.errors import MessageError
 from protocol.registry import Registry
 from robot import model
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
-from server.graph import Graph, Node, Subscriber
+from server.graph import Graph, Subscriber
 from server.moveit.goal_topics import RESULT_TOPIC, STATUS_TOPIC, GoalTopics
 from server.moveit.goals import GoalTranslator, MotionRequest
 from server.moveit.parameters import MoveItParameters
+from server.node import Node
 
 REGISTRY = Registry.load()
 CLIENT = Node("client")

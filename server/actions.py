@@ -1,0 +1,200 @@
+"""Actions in one process: a local part and a remote client offer them and send goals alike.
+
+Whoever sends a goal gets exactly one result: the provider's, or the reason why there is none.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from protocol.errors import InterfaceError, MessageError
+from server.action_goals import Goal, GoalStatus, Result
+from server.errors import GraphError
+from server.interfaces import Interfaces
+from server.node import Node
+from server.services import Services
+from server.timers import CallLater
+
+# A goal may take long; one whose provider has forgotten it must end nevertheless.
+MAX_GOAL_S = 3600.0
+
+# As for topics: far more than any robot has.
+MAX_ACTIONS = 1_000
+
+# action_msgs/srv/CancelGoal: what it answers, and the goal id that stands for all goals.
+CANCEL_ACCEPTED, CANCEL_UNKNOWN_GOAL = 0, 2
+ALL_GOALS = b64encode(bytes(16)).decode()
+
+
+@dataclass(eq=False)
+class Offer:
+    """An action that somebody offers.
+
+    Attributes:
+        node: who offers it.
+        name: fully qualified name.
+        type_name: canonical name of its type.
+        start: gets each goal.
+        goals: those in flight, each with its sender.
+    """
+
+    node: Node
+    name: str
+    type_name: str
+    start: Callable[[Goal], None]
+    goals: dict[Goal, Sender]
+
+
+@dataclass(eq=False)
+class Sender:
+    """Who sent a goal, and what it wants to hear; nothing once it has left."""
+
+    node: Node
+    on_result: Callable[[Result], None] | None
+
+
+class Actions:
+    """All actions.
+
+    Args:
+        interfaces: action types.
+        services: where each action gets its service ``<action>/_action/cancel_goal``.
+        call_later: does something after a delay.
+    """
+
+    def __init__(self, interfaces: Interfaces, services: Services, call_later: CallLater) -> None:
+        self._interfaces = interfaces
+        self._services = services
+        self._call_later = call_later
+        self._offers: dict[str, Offer] = {}
+
+    def types(self) -> dict[str, str]:
+        """Canonical type of every action."""
+        return {name: offer.type_name for name, offer in self._offers.items()}
+
+    def type_of(self, name: str) -> str | None:
+        """Canonical type of an action, given by its fully qualified name; None when nobody offers it."""
+        offer = self._offers.get(name)
+        return None if offer is None else offer.type_name
+
+    def offer(self, node: Node, name: str, type_name: str, start: Callable[[Goal], None]) -> None:
+        """Offer an action; a client takes the place of a client that offered it before.
+
+        Args:
+            node: who offers it.
+            name: fully qualified name.
+            type_name: the action's type.
+            start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
+                `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
+
+        Raises:
+            GraphError: the type is unknown, or the name is taken by a part of the server.
+        """
+        try:
+            canonical = self._interfaces.canonical(type_name, "action")
+        except InterfaceError as error:
+            raise GraphError("action", name, str(error)) from error
+        present = self._offers.get(name)
+        if present is not None:
+            self._replace(present, node)
+        elif len(self._offers) >= MAX_ACTIONS:
+            raise GraphError("action", name, f"cannot be added: there are {MAX_ACTIONS} actions already")
+        offer = Offer(node, name, canonical, start, {})
+        self._services.offer(
+            node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
+        )
+        self._offers[name] = offer
+
+    def withdraw(self, node: Node, name: str) -> None:
+        """End an offer of this node; goals in flight end. Nothing happens when it offers no such action."""
+        offer = self._offers.get(name)
+        if offer is not None and offer.node is node:
+            self._withdraw(offer)
+
+    def remove(self, node: Node) -> None:
+        """Forget a node that has left: its actions end; goals that it has sent go on, as in ROS, but are not told."""
+        for offer in list(self._offers.values()):
+            for goal, sender in offer.goals.items():
+                if sender.node is node:
+                    sender.on_result = None
+                    goal.forget_sender()
+            self.withdraw(node, offer.name)
+
+    def send_goal(
+        self,
+        sender: Node,
+        name: str,
+        type_name: str,
+        arguments: object,
+        on_result: Callable[[Result], None],
+        on_feedback: Callable[[dict[str, Any]], None] | None = None,
+    ) -> Goal | None:
+        """Send a goal.
+
+        Args:
+            sender: who sends it.
+            name: fully qualified name of the action.
+            type_name: the action's type, as the sender knows it.
+            arguments: the goal message, as in `Interfaces.complete_arguments`.
+            on_result: called once, perhaps before this returns; not if the sender leaves before.
+            on_feedback: called with every feedback message.
+
+        Returns:
+            The goal, to be cancelled perhaps; None when it was not taken on.
+        """
+        try:
+            offer = self._offer(name, type_name)
+            request = self._interfaces.complete_arguments(f"{offer.type_name}_Goal", arguments)
+        except (GraphError, InterfaceError, MessageError) as error:
+            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
+            return None
+        goal = Goal(name, offer.type_name, request, self._interfaces, on_feedback)
+        self._start(goal, offer, Sender(sender, on_result))
+        return goal
+
+    def _offer(self, name: str, type_name: str) -> Offer:
+        offer = self._offers.get(name)
+        if offer is None:
+            raise GraphError("action", name, "does not exist")
+        if self._interfaces.canonical(type_name, "action") != offer.type_name:
+            raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
+        return offer
+
+    def _start(self, goal: Goal, offer: Offer, sender: Sender) -> None:
+        offer.goals[goal] = sender
+        goal.when_ended(lambda _result: offer.goals.pop(goal))
+        timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
+        goal.when_ended(lambda _result: timer.cancel())
+        goal.when_ended(lambda result: sender.on_result(result) if sender.on_result else None)
+        offer.start(goal)
+
+    def _replace(self, present: Offer, node: Node) -> None:
+        if present.node is not node and not present.node.remote:
+            raise GraphError("action", present.name, "is offered by the server itself")
+        self._withdraw(present)
+
+    def _withdraw(self, offer: Offer) -> None:
+        del self._offers[offer.name]
+        self._services.withdraw(offer.node, _cancel_service(offer.name))
+        for goal in list(offer.goals):
+            goal.fail(f"Action {offer.name} was withdrawn by its provider")
+
+
+def _cancel_service(action: str) -> str:
+    return f"{action}/_action/cancel_goal"
+
+
+def _cancel(offer: Offer, request: dict[str, Any]) -> dict[str, Any]:
+    """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
+    wanted = request["goal_info"]["goal_id"]["uuid"]
+    ids = {goal: b64encode(goal.goal_id).decode() for goal in offer.goals if not goal.cancel_requested}
+    canceling = {goal: goal_id for goal, goal_id in ids.items() if wanted in (ALL_GOALS, goal_id)}
+    for goal in canceling:
+        goal.cancel()
+    return {
+        "return_code": CANCEL_ACCEPTED if canceling or wanted == ALL_GOALS else CANCEL_UNKNOWN_GOAL,
+        "goals_canceling": [{"goal_id": {"uuid": goal_id}} for goal_id in canceling.values()],
+    }

@@ -1,0 +1,114 @@
+"""The services of one client: those that it offers, and its calls of others'."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from protocol.errors import OperationError
+from protocol.limits import Limits
+from protocol.names import qualify
+from protocol.operations import AdvertiseService, CallService, Operation, ServiceResponse, UnadvertiseService
+from protocol.session import with_id
+from server.calls import Call, Response
+from server.gateway.spelling import Spelling
+from server.node import Node
+from server.services import Services
+
+
+class ClientServices:
+    """Carries a client's operations on services out.
+
+    Args:
+        node: the client.
+        services: where services are offered and called.
+        spelling: how the client spells messages.
+        limits: what it may cost.
+        send: sends the client an operation, which is never dropped.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        services: Services,
+        spelling: Spelling,
+        limits: Limits,
+        send: Callable[[dict[str, Any]], None],
+    ) -> None:
+        self._node = node
+        self._services = services
+        self._spelling = spelling
+        self._limits = limits
+        self._send = send
+        self._offered: set[str] = set()
+        # Calls that the client is to answer, by the ids that it got; no id is ever given twice, so that no late
+        # response is taken for another call's.
+        self._asked: dict[str, Call] = {}
+        self._numbers = itertools.count(1)
+        self._calls_in_flight = 0
+        self.handlers: Mapping[type[Operation], Callable[..., None]] = {
+            CallService: self._call,
+            AdvertiseService: self._advertise,
+            UnadvertiseService: self._unadvertise,
+            ServiceResponse: self._respond,
+        }
+
+    # As a provider.
+
+    def _advertise(self, operation: AdvertiseService) -> None:
+        name, limit = qualify(operation.service), self._limits.max_offers
+        if name not in self._offered and len(self._offered) >= limit:
+            raise OperationError(operation.op, None, f"this client has {len(self._offered)}, the limit is {limit}")
+        self._spelling.learn(operation.type, "srv")
+        self._services.offer_calls(self._node, name, operation.type, lambda call: self._ask(operation.service, call))
+        self._offered.add(name)
+
+    def _unadvertise(self, operation: UnadvertiseService) -> None:
+        self._services.withdraw(self._node, qualify(operation.service))
+        self._offered.discard(qualify(operation.service))
+
+    def _ask(self, spelled_service: str, call: Call) -> None:
+        mark = f"service_request:{spelled_service}:{next(self._numbers)}"
+        self._asked[mark] = call
+        call.when_ended(lambda _response: self._asked.pop(mark))
+        arguments = self._spelling.to_client(f"{call.type_name}_Request", call.request)
+        self._send({"op": "call_service", "id": mark, "service": spelled_service, "args": arguments})
+
+    def _respond(self, operation: ServiceResponse) -> None:
+        call = self._asked.get(operation.id)
+        if call is None:
+            raise OperationError(operation.op, "id", "no call of this id waits for a response")
+        if operation.result:
+            values = {} if operation.values is None else operation.values
+            call.succeed(self._spelling.from_client(f"{call.type_name}_Response", values))
+        else:
+            call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
+
+    # As a caller.
+
+    def _call(self, operation: CallService) -> None:
+        # `/svc#7` is how rosbridge's first clients gave the id.
+        service, _, mark_in_name = operation.service.partition("#")
+        name = qualify(service)
+        mark = operation.id if operation.id is not None else mark_in_name or None
+        self._spelling.learn(operation.type, "srv")
+        type_name = self._services.type_of(name)
+
+        def answer(response: Response) -> None:
+            values = (
+                self._spelling.to_client(f"{type_name}_Response", response.values) if response.ok else response.values
+            )
+            fields = {"op": "service_response", "service": operation.service, "values": values, "result": response.ok}
+            self._send(with_id(fields, mark))
+
+        def end(response: Response) -> None:
+            self._calls_in_flight -= 1
+            answer(response)
+
+        if self._calls_in_flight >= self._limits.max_calls_in_flight:
+            answer(Response(ok=False, values=f"{self._calls_in_flight} calls of this client wait, which is the limit"))
+            return
+        self._calls_in_flight += 1
+        arguments = self._spelling.from_client(f"{type_name}_Request", operation.args)
+        self._services.call(self._node, name, arguments, end, operation.timeout)

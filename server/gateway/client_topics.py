@@ -1,0 +1,107 @@
+"""The topics of one client: what it publishes, and what it has subscribed to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from protocol.errors import OperationError, ProtocolError
+from protocol.names import qualify
+from protocol.operations import Advertise, Operation, Publish, Subscribe, Unadvertise, Unsubscribe
+from protocol.parcel import Parcel
+from protocol.publication import Publication
+from protocol.session import Session
+from server.gateway.spelling import Spelling
+from server.graph import Graph, Subscriber
+from server.node import Node
+
+# rosbridge_server's lifespan of what is published without latch (rosbridge_library, internal/publishers.py): clients
+# publish right after they have advertised, when nobody has had the time to subscribe.
+LIFESPAN_S = 1.0
+
+
+class ClientTopics:
+    """Carries a client's operations on topics out.
+
+    Args:
+        node: the client.
+        session: its protocol state.
+        graph: where the topics are.
+        spelling: how the client spells messages.
+        clock: monotonic time [s].
+        wake: called when there is something to send.
+        refuse: told of a message that cannot be encoded as the client wants it.
+        send_at_once: sends a message if the socket takes it without waiting, and says whether it has.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        graph: Graph,
+        spelling: Spelling,
+        clock: Callable[[], float],
+        wake: Callable[[], None],
+        refuse: Callable[[str, ProtocolError], None],
+        send_at_once: Callable[[Parcel], bool],
+    ) -> None:
+        self._node = node
+        self._session = session
+        self._graph = graph
+        self._spelling = spelling
+        self._clock = clock
+        self._wake = wake
+        self._refuse = refuse
+        self._send_at_once = send_at_once
+        self._subscriber = Subscriber(self._deliver)
+        self.handlers: Mapping[type[Operation], Callable[..., None]] = {
+            Advertise: self._advertise,
+            Unadvertise: self._unadvertise,
+            Publish: self._publish,
+            Subscribe: self._subscribe,
+            Unsubscribe: self._unsubscribe,
+        }
+
+    def _advertise(self, operation: Advertise) -> None:
+        topic = qualify(operation.topic)
+        self._spelling.learn(operation.type, "msg")
+        self._graph.advertise(self._node, topic, operation.type, latch=operation.latch)
+        try:
+            self._session.publications.add(operation)
+        except OperationError:
+            if topic not in self._session.publications:
+                self._graph.unadvertise(self._node, topic)
+            raise
+
+    def _unadvertise(self, operation: Unadvertise) -> None:
+        if self._session.publications.remove(operation.topic, operation.id):
+            self._graph.unadvertise(self._node, qualify(operation.topic))
+
+    def _publish(self, operation: Publish) -> None:
+        topic = qualify(operation.topic)
+        message = self._spelling.from_client(self._graph.topic_type(topic), operation.msg)
+        self._graph.publish(self._node, topic, message, latch=operation.latch, lifespan_s=LIFESPAN_S)
+
+    def _subscribe(self, operation: Subscribe) -> None:
+        topic = qualify(operation.topic)
+        self._spelling.learn(operation.type, "msg")
+        earlier = self._graph.subscribe(self._node, topic, operation.type, self._subscriber)
+        try:
+            first = self._session.subscriptions.add(operation)
+        except OperationError:
+            if topic not in self._session.subscriptions:
+                self._graph.unsubscribe(self._node, topic)
+            raise
+        for publication in earlier if first else ():
+            self._deliver(publication)
+
+    def _unsubscribe(self, operation: Unsubscribe) -> None:
+        if self._session.subscriptions.remove(operation.topic, operation.id):
+            self._graph.unsubscribe(self._node, qualify(operation.topic))
+
+    def _deliver(self, publication: Publication) -> None:
+        try:
+            self._session.deliver(publication, self._clock(), self._send_at_once)
+        except ProtocolError as error:
+            self._refuse("subscribe", error)
+        if self._session.waiting:
+            self._wake()

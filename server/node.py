@@ -1,0 +1,19 @@
+"""Who takes part in the graph."""
+
+from __future__ import annotations
+
+
+class Node:
+    """Anyone who publishes, subscribes, offers or calls: a connection, or a part of the server.
+
+    Args:
+        name: how logs call it.
+        remote: whether it is a client, which may not take the place of a part of the server.
+    """
+
+    def __init__(self, name: str, *, remote: bool = False) -> None:
+        self.name = name
+        self.remote = remote
+
+    def __repr__(self) -> str:
+        return self.name

@@ -1,0 +1,74 @@
+"""Clients on one graph, without sockets."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from typing import Any
+
+from protocol.limits import Limits
+from protocol.parcel import Frame
+from protocol.registry import Registry
+from server.gateway.client import Client
+from server.graph import Graph
+from tests.helpers.clock import FakeClock
+
+REGISTRY = Registry.load()
+
+
+class InProcess:
+    """Clients, made with their first step, in a time of their own; plays conformance cases."""
+
+    def __init__(self, limits: Limits | None = None, *, relay_unknown_types: bool = False) -> None:
+        self.clock = FakeClock()
+        self.graph = Graph(
+            REGISTRY, self.clock, call_later=self.clock.call_later, relay_unknown_types=relay_unknown_types
+        )
+        self._limits = limits or Limits()
+        self._clients: dict[str, Client] = {}
+        self._frames: dict[str, deque[Frame]] = {}
+
+    def client(self, name: str) -> Client:
+        if name not in self._clients:
+            self._clients[name] = Client(name, self.graph, self._limits, self.clock, lambda: None)
+            self._frames[name] = deque()
+        return self._clients[name]
+
+    def say(self, client: str, **operation: Any) -> None:
+        """Send an operation as JSON."""
+        self.client(client).receive_frame(json.dumps(operation))
+        self._collect()
+
+    def heard(self, client: str) -> list[dict[str, Any]]:
+        """Every operation that has come to a client since it was last asked, all of them JSON."""
+        self._collect()
+        frames = [json.loads(frame.data) for frame in self._frames[client]]
+        self._frames[client].clear()
+        return frames
+
+    async def send(self, client: str, frame: str | bytes) -> None:
+        self.client(client).receive_frame(frame)
+        self._collect()
+
+    async def next_frame(self, client: str) -> str | bytes | None:
+        self.client(client)
+        self._collect()
+        if not self._frames[client]:
+            return None
+        frame = self._frames[client].popleft()
+        return frame.data.decode("ascii") if frame.text else frame.data
+
+    async def nothing_comes(self, client: str) -> bool:
+        return await self.next_frame(client) is None
+
+    async def close(self, client: str) -> None:
+        self._clients.pop(client).leave()
+
+    async def advance(self, seconds: float) -> None:
+        self.clock.advance(seconds)
+        self._collect()
+
+    def _collect(self) -> None:
+        for name, client in self._clients.items():
+            while frames := client.session.data_to_send(self.clock()):
+                self._frames[name] += frames

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import pytest
+
+from protocol.limits import Limits
+from tests.helpers.in_process import InProcess
+
+TYPE = "control_msgs/GripperCommand"
+
+
+@pytest.fixture
+def world() -> InProcess:
+    made = InProcess(Limits(max_offers=2, max_calls_in_flight=2, max_queued_topic_bytes=10_000))
+    made.say("p", op="advertise_action", action="/grip", type=TYPE)
+    return made
+
+
+def send_goal(world: InProcess, mark: object, **options: object) -> None:
+    world.say("c", op="send_action_goal", action="/grip", action_type=TYPE, id=mark, **options)
+
+
+def finish(world: InProcess, number: int) -> None:
+    mark = f"action_goal:/grip:{number}"
+    world.say("p", op="action_result", action="/grip", id=mark, values={}, status=4, result=True)
+
+
+def test_the_number_of_offers_of_a_client_is_bounded(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
+    for action in ("/a", "/b"):
+        world.say("p", op="advertise_action", action=action, type=TYPE)
+    assert set(world.graph.actions.types()) == {"/grip", "/a"}
+    assert "advertise_action: this client has 2, the limit is 2" in caplog.text
+
+
+def test_goals_beyond_the_limit_fail_at_once_and_ended_ones_make_room(world: InProcess) -> None:
+    for mark in range(3):
+        send_goal(world, mark)
+    (refused,) = world.heard("c")
+    assert (refused["id"], refused["result"], refused["status"]) == (2, False, 0)
+    finish(world, 1)
+    send_goal(world, 3)
+    assert [answer["id"] for answer in world.heard("c")] == [0]
+    assert len(world.heard("p")) == 3
+
+
+def test_feedback_to_a_slow_sender_is_dropped_and_its_result_is_not(world: InProcess) -> None:
+    send_goal(world, "g", feedback=True)
+    sender, provider = world.client("c"), world.client("p")
+    for _ in range(1000):
+        provider.receive_frame('{"op":"action_feedback","action":"/grip","id":"action_goal:/grip:1","values":{}}')
+    assert sender.session.dropped > 0
+    assert not sender.session.overflowed
+    finish(world, 1)
+    assert world.heard("c")[-1]["op"] == "action_result"
+
+
+def test_a_goal_may_be_cancelled_without_an_id_when_it_was_sent_without(world: InProcess) -> None:
+    world.say("c", op="send_action_goal", action="/grip", action_type=TYPE)
+    world.say("c", op="cancel_action_goal", action="grip")
+    assert [asked["op"] for asked in world.heard("p")] == ["send_action_goal", "cancel_action_goal"]

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import pytest
+
+from protocol.limits import Limits
+from server.node import Node
+from tests.helpers.in_process import InProcess
+
+TYPE = "std_srvs/SetBool"
+
+
+@pytest.fixture
+def world() -> InProcess:
+    made = InProcess(Limits(max_offers=2, max_calls_in_flight=2))
+    made.say("p", op="advertise_service", service="/s", type=TYPE)
+    return made
+
+
+def respond(world: InProcess, number: int) -> None:
+    world.say("p", op="service_response", service="/s", id=f"service_request:/s:{number}", values={}, result=True)
+
+
+def test_the_number_of_offers_of_a_client_is_bounded(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
+    for service in ("/a", "/b"):
+        world.say("p", op="advertise_service", service=service, type=TYPE)
+    assert set(world.graph.services.types()) == {"/s", "/a"}
+    assert "advertise_service: this client has 2, the limit is 2" in caplog.text
+
+
+def test_an_offer_that_is_withdrawn_makes_room(world: InProcess) -> None:
+    world.say("p", op="unadvertise_service", service="/s")
+    for service in ("/a", "/b"):
+        world.say("p", op="advertise_service", service=service, type=TYPE)
+    assert set(world.graph.services.types()) == {"/a", "/b"}
+
+
+def test_at_the_limit_an_offer_may_be_made_anew(world: InProcess) -> None:
+    world.say("p", op="advertise_service", service="/a", type=TYPE)
+    world.say("p", op="advertise_service", service="/a", type="std_srvs/Trigger")
+    assert world.graph.services.types()["/a"] == "std_srvs/srv/Trigger"
+
+
+def test_calls_beyond_the_limit_fail_at_once_and_ended_ones_make_room(world: InProcess) -> None:
+    for number in range(3):
+        world.say("c", op="call_service", service="/s", id=number)
+    (refused,) = world.heard("c")
+    assert (refused["id"], refused["result"]) == (2, False)
+    assert "2 calls of this client wait, which is the limit" in refused["values"]
+    respond(world, 1)
+    world.say("c", op="call_service", service="/s", id=3)
+    assert [answer["id"] for answer in world.heard("c")] == [0]
+    assert len(world.heard("p")) == 3
+
+
+def test_calls_that_failed_make_room_too(world: InProcess) -> None:
+    for _ in range(5):
+        world.say("c", op="call_service", service="/nobody")
+    world.say("c", op="call_service", service="/s")
+    assert len(world.heard("p")) == 1
+
+
+def test_a_client_may_not_take_the_servers_place(world: InProcess) -> None:
+    world.graph.services.offer(Node("server"), "/mine", TYPE, lambda _: {"message": "mine"})
+    world.say("p", op="advertise_service", service="/mine", type=TYPE)
+    world.say("c", op="call_service", service="/mine")
+    assert world.heard("c")[0]["values"]["message"] == "mine"
+
+
+def test_what_timed_out_is_forgotten(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
+    world.say("c", op="call_service", service="/s", timeout=1)
+    world.clock.advance(2.0)
+    assert world.heard("c")[0]["result"] is False
+    assert world.clock.waiting == 0
+    world.heard("p")
+    respond(world, 1)
+    assert world.heard("c") == []
+    assert "no call of this id waits for a response" in caplog.text
+
+
+def test_a_late_response_is_never_taken_for_the_next_call(world: InProcess) -> None:
+    world.say("c", op="call_service", service="/s", id="old", timeout=1)
+    world.clock.advance(2.0)
+    world.say("p", op="unadvertise_service", service="/s")
+    world.say("p", op="advertise_service", service="/s", type=TYPE)
+    world.say("c", op="call_service", service="/s", id="new")
+    respond(world, 1)
+    assert [answer["id"] for answer in world.heard("c")] == ["old"]

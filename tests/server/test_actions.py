@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+from base64 import b64encode
+from typing import Any
+
+import pytest
+
+from protocol.registry import Registry
+from server.action_goals import Goal, GoalStatus, Result
+from server.actions import MAX_ACTIONS, MAX_GOAL_S, Actions
+from server.calls import Response
+from server.errors import GraphError
+from server.interfaces import Interfaces
+from server.node import Node
+from server.services import Services
+from tests.helpers.clock import FakeClock
+
+REGISTRY = Registry.load()
+
+SERVER, SENDER = Node("server"), Node("sender", remote=True)
+GRIPPER = "control_msgs/GripperCommand"
+
+
+class World:
+    """Actions and services in a time of their own."""
+
+    def __init__(self) -> None:
+        self.clock = FakeClock()
+        interfaces = Interfaces(REGISTRY)
+        self.services = Services(interfaces, self.clock.call_later)
+        self.actions = Actions(interfaces, self.services, self.clock.call_later)
+        self.results: list[Result] = []
+        self.feedback: list[dict[str, Any]] = []
+
+    def offer(self, node: Node | None = None, name: str = "/grip") -> tuple[Node, list[Goal]]:
+        """A client, or another node, that takes goals and does nothing with them."""
+        node = node or Node("provider", remote=True)
+        goals: list[Goal] = []
+        self.actions.offer(node, name, GRIPPER, goals.append)
+        return node, goals
+
+    def send(self, name: str = "/grip", type_name: str = GRIPPER, arguments: object = None) -> Goal | None:
+        return self.actions.send_goal(SENDER, name, type_name, arguments, self.results.append, self.feedback.append)
+
+    def cancel_service(self, request: dict[str, Any]) -> Any:
+        responses: list[Response] = []
+        self.services.call(SENDER, "/grip/_action/cancel_goal", request, responses.append)
+        return responses[0].values
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def test_a_local_part_offers_an_action_as_a_client_does(world: World) -> None:
+    def start(goal: Goal) -> None:
+        goal.feedback({"position": goal.request["command"]["position"] / 2})
+        goal.finish(GoalStatus.SUCCEEDED, {"reached_goal": True})
+
+    world.actions.offer(SERVER, "/grip", GRIPPER, start)
+    world.send(arguments={"command": {"position": 1}})
+    assert world.feedback[0]["position"] == 0.5
+    assert (world.results[0].ok, world.results[0].status) == (True, 4)
+
+
+def test_a_local_part_may_end_a_goal_later_and_as_canceled(world: World) -> None:
+    _, goals = world.offer(SERVER)
+    goal = world.send()
+    assert goal is not None
+    goals[0].when_canceled(lambda: goals[0].finish(GoalStatus.CANCELED, {}))
+    assert world.results == []
+    goal.cancel()
+    assert world.results[0].status == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"name": "/nobody"}, "/nobody: does not exist"),
+        ({"type_name": "control_msgs/PointHead"}, "is of type control_msgs/action/GripperCommand"),
+        ({"type_name": "control_msgs/Nothing"}, "control_msgs/Nothing"),
+        ({"arguments": {"command": 5}}, "field command"),
+    ],
+)
+def test_a_goal_that_cannot_be_taken_on_fails_at_once(world: World, options: dict[str, Any], text: str) -> None:
+    _, goals = world.offer()
+    assert world.send(**options) is None
+    assert goals == []
+    assert (world.results[0].ok, world.results[0].status) == (False, 0)
+    assert text in world.results[0].values
+
+
+def test_goals_end_when_their_provider_leaves(world: World) -> None:
+    provider, _ = world.offer()
+    world.send()
+    world.actions.remove(provider)
+    assert not world.results[0].ok
+    assert world.clock.waiting == 0
+    assert world.actions.types() == {}
+    assert world.services.types() == {}
+
+
+def test_a_goal_of_a_sender_that_left_goes_on_unheard(world: World) -> None:
+    _, goals = world.offer()
+    world.send()
+    world.actions.remove(SENDER)
+    assert not goals[0].ended
+    goals[0].feedback({})
+    goals[0].finish(GoalStatus.SUCCEEDED, {})
+    assert world.results == []
+    assert world.feedback == []
+
+
+def test_no_goal_lasts_for_ever(world: World) -> None:
+    world.offer()
+    world.send()
+    world.clock.advance(MAX_GOAL_S)
+    assert not world.results[0].ok
+
+
+def test_a_goal_that_has_ended_leaves_nothing_behind(world: World) -> None:
+    _, goals = world.offer()
+    world.send()
+    goals[0].finish(GoalStatus.SUCCEEDED, {})
+    assert world.clock.waiting == 0
+    assert not world.actions._offers["/grip"].goals
+
+
+def test_the_cancel_service_cancels_all_goals_and_lists_them(world: World) -> None:
+    _, goals = world.offer()
+    for _ in range(2):
+        world.send()
+    answer = world.cancel_service({})
+    assert all(goal.cancel_requested for goal in goals)
+    assert answer["return_code"] == 0
+    listed = [info["goal_id"]["uuid"] for info in answer["goals_canceling"]]
+    assert listed == [b64encode(goal.goal_id).decode() for goal in goals]
+
+
+def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:
+    _, goals = world.offer()
+    for _ in range(2):
+        world.send()
+    answer = world.cancel_service({"goal_info": {"goal_id": {"uuid": b64encode(goals[1].goal_id).decode()}}})
+    assert [goal.cancel_requested for goal in goals] == [False, True]
+    assert len(answer["goals_canceling"]) == 1
+
+
+def test_the_cancel_service_refuses_an_unknown_id(world: World) -> None:
+    world.offer()
+    assert world.cancel_service({"goal_info": {"goal_id": {"uuid": [7] * 16}}})["return_code"] == 2
+
+
+def test_a_client_takes_the_place_of_a_client_but_never_of_the_server(world: World) -> None:
+    world.offer()
+    world.send()
+    _, goals = world.offer()
+    assert not world.results[0].ok
+    world.send()
+    assert len(goals) == 1
+    world.offer(SERVER, "/mine")
+    with pytest.raises(GraphError, match=r"action /mine: is offered by the server itself"):
+        world.offer(None, "/mine")
+
+
+def test_types_can_be_looked_up(world: World) -> None:
+    world.offer()
+    assert world.actions.types() == {"/grip": "control_msgs/action/GripperCommand"}
+    assert world.actions.type_of("/grip") == "control_msgs/action/GripperCommand"
+    assert world.actions.type_of("/nobody") is None
+
+
+def test_a_type_that_is_no_actions_is_refused_and_leaves_no_trace(world: World) -> None:
+    with pytest.raises(GraphError, match=r"action /a: .*std_msgs/String"):
+        world.actions.offer(SERVER, "/a", "std_msgs/String", lambda _: None)
+    assert world.actions.types() == world.services.types() == {}
+
+
+def test_the_number_of_actions_is_bounded(world: World) -> None:
+    for number in range(MAX_ACTIONS):
+        world.offer(SERVER, f"/a{number}")
+    with pytest.raises(GraphError, match=str(MAX_ACTIONS)):
+        world.offer(SERVER, "/one_more")

@@ -1,0 +1,27 @@
+"""The server's gateway and graph alone, without arm and planners. Usage: ``python -m benchmarks.bare_gateway PORT``."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import sys
+
+import uvloop
+
+from protocol.registry import Registry
+from server.gateway.listener import Listener
+from server.graph import Graph
+
+
+async def main(port: int) -> None:
+    """Serve for ever."""
+    listener = Listener(Graph(Registry.load()), "127.0.0.1", port)
+    await listener.bind()
+    await listener.open()
+    gc.collect()
+    gc.freeze()
+    await asyncio.get_running_loop().create_future()
+
+
+if __name__ == "__main__":
+    uvloop.run(main(int(sys.argv[1])))

@@ -1,0 +1,51 @@
+"""The reference for the gateway: the barest relay that can be written on the same libraries.
+
+asyncio on uvloop, ``websockets`` and its ``broadcast``, orjson; no types, no validation, no queues, no limits. Usage:
+``python -m benchmarks.relay PORT``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections import defaultdict
+from typing import Any
+
+import orjson
+import uvloop
+from websockets.asyncio.server import ServerConnection, broadcast, serve
+
+subscribers: dict[str, set[ServerConnection]] = defaultdict(set)
+providers: dict[str, ServerConnection] = {}
+callers: dict[str, tuple[ServerConnection, Any]] = {}
+
+
+async def handle(websocket: ServerConnection) -> None:
+    """Relay one client's frames."""
+    async for frame in websocket:
+        operation = orjson.loads(frame)
+        match operation["op"]:
+            case "subscribe":
+                subscribers[operation["topic"]].add(websocket)
+            case "publish":
+                out = orjson.dumps({"op": "publish", "topic": operation["topic"], "msg": operation["msg"]})
+                broadcast(subscribers[operation["topic"]], out, text=True)
+            case "advertise_service":
+                providers[operation["service"]] = websocket
+            case "call_service":
+                number = str(len(callers))
+                callers[number] = (websocket, operation["id"])
+                await providers[operation["service"]].send(orjson.dumps({**operation, "id": number}), text=True)
+            case "service_response":
+                caller, operation["id"] = callers.pop(operation["id"])
+                await caller.send(orjson.dumps(operation), text=True)
+
+
+async def main(port: int) -> None:
+    """Serve for ever."""
+    async with serve(handle, "127.0.0.1", port, compression=None, max_size=None):
+        await asyncio.get_running_loop().create_future()
+
+
+if __name__ == "__main__":
+    uvloop.run(main(int(sys.argv[1])))

@@ -1,0 +1,154 @@
+// What a browser program does with roslibjs, step by step; prints one JSON object: step -> what came back.
+// Usage: node roslib_scenario.mjs roslib1|roslib2 ws://HOST:PORT
+
+const [library, url] = process.argv.slice(2);
+const imported = await import(library);
+const ROSLIB = imported.default ?? imported;
+
+// Every wait ends: a step that hears nothing fails by name.
+const STEP_TIMEOUT_MS = 15000;
+
+const answers = {};
+
+function within(name, promise) {
+  return Promise.race([
+    promise,
+    new Promise((_, reject) => setTimeout(() => reject(new Error(`${name}: no answer`)), STEP_TIMEOUT_MS).unref()),
+  ]);
+}
+
+async function step(name, start) {
+  answers[name] = await within(name, new Promise(start));
+}
+
+function connect() {
+  return within(
+    "connect",
+    new Promise((resolve, reject) => {
+      const ros = new ROSLIB.Ros({ url });
+      ros.on("connection", () => resolve(ros));
+      ros.on("error", reject);
+    }),
+  );
+}
+
+const message = (values) => (ROSLIB.Message ? new Message(values) : values);
+const request = (values) => (ROSLIB.ServiceRequest ? new ROSLIB.ServiceRequest(values) : values);
+
+const ros = await connect();
+const other = await connect();
+
+await step("topics", (resolve, reject) => ros.getTopics(resolve, reject));
+await step("services", (resolve, reject) => ros.getServices(resolve, reject));
+await step("topic type", (resolve, reject) => ros.getTopicType("/joint_states", resolve, reject));
+await step("message details", (resolve, reject) => ros.getMessageDetails("sensor_msgs/JointState", resolve, reject));
+
+await step("joint states", (resolve) => {
+  const topic = new ROSLIB.Topic({ ros, name: "/joint_states", messageType: "sensor_msgs/JointState" });
+  topic.subscribe((state) => {
+    topic.unsubscribe();
+    resolve(state);
+  });
+});
+
+for (const compression of ["png", "cbor"]) {
+  await step(`joint states as ${compression}`, (resolve) => {
+    const topic = new ROSLIB.Topic({ ros, name: "/joint_states", messageType: "sensor_msgs/JointState", compression });
+    topic.subscribe((state) => {
+      topic.unsubscribe();
+      resolve({ name: state.name, position: Array.from(state.position) });
+    });
+  });
+}
+
+await step("relayed", (resolve) => {
+  const listener = new ROSLIB.Topic({ ros: other, name: "/chatter", messageType: "std_msgs/String" });
+  const talker = new ROSLIB.Topic({ ros, name: "/chatter", messageType: "std_msgs/String" });
+  let timer = null;
+  listener.subscribe((heard) => {
+    clearInterval(timer);
+    resolve(heard.data);
+  });
+  talker.advertise();
+  timer = setInterval(() => talker.publish(message({ data: "hello" })), 50);
+});
+
+await step("goal", (resolve) => {
+  const result = new ROSLIB.Topic({ ros, name: "/moveit_goal_result", messageType: "moveit_msgs/MoveItErrorCodes" });
+  result.subscribe((answer) => {
+    result.unsubscribe();
+    resolve(answer);
+  });
+  const goal = new ROSLIB.Topic({ ros, name: "/moveit_goal_named", messageType: "std_msgs/String" });
+  goal.publish(message({ data: "ready" }));
+});
+
+const offered = new ROSLIB.Service({ ros, name: "/switch", serviceType: "std_srvs/SetBool" });
+offered.advertise((asked, response) => {
+  response.success = asked.data;
+  response.message = asked.data ? "on" : "off";
+  return true;
+});
+await step("offered service", (resolve, reject) => {
+  const call = () =>
+    new ROSLIB.Service({ ros: other, name: "/switch", serviceType: "std_srvs/SetBool" }).callService(
+      request({ data: true }),
+      resolve,
+      // The two connections are not ordered against each other: the offer may not have been read yet.
+      (error) => (String(error).includes("does not exist") ? setTimeout(call, 50) : reject(error)),
+    );
+  call();
+});
+
+await step("unknown service", (resolve, reject) => {
+  new ROSLIB.Service({ ros, name: "/nobody", serviceType: "std_srvs/Trigger" }).callService(request({}), reject, resolve);
+});
+
+await step("parameter", (resolve) => {
+  const parameter = new ROSLIB.Param({ ros, name: "speed" });
+  parameter.set(0.5, () => parameter.get(resolve));
+});
+
+if (ROSLIB.Action) {
+  const server = new ROSLIB.Action({ ros: other, name: "/grip", actionType: "control_msgs/action/GripperCommand" });
+  server.advertise(
+    (goal, id) => {
+      server.sendFeedback(id, { position: goal.command.position / 2 });
+      server.setSucceeded(id, { position: goal.command.position, reached_goal: true });
+    },
+    () => {},
+  );
+  await step("action", (resolve, reject) => {
+    let feedback = null;
+    const send = () =>
+      new ROSLIB.Action({ ros, name: "/grip", actionType: "control_msgs/action/GripperCommand" }).sendGoal(
+        { command: { position: 0.5 } },
+        (result) => resolve({ result, feedback }),
+        (told) => (feedback = told),
+        (error) => (String(error).includes("does not exist") ? setTimeout(send, 50) : reject(new Error(error))),
+      );
+    send();
+  });
+} else {
+  // roslibjs 1 knows the five topics of actionlib only.
+  const server = new ROSLIB.SimpleActionServer({
+    ros: other,
+    serverName: "/grip",
+    actionName: "control_msgs/GripperCommandAction",
+  });
+  server.on("goal", (goal) => {
+    server.sendFeedback({ position: goal.command.position / 2 });
+    server.setSucceeded({ position: goal.command.position, reached_goal: true });
+  });
+  await step("action", (resolve) => {
+    let feedback = null;
+    const client = new ROSLIB.ActionClient({ ros, serverName: "/grip", actionName: "control_msgs/GripperCommandAction" });
+    const goal = new ROSLIB.Goal({ actionClient: client, goalMessage: { command: { position: 0.5, max_effort: 0.0 } } });
+    goal.on("feedback", (told) => (feedback = told));
+    goal.on("result", (result) => resolve({ result, feedback }));
+    setTimeout(() => goal.send(), 300);
+  });
+}
+
+console.log(JSON.stringify(answers));
+process.exit(0);

@@ -1,0 +1,92 @@
+"""roslibpy as it is published, versions 1.8 and 2, against the server with the simulated arm."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import venv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.server import RunningServer
+
+SCENARIO = Path(__file__).with_name("roslibpy_scenario.py")
+OLD = "roslibpy==1.8.1"
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[RunningServer]:
+    with RunningServer() as running:
+        yield running
+
+
+def old_python(folder: Path) -> str:
+    """An interpreter with the old version, which cannot live beside the new one."""
+    venv.create(folder, with_pip=True)
+    python = str(folder / "bin" / "python")
+    installed = subprocess.run(
+        [python, "-m", "pip", "install", "--quiet", OLD], capture_output=True, text=True, timeout=300, check=False
+    )
+    if installed.returncode != 0:
+        pytest.skip(f"PyPI cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
+    return python
+
+
+@pytest.fixture(scope="module", params=["1.8", "2"])
+def answers(
+    request: pytest.FixtureRequest, server: RunningServer, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Any]:
+    """What the scenario heard, step by step."""
+    python = sys.executable if request.param == "2" else old_python(tmp_path_factory.mktemp("venv"))
+    done = subprocess.run(
+        [python, str(SCENARIO), str(server.port)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return heard
+
+
+def test_topics_and_services_are_listed(answers: dict[str, Any]) -> None:
+    topics = answers["topics"]["topics"] if isinstance(answers["topics"], dict) else answers["topics"]
+    assert "/joint_states" in topics
+    assert answers["topic type"] == "sensor_msgs/msg/JointState"
+    assert "/rosapi/topics" in answers["services"]
+
+
+def test_a_topic_is_subscribed(answers: dict[str, Any]) -> None:
+    assert len(answers["joint states"]["position"]) == 6
+
+
+def test_a_message_goes_from_one_client_to_another(answers: dict[str, Any]) -> None:
+    assert answers["relayed"] == "hello"
+
+
+def test_a_service_of_one_client_is_called_by_another(answers: dict[str, Any]) -> None:
+    assert answers["offered service"] == {"success": True, "message": "on"}
+
+
+def test_a_service_that_nobody_offers_fails_with_its_name(answers: dict[str, Any]) -> None:
+    assert "/nobody" in answers["unknown service"]
+
+
+def test_a_goal_moves_the_arm(answers: dict[str, Any]) -> None:
+    assert answers["goal"]["val"] == 1
+
+
+def test_an_action_of_one_client_is_run_by_another(answers: dict[str, Any]) -> None:
+    assert answers["action"]["result"]["position"] == 0.5
+    assert answers["action"]["feedback"]["position"] == 0.25
+
+
+def test_a_parameter_is_kept(answers: dict[str, Any]) -> None:
+    assert answers["parameter"] == 0.5

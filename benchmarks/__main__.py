@@ -7,7 +7,7 @@ import os
 import platform
 from collections.abc import Callable
 
-from benchmarks import event_loop, gateway, goal_latency, joint_states, planning, processes, servo_loop
+from benchmarks import event_loop, gateway, goal_latency, joint_states, planning, processes, rosapi, servo_loop
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "processes": processes.run,
@@ -17,6 +17,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "joint_states": joint_states.run,
     "event_loop": event_loop.run,
     "gateway": gateway.run,
+    "rosapi": rosapi.run,
 }
 
 

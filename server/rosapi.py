@@ -59,6 +59,8 @@ class RosApi:
         self._registry = registry
         self._wall_clock = wall_clock
         self._parameters: dict[str, str] = {}
+        # Foxglove asks for the texts of all topics every three seconds; there are no more types than the tables hold.
+        self._texts: dict[str, str] = {}
 
     def open(self) -> None:
         """Offer every service."""
@@ -128,11 +130,14 @@ class RosApi:
         return {"topics": list(types), "types": list(types.values()), "typedefs_full_text": texts}
 
     def _full_text(self, type_name: str) -> str:
-        try:
-            return full_text(self._registry, type_name)
-        except InterfaceError:
-            # A type that is relayed without being known.
-            return ""
+        text = self._texts.get(type_name)
+        if text is None:
+            try:
+                text = self._texts[type_name] = full_text(self._registry, type_name)
+            except InterfaceError:
+                # A type that is relayed without being known.
+                return ""
+        return text
 
     def _service_type(self, asked: Request) -> Answer:
         return {"type": self._services.types().get(qualify(asked["service"]), "")}

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
+from server.calls import Response
 from server.graph import Graph, Subscriber
 from server.node import Node
 from server.rosapi import MAX_PARAMETER_BYTES, RosApi, node_name
-from server.services import Response
 
 REGISTRY = Registry.load()
 ARM, CLIENT = Node("arm"), Node("client 127.0.0.1:53944", remote=True)

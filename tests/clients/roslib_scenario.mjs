@@ -32,7 +32,7 @@ function connect() {
   );
 }
 
-const message = (values) => (ROSLIB.Message ? new Message(values) : values);
+const message = (values) => (ROSLIB.Message ? new ROSLIB.Message(values) : values);
 const request = (values) => (ROSLIB.ServiceRequest ? new ROSLIB.ServiceRequest(values) : values);
 
 const ros = await connect();

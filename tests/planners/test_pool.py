@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import AsyncIterator
 
+import psutil
 import pytest
 
 from planners.pool import PlannerPool
@@ -118,7 +119,8 @@ async def test_workers_that_died_while_idle_cost_no_goal(pool: PlannerPool) -> N
     for pid in pool.pids:
         os.kill(pid, signal.SIGKILL)
     # Blocking on purpose: the pool must not have heard of their end yet.
-    time.sleep(0.1)  # noqa: ASYNC251
+    while any(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE for pid in pool.pids):
+        time.sleep(0.01)  # noqa: ASYNC251
     assert isinstance(await pool.plan(EASY), Plan)
 
 

@@ -10,7 +10,7 @@ from protocol.registry import Registry
 from server.calls import Response
 from server.graph import Graph
 from server.node import Node
-from server.rosapi import RosApi
+from server.rosapi.api import RosApi
 
 TOPICS = 100
 CALLS = 200

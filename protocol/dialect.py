@@ -10,6 +10,7 @@ A pair of types is compiled once into a translation; types that both spell alike
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, TypeAlias
 
@@ -29,9 +30,18 @@ _RENAMED: Mapping[str, Mapping[str, str]] = {
     "time": {"secs": "sec", "nsecs": "nanosec"},
     "duration": {"secs": "sec", "nsecs": "nanosec"},
     "control_msgs/msg/JointTrajectoryControllerState": {"desired": "reference", "actual": "feedback"},
+    "rosapi/srv/GetParam_Request": {"default": "default_value"},
 }
 
-_ROS1_TYPES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+# Primitives in ROS 1; clients write the names of ROS 2 in two parts or three.
+_ROS1_TYPES = {
+    "builtin_interfaces/msg/Time": "time",
+    "builtin_interfaces/Time": "time",
+    "builtin_interfaces/msg/Duration": "duration",
+    "builtin_interfaces/Duration": "duration",
+}
+
+_MEMBER = re.compile(r"_(?=(?:Request|Response|Goal|Result|Feedback)\Z)")
 
 # The one package that ROS 1 calls otherwise.
 _ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1 = "rosapi_msgs/", "rosapi/"
@@ -41,14 +51,15 @@ def spell_type(type_name: str, dialect: Dialect) -> str:
     """Return a type's name as clients of a dialect know it: ``std_msgs/msg/String`` or ``std_msgs/String``.
 
     Args:
-        type_name: canonical name of a message, service or action, or of a member of one of the latter.
+        type_name: canonical name of a message, service or action, or of a member of one of the latter; one in two parts
+            is in ROS 1 spelling but for its package.
         dialect: the client's dialect.
     """
     if dialect == "ros2":
         return type_name
     package, *others = _in_ros1(type_name).split("/")
     # ROS 1 runs the names of a service and of its member together.
-    return f"{package}/{others[-1].replace('_', '')}" if others else package
+    return f"{package}/{_MEMBER.sub('', others[-1])}" if others else package
 
 
 def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> dict[str, Any]:
@@ -80,17 +91,25 @@ def from_ros1(registry: Registry, type_name: str, msg: object) -> Any:
     return msg if translate is None else translate(msg)
 
 
+def declared_in_ros1(registry: Registry, type_name: str) -> MessageType:
+    """Return a message type as ROS 1 declares it; one that exists only in ROS 2 is returned as it is there.
+
+    Args:
+        registry: the ROS 2 registry.
+        type_name: name of the type in either generation.
+
+    Raises:
+        InterfaceError: no such type in either.
+    """
+    name = _in_ros1(type_name)
+    return registry.ros1.message(name) if registry.ros1.knows(name) else registry.message(type_name)
+
+
 def _in_ros1(type_name: str) -> str:
     """Return the name under which the ROS 1 tables hold a type, if they do."""
     if type_name.startswith(_ROSAPI_OF_ROS2):
         return type_name.replace(_ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1, 1)
     return _ROS1_TYPES.get(type_name, type_name)
-
-
-def _counterpart(registry: Registry, ours: MessageType) -> MessageType:
-    """Return the type as ROS 1 declares it; one that exists only in ROS 2 is spelled as if ROS 1 had it."""
-    name = _in_ros1(ours.name)
-    return registry.ros1.message(name) if registry.ros1.knows(name) else ours
 
 
 def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | None]]:
@@ -107,7 +126,7 @@ def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | N
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
 def _to_ros1(registry: Registry, type_name: str) -> Translation:
     ours = registry.message(type_name)
-    pairs = _pair(ours, _counterpart(registry, ours))
+    pairs = _pair(ours, declared_in_ros1(registry, ours.name))
     plan = [
         (theirs.name, field.name, _over(field, _to_ros1(registry, field.base) if not field.primitive else None))
         for theirs, field in pairs
@@ -129,7 +148,7 @@ def _to_ros1(registry: Registry, type_name: str) -> Translation:
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
 def _from_ros1(registry: Registry, type_name: str) -> Translation:
     ours = registry.message(type_name)
-    pairs = _pair(ours, _counterpart(registry, ours))
+    pairs = _pair(ours, declared_in_ros1(registry, ours.name))
     names = {theirs.name: field.name if field else None for theirs, field in pairs}
     steps = {field.name: _over(field, _from_ros1(registry, field.base)) for field in ours.fields if not field.primitive}
     if not any(steps.values()) and all(name == our_name for name, our_name in names.items()):

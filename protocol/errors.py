@@ -4,6 +4,7 @@ ProtocolError
 ├── InterfaceError    a type name that the interface tables do not know
 ├── MessageError      a message that does not fit its type
 ├── OperationError    an operation that is unknown, incomplete or senseless
+│   └── NothingToDoError    one that withdraws what is not there
 └── FrameError        a frame that cannot be decoded
 """
 
@@ -78,6 +79,10 @@ class OperationError(ProtocolError):
         self.field = field
 
 
+class NothingToDoError(OperationError):
+    """An operation that withdraws what is not there: no harm, but hardly what the client meant."""
+
+
 class FrameError(ProtocolError):
     """A frame that cannot be decoded.
 
@@ -93,6 +98,11 @@ class FrameError(ProtocolError):
 def shorten(text: str) -> str:
     """Cut text to `MAX_QUOTED_CHARACTERS`, so that no client decides how long a line of the log is."""
     return text if len(text) <= MAX_QUOTED_CHARACTERS else f"{text[:MAX_QUOTED_CHARACTERS]}..."
+
+
+def one_line(text: str) -> str:
+    """Escape line breaks and other control characters, so that no client writes lines of its own into the log."""
+    return text if text.isprintable() else repr(text)[1:-1]
 
 
 def describe(value: object) -> str:

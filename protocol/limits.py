@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+# Pieces of one message, in and out: the largest message in pieces of a kilobyte, which is as small as clients cut. The
+# envelope of a piece costs a hundred bytes, so a message in pieces of one character would cost a hundredfold.
+MAX_PIECES = 10_000
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -14,8 +18,8 @@ class Limits:
     max_message_bytes: int = 10_000_000
     # Clients that do not wait for the socket run a few operations together.
     max_objects_per_frame: int = 1_000
-    # The largest message in pieces of a kilobyte, which is as small as clients cut.
-    max_fragments: int = 10_000
+    # Of one message, and over all that wait for others.
+    max_fragments: int = MAX_PIECES
     # One message after the other is what clients send; a few more for those that interleave.
     max_fragmented_messages: int = 16
     # rosbridge_server's fragment_timeout.
@@ -29,6 +33,8 @@ class Limits:
     # Calls that wait for their responses, and as many goals; clients call one by one, or a burst at their start.
     max_calls_in_flight: int = 1_000
     # Ten seconds of joint states at 100 Hz with room to spare: a client further behind wants the newest.
-    max_queued_topic_bytes: int = 983_040
-    # With the topic data, and 128 KiB that are on their way into the socket, 2 MiB for a client that stops reading.
-    max_queued_reply_bytes: int = 983_040
+    max_queued_topic_bytes: int = 720_896
+    # Calls and goals for a provider, which others fill: beyond it they fail, and the provider stays.
+    max_queued_request_bytes: int = 524_288
+    # With the two above, and 128 KiB that are on their way into the socket, 2 MiB for a client that stops reading.
+    max_queued_reply_bytes: int = 720_896

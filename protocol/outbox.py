@@ -26,17 +26,22 @@ class Outbox:
     Attributes:
         dropped: number of topic messages given up because the client was slow or its queue_length was reached;
             those that came too early for a throttle without a queue are not counted.
+        throttled: how many of them are to be put down to the client's own throttle.
         overflowed: whether replies piled up beyond their bound.
     """
 
     def __init__(self, limits: Limits) -> None:
         self.dropped = 0
+        self.throttled = 0
         self.overflowed = False
         self._limits = limits
         self._sequence = itertools.count()
         # By sequence number, oldest first.
         self._replies: OrderedDict[int, Parcel] = OrderedDict()
         self._reply_bytes = 0
+        # Which of them are requests of others; these have a bound of their own.
+        self._requests: set[int] = set()
+        self._request_bytes = 0
         # All topic data by sequence number, oldest first; and which of them wait for each subscription.
         self._topic_data: OrderedDict[int, tuple[Parcel, Subscription]] = OrderedDict()
         self._topic_bytes = 0
@@ -49,11 +54,26 @@ class Outbox:
 
     def put_reply(self, parcel: Parcel) -> None:
         """Queue a reply; one alone may have any size, one too many beside others sets `overflowed`."""
-        if self._replies and self._reply_bytes + parcel.size_bytes > self._limits.max_queued_reply_bytes:
+        if self._reply_bytes and self._reply_bytes + parcel.size_bytes > self._limits.max_queued_reply_bytes:
             self.overflowed = True
             return
         self._replies[next(self._sequence)] = parcel
         self._reply_bytes += parcel.size_bytes
+
+    def put_request(self, parcel: Parcel) -> bool:
+        """Queue a call or goal for the client, in order with its replies.
+
+        Returns:
+            False when there is no room for it beside others; one alone may have any size.
+        """
+        size_bytes = self._request_bytes + parcel.size_bytes
+        if self._requests and size_bytes > self._limits.max_queued_request_bytes:
+            return False
+        sequence = next(self._sequence)
+        self._replies[sequence] = parcel
+        self._requests.add(sequence)
+        self._request_bytes = size_bytes
+        return True
 
     def put_topic_data(self, subscription: Subscription, parcel: Parcel) -> None:
         """Queue topic data that its subscription has admitted, and drop what is then too much."""
@@ -118,7 +138,11 @@ class Outbox:
 
     def _take_reply(self, sequence: int) -> Parcel:
         parcel = self._replies.pop(sequence)
-        self._reply_bytes -= parcel.size_bytes
+        if sequence in self._requests:
+            self._requests.remove(sequence)
+            self._request_bytes -= parcel.size_bytes
+        else:
+            self._reply_bytes -= parcel.size_bytes
         return parcel
 
     def _take_sent(self, sequence: int, now: float) -> Parcel:
@@ -127,8 +151,9 @@ class Outbox:
         return parcel
 
     def _drop(self, sequence: int) -> None:
-        self._take(sequence)
+        _, subscription = self._take(sequence)
         self.dropped += 1
+        self.throttled += subscription.paced
 
     def _take(self, sequence: int) -> tuple[Parcel, Subscription]:
         """Take out topic data; of its subscription it must be the oldest."""

@@ -6,14 +6,11 @@ import math
 from typing import NamedTuple
 
 from protocol.fragments import split
+from protocol.limits import MAX_PIECES
 
 # What the interpreter spends on a waiting frame beside its bytes (170 were measured, the rest is the allocator's),
 # so that a flood of tiny frames is bounded too.
 FRAME_OVERHEAD_BYTES = 256
-
-# The envelope of a piece costs a hundred bytes, so a message in pieces of one character would cost a hundredfold.
-# The largest message in pieces of a kilobyte is not hindered.
-MAX_PIECES = 10_000
 
 
 class Frame(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from typing import Generic, TypeVar
 
-from protocol.errors import OperationError
+from protocol.errors import NothingToDoError, OperationError, describe
 from protocol.names import qualify
 from protocol.operations import Advertise
 
@@ -17,11 +17,13 @@ class Registrations(Generic[T]):
 
     Args:
         op: the operation that registers, for errors.
+        opposite: the operation that withdraws, likewise.
         limit: greatest number of entries, over all topics.
     """
 
-    def __init__(self, op: str, limit: int) -> None:
+    def __init__(self, op: str, opposite: str, limit: int) -> None:
         self._op = op
+        self._opposite = opposite
         self._limit = limit
         self._count = 0
         self._entries: dict[str, dict[str | int | None, T]] = {}
@@ -57,15 +59,19 @@ class Registrations(Generic[T]):
         return first
 
     def remove(self, topic: str, entry_id: str | int | None) -> bool:
-        """Withdraw one entry, or all on the topic when no id is given; what is not there is left alone.
+        """Withdraw one entry, or all on the topic when no id is given.
 
         Returns:
-            True when something was withdrawn and nothing is left on the topic.
+            True when nothing is left on the topic.
+
+        Raises:
+            NothingToDoError: there is no such entry.
         """
-        ids = self._entries.get(qualify(topic))
-        if ids is None:
-            return False
+        ids = self._entries.get(qualify(topic), {})
         withdrawn = list(ids) if entry_id is None else [one for one in ids if one == entry_id]
+        if not withdrawn:
+            what = f"topic {topic}" if entry_id is None else f"topic {topic} under id {describe(entry_id)}"
+            raise NothingToDoError(self._opposite, None, f"{what}: this client has no {self._op} of it")
         for one in withdrawn:
             del ids[one]
         self._count -= len(withdrawn)
@@ -82,7 +88,7 @@ class Publications(Registrations[None]):
     """
 
     def __init__(self, limit: int) -> None:
-        super().__init__("advertise", limit)
+        super().__init__("advertise", "unadvertise", limit)
 
     def add(self, operation: Advertise) -> bool:
         """Register the client as a publisher, after the graph has accepted the operation.

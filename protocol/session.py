@@ -8,6 +8,7 @@ topics in `Session.publications` or `Session.subscriptions`, answers with `Sessi
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -27,6 +28,9 @@ from protocol.subscriptions import Subscription, Subscriptions
 
 # What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
 SEND_BUDGET_BYTES = 65_536
+
+# A client that is too slow gets slower by every message about it.
+DROPS_TOLD_EVERY_S = 1.0
 
 # Each level tells what the ones before it tell.
 LEVELS = ("none", "error", "warning", "info")
@@ -74,6 +78,9 @@ class Session:
         self._reassembly = fragments.Reassembly(self.limits)
         self._fragment_size: int | None = None
         self._fragment_ids = itertools.count(1)
+        # How many of the dropped messages the client has been told of, and when it was [s].
+        self._drops_told = 0
+        self._drops_told_s = -math.inf
         # Feedback may be dropped like topic data; all goals share one lane, so that it keeps its order.
         self._feedback = Subscription("feedback of goals")
 
@@ -100,31 +107,37 @@ class Session:
         return items
 
     def _read(self, value: object, now: float) -> list[Operation | Refusal]:
+        item = self._parse(value)
+        if not isinstance(item, Fragment | Png):
+            return [item]
         try:
-            if isinstance(value, FrameError):
-                raise value
-            operation = operations.parse(value)
-            if operation.fragment_size is not None:
-                self._fragment_size = operation.fragment_size
-            if isinstance(operation, Fragment | Png):
-                return self._unpack(operation, now)
+            packed = self._packed(item, now)
+            inner = None if packed is None else json.decode(packed)
         except OperationError as error:
-            return [Refusal(error.op, _id(value), str(error))]
+            return [Refusal(error.op, item.id, str(error))]
         except FrameError as error:
-            return [Refusal(None, None, str(error))]
-        return [operation]
+            return [Refusal(item.op, item.id, f"{item.op}: field data: {error}")]
+        return [] if packed is None else [self._read_packed(inner, item)]
 
-    def _unpack(self, operation: Fragment | Png, now: float) -> list[Operation | Refusal]:
-        """Read what is packed into fragments or a picture, as soon as it is there."""
-        try:
-            packed = self._packed(operation, now)
-            inner = None if packed is None else operations.parse(json.decode(packed))
-        except FrameError as error:
-            raise OperationError(operation.op, "data", str(error)) from error
+    def _read_packed(self, value: object, packing: Fragment | Png) -> Operation | Refusal:
+        """Read what was packed into fragments or a picture."""
+        item = self._parse(value)
         # Fragments of fragments serve nobody, and each layer would cost the work of a whole message.
-        if isinstance(inner, Fragment | Png):
-            raise OperationError(operation.op, "data", f"wanted an operation inside, got another {inner.op}")
-        return [] if inner is None else [inner]
+        if isinstance(item, Fragment | Png):
+            problem = f"{packing.op}: field data: wanted an operation inside, got another {item.op}"
+            return Refusal(packing.op, packing.id, problem)
+        return item
+
+    def _parse(self, value: object) -> Operation | Refusal:
+        if isinstance(value, FrameError):
+            return Refusal(None, None, str(value))
+        try:
+            operation = operations.parse(value)
+        except OperationError as error:
+            return Refusal(error.op, _id(value), str(error))
+        if operation.fragment_size is not None:
+            self._fragment_size = operation.fragment_size
+        return operation
 
     def _packed(self, operation: Fragment | Png, now: float) -> str | bytes | None:
         return png.decode(operation.data) if isinstance(operation, Png) else self._reassembly.add(operation, now)
@@ -166,6 +179,14 @@ class Session:
         """
         self._outbox.put_reply(self._parcel(fields))
 
+    def ask(self, fields: Mapping[str, Any]) -> bool:
+        """Queue a call or goal of somebody else, which is never dropped.
+
+        Returns:
+            False when too much of it waits already: then nothing is queued.
+        """
+        return self._outbox.put_request(self._parcel(fields))
+
     def feedback(self, fields: Mapping[str, Any]) -> None:
         """Queue an action_feedback, which is dropped when the client reads too slowly."""
         self._outbox.put_topic_data(self._feedback, self._parcel(fields))
@@ -190,6 +211,8 @@ class Session:
         Args:
             now: present time [s], monotonic.
         """
+        if self.dropped > self._drops_told:
+            self._tell_drops(now)
         return self._outbox.take_due(now, SEND_BUDGET_BYTES)
 
     def next_due(self, now: float) -> float | None:
@@ -217,8 +240,16 @@ class Session:
 
     @property
     def dropped(self) -> int:
-        """Number of topic messages dropped because the client was slow or its queue_length was reached."""
-        return self._outbox.dropped
+        """Number of topic messages dropped because the client was slow, not by its own throttle."""
+        return self._outbox.dropped - self._outbox.throttled
+
+    def _tell_drops(self, now: float) -> None:
+        """Warn of dropped messages; only a client that reads gets here, and not too often."""
+        if now >= self._drops_told_s + DROPS_TOLD_EVERY_S:
+            self.status(
+                "warning", f"{self.dropped - self._drops_told} messages dropped: they are read too slowly", None
+            )
+            self._drops_told, self._drops_told_s = self.dropped, now
 
     def _encode(self, fields: Mapping[str, Any]) -> Frame:
         if self.speaks_bson:

@@ -68,6 +68,11 @@ class Subscription:
         """Whether messages wait for the throttle to let them through one by one."""
         return self.throttle_s > 0 and self.queue_length > 0 and not self.closed
 
+    @property
+    def skips(self) -> bool:
+        """Whether messages that come before the throttle lets them through are dropped."""
+        return self.throttle_s > 0 and self.queue_length == 0
+
     def merge(self, rules: Collection[Rule]) -> None:
         """Set the rule that serves all ids."""
         self.throttle_s = min(rule.throttle_s for rule in rules)
@@ -81,7 +86,7 @@ class Subscription:
         Args:
             now: present time [s], monotonic.
         """
-        if self.throttle_s == 0 or self.queue_length > 0:
+        if not self.skips:
             return True
         if now < self.last_sent_s + self.throttle_s:
             return False
@@ -113,7 +118,7 @@ class Subscriptions:
     """
 
     def __init__(self, limit: int) -> None:
-        self._rules: Registrations[Rule] = Registrations("subscribe", limit)
+        self._rules: Registrations[Rule] = Registrations("subscribe", "unsubscribe", limit)
         self._merged: dict[str, Subscription] = {}
 
     def __iter__(self) -> Iterator[str]:
@@ -149,12 +154,15 @@ class Subscriptions:
         """Withdraw the subscription with this id, or all to the topic when no id is given.
 
         Returns:
-            True when something was withdrawn and nothing is left on the topic: the graph must be told.
+            True when nothing is left on the topic: the graph must be told.
+
+        Raises:
+            NothingToDoError: there is no such subscription.
         """
         none_left = self._rules.remove(topic, subscription_id)
         if none_left:
             # Frames of it may still wait in the outbox, which holds the delivery, not the table.
             self._merged.pop(qualify(topic)).closed = True
-        elif topic in self:
+        else:
             self._merged[qualify(topic)].merge(self._rules.entries(topic))
         return none_left

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.errors import InterfaceError, MessageError
@@ -15,6 +15,7 @@ from server.action_goals import Goal, GoalStatus, Result
 from server.errors import GraphError
 from server.interfaces import Interfaces
 from server.node import Node
+from server.offers import Offer, Offers
 from server.services import Services
 from server.timers import CallLater
 
@@ -30,30 +31,24 @@ ALL_GOALS = b64encode(bytes(16)).decode()
 
 
 @dataclass(eq=False)
-class Offer:
-    """An action that somebody offers.
-
-    Attributes:
-        node: who offers it.
-        name: fully qualified name.
-        type_name: canonical name of its type.
-        start: gets each goal.
-        goals: those in flight, each with its sender.
-    """
-
-    node: Node
-    name: str
-    type_name: str
-    start: Callable[[Goal], None]
-    goals: dict[Goal, Sender]
-
-
-@dataclass(eq=False)
 class Sender:
     """Who sent a goal, and what it wants to hear; nothing once it has left."""
 
     node: Node
     on_result: Callable[[Result], None] | None
+
+
+@dataclass(eq=False)
+class ActionOffer(Offer):
+    """An action that somebody offers.
+
+    Attributes:
+        start: gets each goal.
+        goals: those in flight, each with its sender.
+    """
+
+    start: Callable[[Goal], None]
+    goals: dict[Goal, Sender] = field(default_factory=dict)
 
 
 class Actions:
@@ -69,16 +64,21 @@ class Actions:
         self._interfaces = interfaces
         self._services = services
         self._call_later = call_later
-        self._offers: dict[str, Offer] = {}
+        self._offers: Offers[ActionOffer] = Offers("action", MAX_ACTIONS, interfaces, self._end_goals)
 
     def types(self) -> dict[str, str]:
         """Canonical type of every action."""
-        return {name: offer.type_name for name, offer in self._offers.items()}
+        return self._offers.types()
 
     def type_of(self, name: str) -> str | None:
         """Canonical type of an action, given by its fully qualified name; None when nobody offers it."""
         offer = self._offers.get(name)
         return None if offer is None else offer.type_name
+
+    def provider(self, name: str) -> Node | None:
+        """Who offers an action, given by its fully qualified name; None when nobody does."""
+        offer = self._offers.get(name)
+        return None if offer is None else offer.node
 
     def offer(self, node: Node, name: str, type_name: str, start: Callable[[Goal], None]) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
@@ -93,35 +93,24 @@ class Actions:
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
-        try:
-            canonical = self._interfaces.canonical(type_name, "action")
-        except InterfaceError as error:
-            raise GraphError("action", name, str(error)) from error
-        present = self._offers.get(name)
-        if present is not None:
-            self._replace(present, node)
-        elif len(self._offers) >= MAX_ACTIONS:
-            raise GraphError("action", name, f"cannot be added: there are {MAX_ACTIONS} actions already")
-        offer = Offer(node, name, canonical, start, {})
+        offer = ActionOffer(node, name, self._offers.claim(node, name, type_name), start)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
-        self._offers[name] = offer
+        self._offers.add(offer)
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; goals in flight end. Nothing happens when it offers no such action."""
-        offer = self._offers.get(name)
-        if offer is not None and offer.node is node:
-            self._withdraw(offer)
+        self._offers.withdraw(node, name)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its actions end; goals that it has sent go on, as in ROS, but are not told."""
-        for offer in list(self._offers.values()):
+        for offer in self._offers.all():
             for goal, sender in offer.goals.items():
                 if sender.node is node:
                     sender.on_result = None
                     goal.forget_sender()
-            self.withdraw(node, offer.name)
+            self._offers.withdraw(node, offer.name)
 
     def send_goal(
         self,
@@ -155,7 +144,7 @@ class Actions:
         self._start(goal, offer, Sender(sender, on_result))
         return goal
 
-    def _offer(self, name: str, type_name: str) -> Offer:
+    def _offer(self, name: str, type_name: str) -> ActionOffer:
         offer = self._offers.get(name)
         if offer is None:
             raise GraphError("action", name, "does not exist")
@@ -163,7 +152,7 @@ class Actions:
             raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
         return offer
 
-    def _start(self, goal: Goal, offer: Offer, sender: Sender) -> None:
+    def _start(self, goal: Goal, offer: ActionOffer, sender: Sender) -> None:
         offer.goals[goal] = sender
         goal.when_ended(lambda _result: offer.goals.pop(goal))
         timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
@@ -171,13 +160,7 @@ class Actions:
         goal.when_ended(lambda result: sender.on_result(result) if sender.on_result else None)
         offer.start(goal)
 
-    def _replace(self, present: Offer, node: Node) -> None:
-        if present.node is not node and not present.node.remote:
-            raise GraphError("action", present.name, "is offered by the server itself")
-        self._withdraw(present)
-
-    def _withdraw(self, offer: Offer) -> None:
-        del self._offers[offer.name]
+    def _end_goals(self, offer: ActionOffer) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         for goal in list(offer.goals):
             goal.fail(f"Action {offer.name} was withdrawn by its provider")
@@ -187,7 +170,7 @@ def _cancel_service(action: str) -> str:
     return f"{action}/_action/cancel_goal"
 
 
-def _cancel(offer: Offer, request: dict[str, Any]) -> dict[str, Any]:
+def _cancel(offer: ActionOffer, request: dict[str, Any]) -> dict[str, Any]:
     """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
     wanted = request["goal_info"]["goal_id"]["uuid"]
     ids = {goal: b64encode(goal.goal_id).decode() for goal in offer.goals if not goal.cancel_requested}

@@ -31,7 +31,7 @@ from server.moveit.execution import GoalExecutor
 from server.moveit.goal_topics import GoalTopics
 from server.moveit.goals import GoalTranslator, MotionRequest
 from server.moveit.parameters import MoveItParameters
-from server.rosapi import RosApi
+from server.rosapi.api import RosApi
 from server.rosout import Rosout
 
 log = logging.getLogger("armbridge")

@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from server.errors import ServiceError
 from server.interfaces import Interfaces
@@ -42,18 +43,23 @@ class Call(Pending[Response]):
         type_name: canonical name of the service's type.
         request: the complete request.
         interfaces: to complete the response.
+        dialect: which generation of ROS the caller wants to be told about; messages are in ROS 2 spelling all the same.
 
     Attributes:
         service: as given.
         type_name: as given.
         request: as given.
+        dialect: as given.
     """
 
-    def __init__(self, service: str, type_name: str, request: dict[str, Any], interfaces: Interfaces) -> None:
+    def __init__(
+        self, service: str, type_name: str, request: dict[str, Any], interfaces: Interfaces, dialect: Dialect = "ros2"
+    ) -> None:
         super().__init__()
         self.service = service
         self.type_name = type_name
         self.request = request
+        self.dialect = dialect
         self._interfaces = interfaces
 
     def succeed(self, values: object) -> None:

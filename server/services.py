@@ -6,13 +6,14 @@ Whoever calls gets exactly one response: the provider's, or the reason why there
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from protocol.errors import InterfaceError, MessageError
+from protocol.dialect import Dialect
+from protocol.errors import MessageError
 from server.calls import Call, Response, ServiceFunction, answer
-from server.errors import GraphError
 from server.interfaces import Interfaces
 from server.node import Node
+from server.offers import Offer, Offers
 from server.timers import CallLater
 
 # rosbridge_server's default_call_service_timeout, for services of clients.
@@ -29,24 +30,18 @@ MAX_SERVICES = 10_000
 
 
 @dataclass(eq=False)
-class Offer:
+class ServiceOffer(Offer):
     """A service that somebody offers.
 
     Attributes:
-        node: who offers it.
-        name: fully qualified name.
-        type_name: canonical name of its type.
         start: gets each call.
         timeout_s: how long a call may take that names no time of its own [s].
         calls: those in flight, each with its caller.
     """
 
-    node: Node
-    name: str
-    type_name: str
     start: Callable[[Call], None]
     timeout_s: float
-    calls: dict[Call, Node]
+    calls: dict[Call, Node] = field(default_factory=dict)
 
 
 class Services:
@@ -60,11 +55,11 @@ class Services:
     def __init__(self, interfaces: Interfaces, call_later: CallLater) -> None:
         self._interfaces = interfaces
         self._call_later = call_later
-        self._offers: dict[str, Offer] = {}
+        self._offers: Offers[ServiceOffer] = Offers("service", MAX_SERVICES, interfaces, _fail_calls)
 
     def types(self) -> dict[str, str]:
         """Canonical type of every service."""
-        return {name: offer.type_name for name, offer in self._offers.items()}
+        return self._offers.types()
 
     def type_of(self, name: str) -> str | None:
         """Canonical type of a service, given by its fully qualified name; None when nobody offers it."""
@@ -109,29 +104,19 @@ class Services:
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
-        try:
-            canonical = self._interfaces.canonical(type_name, "srv")
-        except InterfaceError as error:
-            raise GraphError("service", name, str(error)) from error
-        present = self._offers.get(name)
-        if present is not None:
-            self._replace(present, node)
-        elif len(self._offers) >= MAX_SERVICES:
-            raise GraphError("service", name, f"cannot be added: there are {MAX_SERVICES} services already")
-        self._offers[name] = Offer(node, name, canonical, start, timeout_s, {})
+        canonical = self._offers.claim(node, name, type_name)
+        self._offers.add(ServiceOffer(node, name, canonical, start, timeout_s))
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""
-        offer = self._offers.get(name)
-        if offer is not None and offer.node is node:
-            self._withdraw(offer)
+        self._offers.withdraw(node, name)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its services, and what it has called."""
-        for offer in list(self._offers.values()):
+        for offer in self._offers.all():
             for call in [call for call, caller in offer.calls.items() if caller is node]:
                 call.fail("the caller has left")
-            self.withdraw(node, offer.name)
+            self._offers.withdraw(node, offer.name)
 
     def call(
         self,
@@ -140,6 +125,7 @@ class Services:
         arguments: object,
         on_response: Callable[[Response], None],
         timeout_s: float | None = None,
+        dialect: Dialect = "ros2",
     ) -> None:
         """Call a service.
 
@@ -149,6 +135,7 @@ class Services:
             arguments: the request, as in `Interfaces.complete_arguments`.
             on_response: called once, perhaps before this returns.
             timeout_s: how long to wait [s], 0 for `MAX_TIMEOUT_S`, None for what the service's offer says.
+            dialect: which generation of ROS the caller wants to be told about.
         """
         offer = self._offers.get(name)
         if offer is None:
@@ -160,12 +147,12 @@ class Services:
         except MessageError as error:
             on_response(Response(ok=False, values=f"Service {name}: {error}"))
             return
-        call = Call(name, offer.type_name, request, self._interfaces)
+        call = Call(name, offer.type_name, request, self._interfaces, dialect)
         self._bound(call, offer, caller, timeout_s)
         call.when_ended(on_response)
         offer.start(call)
 
-    def _bound(self, call: Call, offer: Offer, caller: Node, timeout_s: float | None) -> None:
+    def _bound(self, call: Call, offer: ServiceOffer, caller: Node, timeout_s: float | None) -> None:
         """Keep account of a call until it ends, which it does in time."""
         bound_s = offer.timeout_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
         offer.calls[call] = caller
@@ -173,12 +160,7 @@ class Services:
         timer = self._call_later(bound_s, lambda: call.fail(f"Service {call.service} did not answer in {bound_s:g} s"))
         call.when_ended(lambda _response: timer.cancel())
 
-    def _replace(self, present: Offer, node: Node) -> None:
-        if present.node is not node and not present.node.remote:
-            raise GraphError("service", present.name, "is offered by the server itself")
-        self._withdraw(present)
 
-    def _withdraw(self, offer: Offer) -> None:
-        del self._offers[offer.name]
-        for call in list(offer.calls):
-            call.fail(f"Service {offer.name} was withdrawn by its provider")
+def _fail_calls(offer: ServiceOffer) -> None:
+    for call in list(offer.calls):
+        call.fail(f"Service {offer.name} was withdrawn by its provider")

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import bson
-from bson.errors import BSONError
+from bson.errors import BSONError, InvalidDocument
 from bson.int64 import Int64
 
 from protocol.codecs.json import MAX_NESTING_DEPTH
@@ -54,12 +54,12 @@ def encode(value: Mapping[str, Any]) -> bytes:
 
     Args:
         value: dicts with text as keys, lists, text, numbers within 64 bits, booleans, None, bytes. Unsigned numbers
-            beyond what BSON's integers hold go out as the nearest float.
+            beyond what BSON's integers hold go out as the nearest float, keys without the zeros that end them in BSON.
     """
     try:
         return bson.encode(value)
-    except OverflowError:
-        return bson.encode(_within_int64(value))
+    except (OverflowError, InvalidDocument):
+        return bson.encode(_encodable(value))
 
 
 def publish(topic: str, encoded_msg: bytes) -> bytes:
@@ -91,9 +91,9 @@ def _plain(value: Any, depth: int) -> Any:
     raise FrameError(f"a BSON value of type {type(value).__name__}, which messages do not have")
 
 
-def _within_int64(value: Any) -> Any:
+def _encodable(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _within_int64(child) for key, child in value.items()}
+        return {key.replace("\x00", ""): _encodable(child) for key, child in value.items()}
     if isinstance(value, list):
-        return [_within_int64(child) for child in value]
+        return [_encodable(child) for child in value]
     return float(value) if type(value) is int and value > _HIGHEST_INT64 else value

@@ -14,12 +14,11 @@ import array
 import functools
 import struct
 import sys
-from binascii import a2b_base64, b2a_base64
+from binascii import a2b_base64
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 from protocol.codecs.arrays import OCTETS
-from protocol.errors import FrameError
 from protocol.registry import Field, Registry
 
 # Representation CDR_LE, no options.
@@ -61,53 +60,11 @@ def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> byt
     return HEADER + body
 
 
-def deserialize(registry: Registry, type_name: str, data: bytes) -> dict[str, Any]:
-    """Return the complete message that CDR holds; what follows it is ignored, for middleware pads its messages.
-
-    Args:
-        registry: where the type is looked up.
-        type_name: name of the message's type.
-        data: CDR with its header.
-
-    Raises:
-        FrameError: another representation, an end too early, or text that is not UTF-8.
-    """
-    if data[:2] != HEADER[:2]:
-        raise FrameError(f"CDR representation {data[:2].hex()}, wanted {HEADER[:2].hex()}")
-    message: dict[str, Any] = _message_coder(registry, type_name).read(_Reader(data[len(HEADER) :]))
-    return message
-
-
-class _Reader:
-    """Takes pieces off the front of a body."""
-
-    def __init__(self, body: bytes) -> None:
-        self._body = body
-        self._position = 0
-
-    def take(self, size: int, alignment: int = 1) -> bytes:
-        """Return the next bytes, from an aligned place on."""
-        start = self._position + -self._position % alignment
-        if start + size > len(self._body):
-            left = max(0, len(self._body) - start)
-            raise FrameError(f"CDR ends too early, wanted {size} bytes more, got {left}", start)
-        self._position = start + size
-        return self._body[start : self._position]
-
-    def length(self) -> int:
-        """Return the length in front of a text or sequence; it may be more than there is, which `take` refuses."""
-        (length,) = _LENGTH.unpack(self.take(_LENGTH.size, _LENGTH.size))
-        return int(length)
-
-
 class _Coder(Protocol):
-    """Writes a value behind a body, and reads it back."""
+    """Writes a value behind a body."""
 
     def write(self, body: bytearray, value: Any) -> None:
         """Append a value."""
-
-    def read(self, reader: _Reader) -> Any:
-        """Take a value."""
 
 
 class _PrimitiveCoder:
@@ -121,10 +78,6 @@ class _PrimitiveCoder:
         _align(body, self._struct.size)
         body += self._struct.pack(value)
 
-    def read(self, reader: _Reader) -> Any:
-        """Take the value."""
-        return self._struct.unpack(reader.take(self._struct.size, self._struct.size))[0]
-
 
 class _StringCoder:
     """Text."""
@@ -136,14 +89,6 @@ class _StringCoder:
         body += octets
         body.append(0)
 
-    def read(self, reader: _Reader) -> str:
-        """Take the text; a length of zero, without even the terminator, is empty text."""
-        octets = reader.take(reader.length())
-        try:
-            return octets[:-1].decode()
-        except UnicodeDecodeError as error:
-            raise FrameError("CDR text is not UTF-8") from error
-
 
 class _NumbersCoder:
     """An array of numbers or truth values, behind its length if that is not fixed."""
@@ -151,7 +96,6 @@ class _NumbersCoder:
     def __init__(self, field: Field, fixed_length: int | None) -> None:
         self._code = _CODES[field.base]
         self._size = array.array(self._code).itemsize
-        self._is_bool = field.base == "bool"
         self._fixed_length = fixed_length
 
     def write(self, body: bytearray, value: list[Any]) -> None:
@@ -161,14 +105,6 @@ class _NumbersCoder:
         if value:
             _align(body, self._size)
             body += _swapped(array.array(self._code, value)).tobytes()
-
-    def read(self, reader: _Reader) -> list[Any]:
-        """Take the elements."""
-        length = reader.length() if self._fixed_length is None else self._fixed_length
-        if not length:
-            return []
-        numbers = _swapped(array.array(self._code, reader.take(length * self._size, self._size))).tolist()
-        return list(map(bool, numbers)) if self._is_bool else numbers
 
 
 class _OctetsCoder:
@@ -183,11 +119,6 @@ class _OctetsCoder:
         if self._fixed_length is None:
             _write_length(body, len(octets))
         body += octets
-
-    def read(self, reader: _Reader) -> str:
-        """Take the octets."""
-        length = reader.length() if self._fixed_length is None else self._fixed_length
-        return b2a_base64(reader.take(length), newline=False).decode()
 
 
 class _ListCoder:
@@ -204,11 +135,6 @@ class _ListCoder:
         for element in value:
             self._element.write(body, element)
 
-    def read(self, reader: _Reader) -> list[Any]:
-        """Take the elements."""
-        length = reader.length() if self._fixed_length is None else self._fixed_length
-        return [self._element.read(reader) for _ in range(length)]
-
 
 class _MessageCoder:
     """The fields of a message, one behind the other."""
@@ -222,12 +148,6 @@ class _MessageCoder:
             coder.write(body, value[name])
         if not self._coders:
             body.append(0)
-
-    def read(self, reader: _Reader) -> dict[str, Any]:
-        """Take the fields."""
-        if not self._coders:
-            reader.take(1)
-        return {name: coder.read(reader) for name, coder in self._coders}
 
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)

@@ -7,22 +7,21 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from protocol.dialect import Dialect
-from protocol.errors import OperationError, ProtocolError, shorten
+from protocol.errors import ProtocolError
 from protocol.limits import Limits
-from protocol.operations import Operation, SetLevel, Status
+from protocol.operations import Operation
 from protocol.parcel import Parcel
 from protocol.session import Refusal, Session
 from server.errors import GraphError
 from server.gateway.client_actions import ClientActions
 from server.gateway.client_services import ClientServices
+from server.gateway.client_status import ClientStatus
 from server.gateway.client_topics import ClientTopics
 from server.gateway.spelling import Spelling
 from server.graph import Graph
 from server.node import Node
 
 log = logging.getLogger("armbridge.gateway")
-
-_LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO}
 
 
 class Client:
@@ -54,15 +53,21 @@ class Client:
         self._clock = clock
         self._wake = wake
         spelling = Spelling(self.session, graph.interfaces.registry)
-        topics = ClientTopics(self.node, self.session, graph, spelling, clock, wake, self._refuse_error, send_at_once)
-        services = ClientServices(self.node, graph.services, spelling, limits, self._send)
-        actions = ClientActions(self.node, graph.actions, spelling, limits, self._send, self._send_feedback)
+        status = self._status = ClientStatus(self.node, self.session, wake)
+        topics = ClientTopics(self.node, self.session, graph, spelling, clock, wake, status.refuse_error, send_at_once)
+        services = ClientServices(self.node, graph.services, spelling, limits, self._send, self._ask, status.tell)
+        actions = ClientActions(
+            self.node, graph.actions, spelling, limits, self._send, self._ask, self._send_feedback, status.tell
+        )
         self._handlers: Mapping[type[Operation], Callable[..., None]] = {
             **topics.handlers,
             **services.handlers,
             **actions.handlers,
-            SetLevel: self._set_level,
-            Status: self._log_status,
+            **status.handlers,
+        }
+        self._failures: Mapping[str | None, Callable[[str | int | None, str], None]] = {
+            "service_response": services.fail,
+            "action_result": actions.fail,
         }
 
     def receive_frame(self, frame: str | bytes) -> None:
@@ -79,33 +84,36 @@ class Client:
         if self.session.dropped:
             log.warning("%s: %d messages were dropped because it read too slowly", self.node, self.session.dropped)
 
+    def _refuse(self, refusal: Refusal) -> None:
+        self._status.refuse(refusal)
+        # Somebody waits for what cannot be read.
+        fail = self._failures.get(refusal.op)
+        if fail is not None:
+            fail(refusal.id, refusal.text)
+
     def _carry_out(self, operation: Operation) -> None:
+        spoken = self.session.dialect
         try:
             self._handlers[type(operation)](operation)
         except (ProtocolError, GraphError) as error:
-            self._refuse_error(operation.op, error, operation.id)
+            self._status.refuse_error(operation.op, error, operation.id)
         except Exception:  # a bug in serving one operation must not take the client with it
             log.exception("%s: %s failed", self.node, operation.op)
-
-    def _refuse_error(self, op: str, error: ProtocolError | GraphError, mark: str | int | None = None) -> None:
-        # An OperationError names the operation itself.
-        text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
-        self._refuse(Refusal(op, mark, text))
-
-    def _refuse(self, refusal: Refusal) -> None:
-        log.warning("%s: refused: %s", self.node, refusal.text)
-        self.session.status("error", refusal.text, refusal.id)
-        self._wake()
-
-    def _set_level(self, operation: SetLevel) -> None:
-        self.session.status_level = operation.level
-
-    def _log_status(self, operation: Status) -> None:
-        log.log(_LOG_LEVELS[operation.level], "%s says: %s", self.node, shorten(operation.msg))
+        else:
+            self._status.acknowledge(operation)
+        if self.session.dialect != spoken:
+            self._status.tell(
+                "info", operation, "its type exists only in ROS 1, whose spelling this client gets from now on"
+            )
 
     def _send(self, fields: dict[str, Any]) -> None:
         self.session.reply(fields)
         self._wake()
+
+    def _ask(self, fields: dict[str, Any]) -> bool:
+        room = self.session.ask(fields)
+        self._wake()
+        return room
 
     def _send_feedback(self, fields: dict[str, Any]) -> None:
         self.session.feedback(fields)

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from protocol.errors import OperationError
+from protocol.errors import NothingToDoError, OperationError
 from protocol.limits import Limits
 from protocol.names import qualify
 from protocol.operations import (
@@ -21,6 +21,7 @@ from protocol.operations import (
 from protocol.session import with_id
 from server.action_goals import Goal, GoalStatus, Result
 from server.actions import Actions
+from server.gateway.client_status import Tell
 from server.gateway.spelling import Spelling
 from server.node import Node
 
@@ -37,7 +38,9 @@ class ClientActions:
         spelling: how the client spells messages.
         limits: what it may cost.
         send: sends the client an operation, which is never dropped.
+        ask: sends the client a goal, if there is room for it, and says whether there was.
         send_feedback: sends an operation that may be dropped when the client reads too slowly.
+        tell: tells the client something about one of its operations.
     """
 
     def __init__(
@@ -47,17 +50,21 @@ class ClientActions:
         spelling: Spelling,
         limits: Limits,
         send: Callable[[dict[str, Any]], None],
+        ask: Callable[[dict[str, Any]], bool],
         send_feedback: Callable[[dict[str, Any]], None],
+        tell: Tell,
     ) -> None:
         self._node = node
         self._actions = actions
         self._spelling = spelling
         self._limits = limits
         self._send = send
+        self._ask_client = ask
+        self._tell = tell
         self._send_feedback = send_feedback
         self._offered: set[str] = set()
         # Goals that the client is to reach, by the ids that it got, none of which is ever given twice.
-        self._asked: dict[str, Goal] = {}
+        self._asked: dict[str | int | None, Goal] = {}
         self._numbers = itertools.count(1)
         # Goals that the client has sent: action and the client's id.
         self._sent: dict[Goal, tuple[str, str | int | None]] = {}
@@ -77,27 +84,34 @@ class ClientActions:
         if name not in self._offered and len(self._offered) >= limit:
             raise OperationError(operation.op, None, f"this client has {len(self._offered)}, the limit is {limit}")
         self._spelling.learn(operation.type, "action")
+        former = self._actions.provider(name)
         self._actions.offer(self._node, name, operation.type, lambda goal: self._ask(operation, goal))
         self._offered.add(name)
+        if former not in (None, self._node):
+            self._tell("warning", operation, f"action {operation.action}: takes the place of another client's")
 
     def _unadvertise(self, operation: UnadvertiseAction) -> None:
-        self._actions.withdraw(self._node, qualify(operation.action))
-        self._offered.discard(qualify(operation.action))
+        name = qualify(operation.action)
+        if name not in self._offered:
+            raise NothingToDoError(operation.op, None, f"action {operation.action}: this client does not offer it")
+        self._actions.withdraw(self._node, name)
+        self._offered.remove(name)
 
     def _ask(self, offer: AdvertiseAction, goal: Goal) -> None:
         mark = f"action_goal:{offer.action}:{next(self._numbers)}"
         self._asked[mark] = goal
         goal.when_ended(lambda _result: self._asked.pop(mark))
-        self._send(
-            {
-                "op": "send_action_goal",
-                "id": mark,
-                "action": offer.action,
-                "action_type": offer.type,
-                "args": self._spelling.to_client(f"{goal.type_name}_Goal", goal.request),
-                "feedback": True,
-            }
-        )
+        fields = {
+            "op": "send_action_goal",
+            "id": mark,
+            "action": offer.action,
+            "action_type": offer.type,
+            "args": self._spelling.to_client(f"{goal.type_name}_Goal", goal.request),
+            "feedback": True,
+        }
+        if not self._ask_client(fields):
+            goal.fail(f"Action {goal.action}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
+            return
         goal.when_canceled(lambda: self._send({"op": "cancel_action_goal", "id": mark, "action": offer.action}))
 
     def _tell_feedback(self, operation: ActionFeedback) -> None:
@@ -119,6 +133,12 @@ class ClientActions:
         if goal is None:
             raise OperationError(operation.op, "id", "no goal of this id is on its way")
         return goal
+
+    def fail(self, mark: str | int | None, problem: str) -> None:
+        """End the goal of this id, if there is one, whose result cannot be read."""
+        goal = self._asked.get(mark)
+        if goal is not None:
+            goal.fail(f"Action {goal.action} gave a result that cannot be read: {problem}")
 
     # As a sender.
 

@@ -73,8 +73,11 @@ class ClientTopics:
             raise
 
     def _unadvertise(self, operation: Unadvertise) -> None:
-        if self._session.publications.remove(operation.topic, operation.id):
-            self._graph.unadvertise(self._node, qualify(operation.topic))
+        topic = qualify(operation.topic)
+        # Who publishes without having advertised is a publisher too, under no id.
+        implicit = topic not in self._session.publications and self._node in self._graph.publishers(topic)
+        if implicit or self._session.publications.remove(operation.topic, operation.id):
+            self._graph.unadvertise(self._node, topic)
 
     def _publish(self, operation: Publish) -> None:
         topic = qualify(operation.topic)
@@ -91,7 +94,10 @@ class ClientTopics:
             if topic not in self._session.subscriptions:
                 self._graph.unsubscribe(self._node, topic)
             raise
-        for publication in earlier if first else ():
+        subscription = self._session.subscriptions.get(topic)
+        # Under a throttle that drops, one of them gets through: it shall be the newest.
+        newest_only = subscription is not None and subscription.skips
+        for publication in (earlier[-1:] if newest_only else earlier) if first else ():
             self._deliver(publication)
 
     def _unsubscribe(self, operation: Unsubscribe) -> None:

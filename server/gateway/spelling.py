@@ -7,6 +7,7 @@ from typing import Any
 
 from protocol import dialect
 from protocol.codecs import arrays
+from protocol.dialect import Dialect
 from protocol.registry import Kind, Registry
 from protocol.session import Session
 
@@ -25,6 +26,11 @@ class Spelling:
     def __init__(self, session: Session, registry: Registry) -> None:
         self._session = session
         self._registry = registry
+
+    @property
+    def dialect(self) -> Dialect:
+        """Which generation of ROS the client speaks."""
+        return self._session.dialect
 
     def learn(self, type_name: object, kind: Kind) -> None:
         """Take the client for one of ROS 1 when it names a type that only ROS 1 has."""

@@ -1,6 +1,7 @@
 """Conformance cases: what clients send and what must come back, as data.
 
-A case is ``{"name", "section", "steps"}``, and ``"relay_unknown_types": true`` where the server is to be configured so.
+A case is ``{"name", "section", "steps"}``, ``"relay_unknown_types": true`` where the server is to be configured
+so, and ``"rosapi": true`` where it offers rosapi.
 A step is about one client, or lets time pass; a client connects with its first step; every case starts with a fresh
 server.
 

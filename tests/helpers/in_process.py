@@ -11,6 +11,7 @@ from protocol.parcel import Frame
 from protocol.registry import Registry
 from server.gateway.client import Client
 from server.graph import Graph
+from server.rosapi.api import RosApi
 from tests.helpers.clock import FakeClock
 
 REGISTRY = Registry.load()
@@ -19,11 +20,15 @@ REGISTRY = Registry.load()
 class InProcess:
     """Clients, made with their first step, in a time of their own; plays conformance cases."""
 
-    def __init__(self, limits: Limits | None = None, *, relay_unknown_types: bool = False) -> None:
+    def __init__(
+        self, limits: Limits | None = None, *, relay_unknown_types: bool = False, rosapi: bool = False
+    ) -> None:
         self.clock = FakeClock()
         self.graph = Graph(
             REGISTRY, self.clock, call_later=self.clock.call_later, relay_unknown_types=relay_unknown_types
         )
+        if rosapi:
+            RosApi(self.graph, self.graph.services, self.graph.actions, REGISTRY, self.clock).open()
         self._limits = limits or Limits()
         self._clients: dict[str, Client] = {}
         self._frames: dict[str, deque[Frame]] = {}

@@ -2,7 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.dialect import from_ros1, spell_type, to_ros1
+from protocol.dialect import declared_in_ros1, from_ros1, spell_type, to_ros1
+from protocol.errors import InterfaceError
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from tests.helpers.messages import made_up
@@ -126,3 +127,41 @@ def test_the_message_is_left_as_it_was():
 def test_type_names_have_two_parts_in_ros1_and_three_in_ros2(name, spelled):
     assert spell_type(name, "ros1") == spelled
     assert spell_type(name, "ros2") == name
+
+
+def test_only_the_members_of_services_and_actions_lose_an_underscore():
+    assert spell_type("acme_msgs/msg/Odd_Name", "ros1") == "acme_msgs/Odd_Name"
+    assert spell_type("acme_msgs/srv/Odd_Name_Request", "ros1") == "acme_msgs/Odd_NameRequest"
+
+
+@pytest.mark.parametrize("name", ["builtin_interfaces/Time", "builtin_interfaces/msg/Time", "time"])
+def test_a_time_is_declared_in_ros1_under_any_of_its_names(name):
+    assert declared_in_ros1(REGISTRY, name).name == "time"
+
+
+def test_a_type_that_ros1_lacks_is_declared_as_in_ros2():
+    assert declared_in_ros1(REGISTRY, "rcl_interfaces/Log") == REGISTRY.message("rcl_interfaces/Log")
+    with pytest.raises(InterfaceError):
+        declared_in_ros1(REGISTRY, "rcl_interfaces/Nothing")
+
+
+def test_the_default_of_a_parameter_has_another_name_in_ros1():
+    asked = {"name": "/speed", "default": "1"}
+    assert from_ros1(REGISTRY, "rosapi_msgs/srv/GetParam_Request", asked) == {"name": "/speed", "default_value": "1"}
+    ours = {"name": "/speed", "default_value": "1"}
+    assert to_ros1(REGISTRY, "rosapi_msgs/srv/GetParam_Request", ours) == asked
+
+
+ROSAPI = [name for name in REGISTRY.type_names() if name.startswith("rosapi_msgs/srv/")]
+
+
+@pytest.mark.parametrize("member", ["Request", "Response"])
+@pytest.mark.parametrize("name", ROSAPI)
+def test_every_field_of_rosapi_has_its_counterpart_in_ros1(name, member):
+    message = made_up(REGISTRY, f"{name}_{member}", 1)
+    assert_spelled_as_declared(f"{name}_{member}", to_ros1(REGISTRY, f"{name}_{member}", message))
+    assert from_ros1(REGISTRY, f"{name}_{member}", to_ros1(REGISTRY, f"{name}_{member}", message)) == message
+
+
+def assert_spelled_as_declared(name, msg):
+    assert list(msg) == [field.name for field in declared_in_ros1(REGISTRY, name).fields]

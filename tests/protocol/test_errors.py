@@ -7,9 +7,11 @@ from protocol.errors import (
     FrameError,
     InterfaceError,
     MessageError,
+    NothingToDoError,
     OperationError,
     ProtocolError,
     describe,
+    one_line,
     shorten,
 )
 
@@ -21,6 +23,7 @@ from protocol.errors import (
         MessageError("int32", "null"),
         OperationError("publish", "topic", "wanted text"),
         FrameError("not JSON", 3),
+        NothingToDoError("unsubscribe", None, "topic /a"),
     ],
 )
 def test_every_refusal_is_a_protocol_error_of_one_line(error):
@@ -88,3 +91,10 @@ def test_digits_beyond_the_interpreters_limit_are_not_written_out():
 def test_short_text_is_left_as_it_is_and_long_text_is_cut():
     assert shorten("abc") == "abc"
     assert shorten("a" * 1000) == "a" * MAX_QUOTED_CHARACTERS + "..."
+
+
+@given(st.text())
+def test_whatever_the_text_it_becomes_one_line_without_control_characters(text):
+    line = one_line(text)
+    assert line.isprintable()
+    assert line == text or not text.isprintable()

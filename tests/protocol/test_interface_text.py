@@ -37,7 +37,7 @@ def test_constants_defaults_and_bounds_are_written_as_definitions_write_them():
 
 
 def test_ros1_has_its_own_text_without_sections_for_its_times():
-    text = full_text(REGISTRY.ros1, "std_msgs/Header")
+    text = full_text(REGISTRY, "std_msgs/Header", "ros1")
     assert text == "uint32 seq\ntime stamp\nstring frame_id\n"
 
 
@@ -96,7 +96,7 @@ def test_members_of_services_have_typedefs_too():
 
 
 def test_a_time_of_ros1_is_a_typedef_of_its_own():
-    assert typedefs(REGISTRY.ros1, "std_msgs/Header")[1]["fieldnames"] == ["secs", "nsecs"]
+    assert typedefs(REGISTRY, "std_msgs/Header", "ros1")[1]["fieldnames"] == ["secs", "nsecs"]
 
 
 @pytest.mark.parametrize("tell", [full_text, typedefs])
@@ -111,3 +111,20 @@ def test_every_field_type_with_a_slash_has_a_typedef(name):
     known = {each["type"] for each in definitions}
     assert len(known) == len(definitions)
     assert {kind for each in definitions for kind in each["fieldtypes"] if "/" in kind} <= known
+
+
+def test_a_type_of_ros2_is_told_to_ros1_as_if_it_had_it():
+    text = full_text(REGISTRY, "control_msgs/VDA5050SafetyState", "ros1")
+    assert "string NONE=none\n" in text
+    assert "bool read_only\n" in full_text(REGISTRY, "rcl_interfaces/ParameterDescriptor", "ros1")
+    assert "[<=" not in full_text(REGISTRY, "rcl_interfaces/ParameterDescriptor", "ros1")
+    assert full_text(REGISTRY, "rcl_interfaces/Log", "ros1").count("time stamp\n") == 1
+
+
+@pytest.mark.parametrize("name", MESSAGE_TYPES)
+def test_in_ros1_every_field_type_with_a_slash_is_spelled_so_and_has_a_typedef(name):
+    definitions = typedefs(REGISTRY, name, "ros1")
+    known = {each["type"] for each in definitions}
+    kinds = {kind for each in definitions for kind in each["fieldtypes"]}
+    assert {kind for kind in kinds if "/" in kind} <= known
+    assert not any(kind.startswith("builtin_interfaces/") for kind in kinds)

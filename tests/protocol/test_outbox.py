@@ -247,3 +247,50 @@ def test_a_message_that_waits_alone_for_a_closed_subscription_is_not_sent():
     closed.closed = True
     assert taken(box, 5.0) == []
     assert box.next_due(5.0) is None
+
+
+# Requests
+
+
+def test_requests_leave_in_order_with_replies():
+    box = outbox()
+    box.put_reply(parcel(b"1"))
+    assert box.put_request(parcel(b"2"))
+    box.put_reply(parcel(b"3"))
+    assert taken(box, 1.0) == [b"1", b"2", b"3"]
+    assert box.empty
+
+
+def test_requests_beyond_their_bound_are_refused_until_there_is_room():
+    box = Outbox(Limits(max_queued_request_bytes=2 * parcel(b"1").size_bytes))
+    assert [box.put_request(parcel(frame)) for frame in (b"1", b"2", b"3")] == [True, True, False]
+    assert taken(box, 1.0) == [b"1", b"2"]
+    assert box.put_request(parcel(b"4"))
+
+
+def test_one_request_may_have_any_size():
+    assert Outbox(Limits(max_queued_request_bytes=1)).put_request(parcel(b"x" * 1000))
+
+
+def test_requests_take_no_room_from_replies():
+    box = Outbox(Limits(max_queued_reply_bytes=parcel(b"1").size_bytes))
+    box.put_request(parcel(b"x" * 1000))
+    box.put_reply(parcel(b"1"))
+    assert not box.overflowed
+    box.put_reply(parcel(b"2"))
+    assert box.overflowed
+
+
+def test_one_reply_may_have_any_size_beside_requests():
+    box = Outbox(Limits(max_queued_reply_bytes=1))
+    box.put_request(parcel(b"1"))
+    box.put_reply(parcel(b"x" * 1000))
+    assert not box.overflowed
+
+
+def test_what_a_clients_own_throttle_drops_is_told_apart():
+    box, paced = outbox(topic_frames=2), Subscription("/paced", throttle_s=1.0, queue_length=1)
+    put_all(box, paced, frames(3))
+    assert (box.dropped, box.throttled) == (2, 2)
+    put_all(box, Subscription("/free"), frames(3))
+    assert box.dropped > box.throttled

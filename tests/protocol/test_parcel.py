@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.parcel import FRAME_OVERHEAD_BYTES, MAX_PIECES, Frame, Parcel, pack
+from protocol.limits import MAX_PIECES
+from protocol.parcel import FRAME_OVERHEAD_BYTES, Frame, Parcel, pack
 
 
 def text_frame(length):

@@ -5,10 +5,11 @@ import bson
 import cbor2
 import pytest
 
-from protocol.codecs import cdr, png
+from protocol.codecs import png
 from protocol.messages import Stamp, complete
 from protocol.publication import Publication
 from protocol.registry import Registry
+from tests.helpers.cdr import deserialize
 
 REGISTRY = Registry.load()
 RECEIVED = Stamp(5, 6)
@@ -94,7 +95,7 @@ def test_octets_are_binary_data_in_binary_encodings(encoding):
 def test_cbor_raw_carries_the_time_of_receipt_and_the_serialized_message(dialect):
     sent = cbor2.loads(publication().frame("/chatter", "cbor-raw", dialect).data)["msg"]
     assert (sent["secs"], sent["nsecs"]) == RECEIVED
-    assert cdr.deserialize(REGISTRY, "std_msgs/String", sent["bytes"]) == {"data": "hello"}
+    assert deserialize(REGISTRY, "std_msgs/String", sent["bytes"]) == {"data": "hello"}
 
 
 @pytest.mark.parametrize("encoding", ["none", "png", "cbor", "bson"])

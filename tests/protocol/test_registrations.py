@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.errors import OperationError
+from protocol.errors import NothingToDoError, OperationError
 from protocol.names import qualify
 from protocol.operations import Advertise
 from protocol.registrations import Publications, Registrations
@@ -10,7 +10,7 @@ from protocol.registrations import Publications, Registrations
 
 @pytest.fixture
 def table():
-    return Registrations("advertise", limit=3)
+    return Registrations("advertise", "unadvertise", limit=3)
 
 
 def test_the_first_entry_on_a_topic_is_told_from_later_ones(table):
@@ -42,9 +42,10 @@ def test_an_id_that_is_known_withdraws_that_entry_alone(table):
     assert "/a" not in table
 
 
-def test_an_unknown_id_withdraws_nothing(table):
+def test_an_unknown_id_withdraws_nothing_and_says_so(table):
     table.put("/a", 1, "x")
-    assert table.remove("/a", 9) is False
+    with pytest.raises(NothingToDoError, match="unadvertise: topic /a under id 9: this client has no advertise"):
+        table.remove("/a", 9)
     assert list(table.entries("/a")) == ["x"]
 
 
@@ -55,9 +56,10 @@ def test_no_id_withdraws_all(table):
     assert list(table) == []
 
 
-def test_an_unknown_topic_is_left_alone(table):
-    assert table.remove("/a", None) is False
-    assert table.remove("/a", 1) is False
+@pytest.mark.parametrize("mark", [None, 1])
+def test_an_unknown_topic_is_left_alone(table, mark):
+    with pytest.raises(NothingToDoError, match="unadvertise: topic /a"):
+        table.remove("/a", mark)
 
 
 def test_one_entry_too_many_is_refused_and_changes_nothing(table):
@@ -89,7 +91,7 @@ actions = st.tuples(st.booleans(), st.sampled_from(["a", "/a", "/b"]), st.sample
 
 @given(st.lists(actions, max_size=30))
 def test_the_limit_counts_what_is_there(steps):
-    table, limit = Registrations("subscribe", limit=3), 3
+    table, limit = Registrations("subscribe", "unsubscribe", limit=3), 3
     model = set()
     for put, topic, mark in steps:
         key = (qualify(topic), mark)
@@ -99,9 +101,12 @@ def test_the_limit_counts_what_is_there(steps):
         elif put:
             with pytest.raises(OperationError):
                 table.put(topic, mark, "x")
-        else:
+        elif any(topic_there == key[0] and mark in (None, there) for topic_there, there in model):
             table.remove(topic, mark)
             model = {k for k in model if k[0] != key[0] or (mark is not None and k[1] != mark)}
+        else:
+            with pytest.raises(NothingToDoError):
+                table.remove(topic, mark)
         assert set(table) == {topic for topic, _ in model}
 
 

@@ -11,7 +11,7 @@ from protocol.messages import Stamp
 from protocol.operations import OPERATIONS, Operation, Publish, Subscribe
 from protocol.publication import Publication
 from protocol.registry import Registry
-from protocol.session import SEND_BUDGET_BYTES, Refusal, Session
+from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Refusal, Session
 
 REGISTRY = Registry.load()
 
@@ -188,7 +188,7 @@ def test_a_throttle_with_a_queue_sends_the_newest_one_per_interval():
     assert session.next_due(0.09) == pytest.approx(0.1)
     frames += sent(session, 0.11) + sent(session, 0.22) + sent(session, 0.33)
     assert received_data(frames) == [0, 8, 9]
-    assert session.dropped == 7
+    assert session.dropped == 0
 
 
 def test_replies_and_topic_data_keep_their_order():
@@ -428,3 +428,48 @@ def test_what_is_fetched_at_a_time_is_bounded():
     fetched = session.data_to_send(1.0)
     assert sum(len(frame.data) for frame in fetched) <= SEND_BUDGET_BYTES + 2000
     assert session.next_due(1.0) == 1.0
+
+
+def test_a_client_that_lags_is_warned_once_it_reads_and_not_too_often():
+    session = subscribed(limits=Limits(max_queued_topic_bytes=2000))
+    session.status_level = "warning"
+    warned = []
+    for now in (1.0, 1.5, 1.0 + DROPS_TOLD_EVERY_S):
+        for _ in range(20):
+            session.deliver(message("x" * 100), now)
+        warned.append([told["msg"] for told in map(json.loads, sent(session, now)) if told["op"] == "status"])
+    assert [len(told) for told in warned] == [1, 0, 1]
+    (first,), _, (last,) = warned
+    assert sum(int(text.split()[0]) for text in (first, last)) == session.dropped
+    assert "messages dropped" in first
+
+
+def test_a_client_is_not_warned_of_what_its_own_throttle_drops():
+    session = subscribed(throttle_rate=1000, queue_length=1)
+    session.status_level = "warning"
+    for _ in range(5):
+        session.deliver(message("x"), 1.0)
+    assert {json.loads(frame)["op"] for frame in sent(session, 1.0)} == {"publish"}
+
+
+def test_there_is_room_for_so_many_requests_and_no_more():
+    session = Session(Limits(max_queued_request_bytes=2000))
+    assert [session.ask({"op": "call_service", "args": "x" * 500}) for _ in range(4)] == [True, True, False, False]
+    assert not session.overflowed
+
+
+# What was packed
+
+
+def test_a_refusal_of_what_was_packed_carries_its_op_and_id():
+    inner = json.dumps({"op": "subscribe", "id": "inner"})
+    refusal = receive(Session(), op="fragment", id="outer", data=inner, num=0, total=1)
+    assert (refusal.op, refusal.id) == ("subscribe", "inner")
+
+
+def test_a_fragment_size_on_what_was_packed_counts():
+    session = subscribed()
+    inner = json.dumps({"op": "unsubscribe", "topic": "/b", "fragment_size": 100})
+    receive(session, op="fragment", id="f", data=inner, num=0, total=1)
+    session.deliver(big_publication(), 1.0)
+    assert len(sent(session)) > 1

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.errors import OperationError
+from protocol.errors import NothingToDoError, OperationError
 from protocol.operations import Subscribe
 from protocol.subscriptions import Rule, Subscription, Subscriptions
 
@@ -54,9 +54,10 @@ def test_unsubscribing_one_id_merges_the_rest_anew():
 
 def test_unsubscribing_an_unknown_id_changes_nothing():
     table = subscriptions(subscribe(id=1, throttle_rate=100))
-    assert table.remove("/a", 2) is False
+    for topic, mark in (("/a", 2), ("/b", None)):
+        with pytest.raises(NothingToDoError, match=f"unsubscribe: topic {topic}"):
+            table.remove(topic, mark)
     assert table.get("/a").throttle_s == 0.1
-    assert table.remove("/b", None) is False
 
 
 def test_unsubscribing_without_an_id_withdraws_all_and_closes_the_delivery():
@@ -140,6 +141,11 @@ def test_a_throttle_that_is_lifted_lets_all_that_wait_leave():
     subscription = Subscription("/a", throttle_s=10.0, queue_length=4, last_sent_s=5.0)
     subscription.merge([Rule(10.0, 4), Rule(0.0, 4)])
     assert subscription.due_count(3, 5.0) == 3
+
+
+@pytest.mark.parametrize(("throttle_s", "queue_length", "skips"), [(0.1, 0, True), (0.1, 1, False), (0.0, 0, False)])
+def test_only_a_throttle_without_a_queue_skips_messages(throttle_s, queue_length, skips):
+    assert Subscription("/a", throttle_s, queue_length).skips is skips
 
 
 @given(

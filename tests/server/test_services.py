@@ -166,7 +166,7 @@ def test_a_call_that_has_ended_leaves_nothing_behind(services: Services, clock: 
     ask(services)
     provider.calls[0].succeed(ON)
     assert clock.waiting == 0
-    assert not services._offers["/switch"].calls
+    assert not services._offers.get("/switch").calls
 
 
 def test_the_callers_of_a_provider_that_leaves_are_told_at_once(services: Services, clock: FakeClock) -> None:
@@ -238,3 +238,10 @@ def test_the_number_of_services_is_bounded(services: Services) -> None:
         services.offer(SERVER, f"/s{number}", SET_BOOL, lambda _: ON)
     with pytest.raises(GraphError, match=str(MAX_SERVICES)):
         services.offer(SERVER, "/one_more", SET_BOOL, lambda _: ON)
+
+
+def test_a_call_says_what_dialect_its_caller_wants_to_be_told_in(services: Services) -> None:
+    provider = Provider(services)
+    ask(services)
+    ask(services, dialect="ros1")
+    assert [call.dialect for call in provider.calls] == ["ros2", "ros1"]

@@ -104,3 +104,7 @@ def test_whatever_follows_the_length_is_read_or_refused(body):
 )
 def test_other_frames_are_no_documents(frame):
     assert not bson.is_document(frame)
+
+
+def test_a_key_loses_the_zeros_that_would_end_it():
+    assert bson.decode(bson.encode({"a\x00b": [{"\x00": 2**64 - 1}]})) == {"ab": [{"": float(2**64 - 1)}]}

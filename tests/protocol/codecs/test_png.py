@@ -48,3 +48,8 @@ def test_other_modes_are_refused_by_name(mode):
 def test_a_small_picture_of_a_huge_frame_is_refused_before_it_is_unpacked(size):
     with pytest.raises(FrameError, match=r"limit is 10000000|Decompression"):
         png.decode(drawn("1" if size[0] > 10_000 else "RGB", size))
+
+
+def test_a_picture_of_text_is_smaller_than_the_text():
+    frame = b'{"position":[0.123456789,0.987654321,-0.55555555]}' * 1000
+    assert len(png.encode(frame)) < len(frame) / 10

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import logging
 from typing import Any
 
 import pytest
@@ -12,7 +11,8 @@ from tests.helpers.in_process import InProcess
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
 async def test_conformance_in_process(case: dict[str, Any]) -> None:
-    await play(case, InProcess(relay_unknown_types=case.get("relay_unknown_types", False)))
+    options = {option: case.get(option, False) for option in ("relay_unknown_types", "rosapi")}
+    await play(case, InProcess(**options))
 
 
 @pytest.fixture
@@ -25,18 +25,6 @@ def test_a_refusal_is_logged_with_client_operation_and_reason(
 ) -> None:
     world.say("x", op="publish", topic="/nobody", msg={})
     assert "x: refused: publish: topic /nobody" in caplog.text
-
-
-@pytest.mark.parametrize(("level", "logged"), [("error", "ERROR"), ("warning", "WARNING"), ("info", "INFO")])
-def test_a_status_from_a_client_is_logged_at_its_level_and_shortened(
-    world: InProcess, caplog: pytest.LogCaptureFixture, level: str, logged: str
-) -> None:
-    with caplog.at_level(logging.DEBUG):
-        world.say("x", op="status", level=level, msg="y" * 10_000)
-    (record,) = caplog.records
-    assert record.levelname == logged
-    assert record.getMessage().startswith("x says: yyy")
-    assert len(record.getMessage()) < 200
 
 
 def test_a_bug_in_one_operation_does_not_take_the_client_with_it(

@@ -57,3 +57,24 @@ def test_a_goal_may_be_cancelled_without_an_id_when_it_was_sent_without(world: I
     world.say("c", op="send_action_goal", action="/grip", action_type=TYPE)
     world.say("c", op="cancel_action_goal", action="grip")
     assert [asked["op"] for asked in world.heard("p")] == ["send_action_goal", "cancel_action_goal"]
+
+
+def test_goals_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> None:
+    world = InProcess(Limits(max_queued_request_bytes=1000))
+    world.say("p", op="advertise_action", action="/grip", type=TYPE)
+    sender, provider = world.client("c"), world.client("p")
+    goal = '{"op":"send_action_goal","action":"/grip","action_type":"control_msgs/GripperCommand"}'
+    sender.receive_frame(goal * 5)
+    assert not provider.session.overflowed
+    refused = world.heard("c")
+    assert {(answer["status"], answer["result"]) for answer in refused} == {(0, False)}
+    assert "does not read its goals" in refused[0]["values"]
+    assert len(refused) + len(world.heard("p")) == 5
+
+
+def test_a_broken_result_leaves_the_goals_of_others_alone(world: InProcess) -> None:
+    send_goal(world, "g")
+    world.say("x", op="action_result", action="/grip", id="action_goal:/grip:1")
+    assert world.heard("c") == []
+    world.say("p", op="action_result", action="/grip", id="action_goal:/grip:1")
+    assert [(answer["id"], answer["status"]) for answer in world.heard("c")] == [("g", 6)]

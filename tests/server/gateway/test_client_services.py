@@ -85,3 +85,25 @@ def test_a_late_response_is_never_taken_for_the_next_call(world: InProcess) -> N
     world.say("c", op="call_service", service="/s", id="new")
     respond(world, 1)
     assert [answer["id"] for answer in world.heard("c")] == ["old"]
+
+
+def test_calls_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> None:
+    world = InProcess(Limits(max_queued_request_bytes=10_000))
+    world.say("p", op="advertise_service", service="/s", type="tf2_msgs/FrameGraph")
+    world.say("p", op="advertise_service", service="/long", type="rosapi_msgs/SetParam")
+    caller, provider = world.client("c"), world.client("p")
+    call = '{"op":"call_service","service":"/long","args":{"value":"%s"}}' % ("x" * 6_000)
+    caller.receive_frame(call * 3)
+    caller.receive_frame('{"op":"call_service","service":"/s"}')
+    assert not provider.session.overflowed
+    answers = world.heard("c")
+    assert [answer["result"] for answer in answers] == [False, False]
+    assert "does not read its calls" in answers[0]["values"]
+    assert [asked["service"] for asked in world.heard("p")] == ["/long", "/s"]
+
+
+def test_a_broken_response_under_an_id_that_nobody_has_does_nothing(world: InProcess) -> None:
+    for mark in ("service_request:/s:1", 1, None, [1]):
+        world.say("p", op="service_response", service="/s", id=mark)
+    world.say("c", op="call_service", service="/s", id="x")
+    assert world.heard("c") == []

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import socket
+import time
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -15,6 +16,7 @@ from protocol.registry import Registry
 from server.errors import StartError
 from server.gateway.listener import Listener
 from server.graph import Graph
+from server.rosapi.api import RosApi
 from tests.helpers.conformance import cases, play
 
 REGISTRY = Registry.load()
@@ -87,7 +89,10 @@ async def listener() -> AsyncIterator[Listener]:
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
 async def test_conformance_over_sockets(case: dict[str, Any]) -> None:
-    async with open_listener(Graph(REGISTRY, relay_unknown_types=case.get("relay_unknown_types", False))) as listener:
+    graph = Graph(REGISTRY, relay_unknown_types=case.get("relay_unknown_types", False))
+    if case.get("rosapi", False):
+        RosApi(graph, graph.services, graph.actions, REGISTRY, time.time).open()
+    async with open_listener(graph) as listener:
         player = OverSockets(listener)
         try:
             await play(case, player)

@@ -1,0 +1,1 @@
+"""The services under ``/rosapi/``: what topics, services, types, nodes and parameters there are."""

@@ -1,0 +1,72 @@
+"""Offers rosapi's services: each subject has a module, which answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from protocol.messages import Stamp
+from protocol.registry import Registry
+from server.actions import Actions
+from server.calls import Call, answer
+from server.graph import Graph
+from server.node import Node
+from server.rosapi.parameters import Parameters
+from server.rosapi.participants import Nodes, Offered, Topics
+from server.rosapi.question import Answer, Answers, Question
+from server.rosapi.types import Types
+from server.services import LOCAL_TIMEOUT_S, Services
+
+NODE = Node("rosapi")
+
+ROS_VERSION = 2
+
+# Clients look its name up in lists of their own; this release is in all of them.
+ROS_DISTRO = "jazzy"
+
+
+class RosApi:
+    """Answers questions about the graph.
+
+    Args:
+        graph: topics.
+        services: services, and where these are offered.
+        actions: actions.
+        registry: types.
+        wall_clock: seconds since the epoch.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        services: Services,
+        actions: Actions,
+        registry: Registry,
+        wall_clock: Callable[[], float],
+    ) -> None:
+        self._services = services
+        self._wall_clock = wall_clock
+        self._answers: Answers = {
+            **Topics(graph).answers,
+            **Offered(services, actions).answers,
+            **Nodes(graph, services).answers,
+            **Types(graph, registry).answers,
+            **Parameters().answers,
+            "get_time": ("rosapi_msgs/srv/GetTime", self._time),
+            "get_ros_version": ("rosapi_msgs/srv/GetROSVersion", self._version),
+        }
+
+    def open(self) -> None:
+        """Offer every service."""
+        for name, (type_name, function) in self._answers.items():
+            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _starter(function), LOCAL_TIMEOUT_S)
+
+    def _time(self, _asked: Question) -> dict[str, Any]:
+        return {"time": Stamp.from_seconds(self._wall_clock()).as_message()}
+
+    def _version(self, _asked: Question) -> dict[str, Any]:
+        return {"version": ROS_VERSION, "distro": ROS_DISTRO}
+
+
+def _starter(function: Answer) -> Callable[[Call], None]:
+    return lambda call: answer(call, lambda request: function(Question(request, call.dialect)))

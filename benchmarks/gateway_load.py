@@ -1,4 +1,9 @@
-"""Clients that load a rosbridge server. Usage: ``python -m benchmarks.gateway_load PORT LOAD [ARGUMENT]``."""
+"""Clients that load a rosbridge server. Usage: ``python -m benchmarks.gateway_load PORT PID LOAD [ARGUMENT]``.
+
+PID is the server's process: its CPU time is read when the load begins and when it ends, so that connecting, subscribing
+and closing are not counted. Where the server is to be the bottleneck, the clients do next to nothing: frames that are
+sent are made beforehand, frames that come are counted by their bytes.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +12,26 @@ import json
 import statistics
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import uvloop
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.frames import Frame, Opcode
 
-SECONDS = 4.0
+SECONDS = 2.0
 RATE_HZ = 200.0
 LARGE_BYTES = 1 << 20
 LARGE_MESSAGES = 60
 CALLS = 2000
 FLOOD_MESSAGES = 20_000
 
+# As many frames as a client's kernel takes in one go; the publisher waits for its socket behind each such piece.
+FLOOD_PIECE = 64
+
 # Longer than any queue between publisher and subscriber takes to empty.
-DRAIN_S = 1.0
+QUIET_S = 0.5
 
 JOINT_STATE = {
     "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": ""},
@@ -32,78 +42,101 @@ JOINT_STATE = {
 }
 
 
+class Client(ClientConnection):
+    """A client that can be told to count what comes instead of reading it."""
+
+    counting = False
+    received_bytes = 0
+    last_received_s = 0.0
+
+    def data_received(self, data: bytes) -> None:
+        """Count, or read on."""
+        if not self.counting:
+            super().data_received(data)
+            return
+        self.received_bytes += len(data)
+        self.last_received_s = time.monotonic()
+
+
 class Load:
     """Clients of one server."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, pid: int) -> None:
         self._url = f"ws://127.0.0.1:{port}"
-        self.received = 0
+        self._pid = pid
 
-    async def client(self) -> ClientConnection:
+    async def client(self) -> Client:
         """Connect."""
-        return await connect(self._url, compression=None, max_size=None, ping_interval=None)
+        websocket = await connect(
+            self._url, compression=None, max_size=None, ping_interval=None, create_connection=Client
+        )
+        if not isinstance(websocket, Client):
+            raise TypeError(f"wanted a client of ours, got {websocket!r}")
+        return websocket
 
-    async def subscriber(self, topic: str, type_name: str) -> ClientConnection:
+    async def subscriber(self, topic: str, type_name: str) -> Client:
         """Connect and subscribe."""
         websocket = await self.client()
         await websocket.send(json.dumps({"op": "subscribe", "topic": topic, "type": type_name}))
         return websocket
 
-    async def count(self, websocket: ClientConnection) -> None:
-        """Count what comes."""
-        async for _ in websocket:
-            self.received += 1
-
-    async def publisher(self, topic: str, type_name: str) -> ClientConnection:
+    async def publisher(self, topic: str, type_name: str) -> Client:
         """Connect and advertise."""
         websocket = await self.client()
         await websocket.send(json.dumps({"op": "advertise", "topic": topic, "type": type_name}))
         await asyncio.sleep(0.2)
         return websocket
 
-    async def fan_out(self, count: int) -> dict[str, Any]:
+    async def fan_out(self, count: int) -> dict[str, float]:
         """Publish joint states at a steady rate to so many subscribers."""
         topic = f"/fan_out_{count}"
-        readers = [
-            asyncio.create_task(self.count(await self.subscriber(topic, "sensor_msgs/JointState")))
-            for _ in range(count)
-        ]
-        publisher = await self.publisher(topic, "sensor_msgs/JointState")
-        frame = json.dumps({"op": "publish", "topic": topic, "msg": JOINT_STATE})
-        await _at_rate(SECONDS, lambda: publisher.send(frame))
-        await asyncio.sleep(DRAIN_S)
-        for reader in readers:
-            reader.cancel()
-        return {"deliveries": self.received}
+        subscribers = [await self.subscriber(topic, "sensor_msgs/JointState") for _ in range(count)]
+        publisher, frame, frame_bytes = await self._joint_state_publisher(topic, subscribers)
+        began_s = server_cpu_s(self._pid)
+        await _at_rate(SECONDS, lambda: publisher.transport.write(frame))
+        await _until_quiet(subscribers)
+        deliveries = sum(subscriber.received_bytes for subscriber in subscribers) / frame_bytes
+        return {"cpu_us": (server_cpu_s(self._pid) - began_s) / deliveries * 1e6}
 
-    async def flood(self) -> dict[str, Any]:
-        """Publish as fast as the server takes it."""
+    async def flood(self) -> dict[str, float]:
+        """Publish as fast as the server takes it: messages per second, and the CPU time of each [us]."""
         subscriber = await self.subscriber("/flood", "sensor_msgs/JointState")
-        publisher = await self.publisher("/flood", "sensor_msgs/JointState")
-        frame = json.dumps({"op": "publish", "topic": "/flood", "msg": JOINT_STATE})
-        reading = asyncio.create_task(self.count(subscriber))
-        started_s = time.monotonic()
-        for _ in range(FLOOD_MESSAGES):
-            await publisher.send(frame)
-        last = -1
-        while last != self.received:
-            last, ended_s = self.received, time.monotonic()
-            await asyncio.sleep(0.1)
-        reading.cancel()
-        return {"rate": self.received / (ended_s - started_s)}
+        publisher, frame, frame_bytes = await self._joint_state_publisher("/flood", [subscriber])
+        began_s, started_s = server_cpu_s(self._pid), time.monotonic()
+        for _ in range(FLOOD_MESSAGES // FLOOD_PIECE):
+            publisher.transport.write(frame * FLOOD_PIECE)
+            await publisher.drain()
+        await _until_quiet([subscriber])
+        received = subscriber.received_bytes / frame_bytes
+        return {
+            "rate": received / (subscriber.last_received_s - started_s),
+            "cpu_us": (server_cpu_s(self._pid) - began_s) / received * 1e6,
+        }
 
-    async def large(self) -> dict[str, Any]:
+    async def _joint_state_publisher(self, topic: str, subscribers: list[Client]) -> tuple[Client, bytes, int]:
+        """Connect a publisher; its frame as it goes over the wire, and the length of the one that subscribers get."""
+        publisher = await self.publisher(topic, "sensor_msgs/JointState")
+        text = json.dumps({"op": "publish", "topic": topic, "msg": JOINT_STATE}).encode()
+        frame = Frame(Opcode.TEXT, text).serialize(mask=True)
+        publisher.transport.write(frame)
+        for subscriber in subscribers:
+            received = str(await subscriber.recv())
+            subscriber.counting = True
+        return publisher, frame, len(Frame(Opcode.TEXT, received.encode()).serialize(mask=False))
+
+    async def large(self) -> dict[str, float]:
         """Publish long strings."""
         subscriber = await self.subscriber("/large", "std_msgs/String")
         publisher = await self.publisher("/large", "std_msgs/String")
         frame = json.dumps({"op": "publish", "topic": "/large", "msg": {"data": "x" * LARGE_BYTES}})
+        began_s = server_cpu_s(self._pid)
         for _ in range(LARGE_MESSAGES):
             await publisher.send(frame)
             await subscriber.recv()
-        return {"deliveries": LARGE_MESSAGES}
+        return {"cpu_us": (server_cpu_s(self._pid) - began_s) / LARGE_MESSAGES * 1e6}
 
-    async def service(self) -> dict[str, Any]:
-        """Call a service of another client."""
+    async def service(self) -> dict[str, float]:
+        """Call a service of another client; both are clients as anybody writes them."""
         provider, caller = await self.client(), await self.client()
         await provider.send(json.dumps({"op": "advertise_service", "service": "/switch", "type": "std_srvs/SetBool"}))
         serving = asyncio.create_task(_serve(provider))
@@ -116,9 +149,9 @@ class Load:
             await caller.recv()
             trips_s.append(time.perf_counter() - started_s)
         serving.cancel()
-        return {"median_s": statistics.median(trips_s)}
+        return {"median_us": statistics.median(trips_s) * 1e6}
 
-    async def latency(self, deaf: int) -> dict[str, Any]:
+    async def latency(self, deaf: int) -> dict[str, float]:
         """Latency of eight subscribers, beside ``deaf`` ones that never read."""
         topic = f"/latency_{deaf}"
         latencies_s: list[float] = []
@@ -130,24 +163,36 @@ class Load:
             (await self.subscriber(topic, "std_msgs/String")).transport.pause_reading()
         publisher = await self.publisher(topic, "std_msgs/String")
         padding = " " * 4000
-        await _at_rate(
-            SECONDS,
-            lambda: publisher.send(
-                json.dumps({"op": "publish", "topic": topic, "msg": {"data": f"{time.monotonic()}{padding}"}})
-            ),
-        )
+
+        def send() -> None:
+            text = json.dumps({"op": "publish", "topic": topic, "msg": {"data": f"{time.monotonic()}{padding}"}})
+            publisher.transport.write(Frame(Opcode.TEXT, text.encode()).serialize(mask=True))
+
+        await _at_rate(2 * SECONDS, send)
         for reader in readers:
             reader.cancel()
-        return {"p99_s": float(np.percentile(latencies_s, 99))}
+        return {"p99_us": float(np.percentile(latencies_s, 99)) * 1e6}
+
+
+def server_cpu_s(pid: int) -> float:
+    """CPU time of all threads of a process [s], to the nanosecond: the usual clock ticks in hundredths of a second."""
+    return sum(int(path.read_text().split()[0]) for path in Path(f"/proc/{pid}/task").glob("*/schedstat")) / 1e9
 
 
 async def _at_rate(seconds: float, send: Any) -> None:
     due_s = time.monotonic()
     until_s = due_s + seconds
     while due_s < until_s:
-        await send()
+        send()
         due_s += 1.0 / RATE_HZ
         await asyncio.sleep(max(0.0, due_s - time.monotonic()))
+
+
+async def _until_quiet(subscribers: list[Client]) -> None:
+    last = -1
+    while last != (received := sum(subscriber.received_bytes for subscriber in subscribers)):
+        last = received
+        await asyncio.sleep(QUIET_S)
 
 
 async def _serve(provider: ClientConnection) -> None:
@@ -164,10 +209,10 @@ async def _latencies(subscriber: ClientConnection, latencies_s: list[float]) -> 
         latencies_s.append(latency_s)
 
 
-async def main(port: int, load: str, *arguments: str) -> None:
+async def main(port: int, pid: int, load: str, *arguments: str) -> None:
     """Run one load and print what it measured."""
-    print(json.dumps(await getattr(Load(port), load)(*(int(argument) for argument in arguments))))
+    print(json.dumps(await getattr(Load(port, pid), load)(*(int(argument) for argument in arguments))))
 
 
 if __name__ == "__main__":
-    uvloop.run(main(int(sys.argv[1]), *sys.argv[2:]))
+    uvloop.run(main(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]))

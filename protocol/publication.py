@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import uuid
 from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
@@ -17,6 +18,9 @@ Encoding: TypeAlias = Literal["none", "png", "cbor", "cbor-raw", "bson"]
 
 # Topic as it is spelled, encoding, dialect and greatest length of a frame.
 _Key: TypeAlias = tuple[str, Encoding, Dialect, int | None]
+
+# The topics of a large robot, each in two spellings.
+_MAX_OPENINGS = 1024
 
 
 class Publication:
@@ -43,6 +47,13 @@ class Publication:
         self._parcels: dict[_Key, Parcel] = {}
         # The message alone, the costly part, which frames of all spellings share.
         self._encoded: dict[tuple[Encoding, Dialect], bytes] = {}
+
+    @property
+    def size_bytes(self) -> int:
+        """How large the message is as subscribers got it; as JSON, where nobody has got it yet."""
+        if not self._encoded:
+            self._encoded["none", "ros2"] = self._encode("none", "ros2")
+        return max(map(len, self._encoded.values()))
 
     def frame(self, spelled_topic: str, encoding: Encoding = "none", dialect: Dialect = "ros2") -> Frame:
         """Return the frame for subscribers that spell the topic like this and want this encoding and dialect.
@@ -78,9 +89,8 @@ class Publication:
         if encoded_msg is None:
             encoded_msg = self._encoded[encoding, dialect] = self._encode(encoding, dialect)
         if encoding == "none":
-            # rosbridge sends exactly these three keys; the message is spliced in as it was encoded.
-            data = b'{"op":"publish","topic":%b,"msg":%b}' % (json.encode(spelled_topic), encoded_msg)
-            return Frame(data, text=True)
+            # Joined in one go: a message may have megabytes.
+            return Frame(b"".join((_opening(spelled_topic), encoded_msg, b"}")), text=True)
         codec = bson if encoding == "bson" else cbor
         return Frame(codec.publish(spelled_topic, encoded_msg), text=False)
 
@@ -103,3 +113,9 @@ class Publication:
             return self.msg
         pack = arrays.with_octets if encoding == "bson" else arrays.with_typed_arrays
         return pack(self._registry, self.type_name, self.msg)
+
+
+@functools.lru_cache(maxsize=_MAX_OPENINGS)
+def _opening(spelled_topic: str) -> bytes:
+    # rosbridge sends exactly these three keys; behind them goes the message as it was encoded.
+    return b'{"op":"publish","topic":%b,"msg":' % json.encode(spelled_topic)

@@ -32,6 +32,9 @@ SEND_BUDGET_BYTES = 65_536
 # A client that is too slow gets slower by every message about it.
 DROPS_TOLD_EVERY_S = 1.0
 
+# Operations that hold another one.
+_PACKED = (Fragment, Png)
+
 # Each level tells what the ones before it tell.
 LEVELS = ("none", "error", "warning", "info")
 
@@ -101,14 +104,14 @@ class Session:
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]
-        items: list[Operation | Refusal] = []
-        for value in self._reader.feed(frame):
-            items += self._read(value, now)
-        return items
+        found = self._reader.feed(frame)
+        if len(found) == 1:
+            return self._read(found[0], now)
+        return [item for value in found for item in self._read(value, now)]
 
     def _read(self, value: object, now: float) -> list[Operation | Refusal]:
         item = self._parse(value)
-        if not isinstance(item, Fragment | Png):
+        if not isinstance(item, _PACKED):
             return [item]
         try:
             packed = self._packed(item, now)
@@ -146,7 +149,7 @@ class Session:
 
     def deliver(
         self, publication: Publication, now: float, send_at_once: Callable[[Parcel], bool] = lambda _parcel: False
-    ) -> None:
+    ) -> bool:
         """Queue topic data, if the client has subscribed to the topic, under the rules of its subscription.
 
         After calling this, send what `data_to_send` returns as soon as the socket takes it.
@@ -157,19 +160,24 @@ class Session:
             send_at_once: offered the message when nothing waits before it, and true when it has been sent: clients
                 that keep up are spared the queue.
 
+        Returns:
+            Whether the message was queued.
+
         Raises:
             ProtocolError: the message cannot be encoded as the subscription wants it.
         """
         subscription = self.subscriptions.get(publication.topic)
         if subscription is None or not subscription.admit(now):
-            return
+            return False
         encoding: Encoding = subscription.compression
-        if encoding == "none" and self.speaks_bson:
+        if encoding == "none" and self._reader.last_was_bson:
             encoding = "bson"
         size = subscription.fragment_size or self._fragment_size
         parcel = publication.parcel(subscription.spelled_topic, encoding, self.dialect, size)
         if subscription.paced or not self._outbox.empty or not send_at_once(parcel):
             self._outbox.put_topic_data(subscription, parcel)
+            return True
+        return False
 
     def reply(self, fields: Mapping[str, Any]) -> None:
         """Queue an operation, which is never dropped; afterwards look at `overflowed`.

@@ -190,9 +190,10 @@ class Graph:
         if latch:
             topic.latching.add(node)
         publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received)
-        self._retain(publication, node in topic.latching, lifespan_s)
         for subscriber in list(topic.subscribers.values()):
             subscriber.deliver(publication)
+        # Afterwards, when it is known how large the message is.
+        self._retain(publication, node in topic.latching, lifespan_s)
 
     def _retain(self, publication: Publication, latch: bool, lifespan_s: float) -> None:
         if latch and not self._retained.latch(publication):
@@ -227,7 +228,7 @@ class Graph:
             raise GraphError("topic", name, f"cannot be added: there are {MAX_TOPICS} topics already")
 
     def _outlived(self, topic: Topic) -> bool:
-        return not topic.used and self._clock() - topic.last_used_s > TYPE_OUTLIVES_USE_S
+        return not (topic.publishers or topic.subscribers) and self._clock() - topic.last_used_s > TYPE_OUTLIVES_USE_S
 
     def _left(self, topic: Topic) -> None:
         """Note that someone has just left the topic."""

@@ -7,7 +7,7 @@ publisher lives, without it every message for a second (rosbridge_library, inter
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import OrderedDict, deque
 from typing import NamedTuple
 
 from protocol.publication import Publication
@@ -15,7 +15,7 @@ from protocol.publication import Publication
 # Maps and meshes are latched, and have megabytes; every one beyond this is told to the log and not kept.
 MAX_LATCHED_BYTES = 67_108_864
 
-# A second of the joint states of several arms; the oldest goes first.
+# The last messages of many topics, or a picture; the oldest goes first.
 MAX_RECENT_BYTES = 4_194_304
 
 # As many of one topic as rosbridge_server's subscribers take (QoS depth 10).
@@ -23,7 +23,7 @@ MAX_RECENT_PER_TOPIC = 10
 
 
 class _Kept(NamedTuple):
-    """A publication, how large it is as JSON, and until when it is kept [s]."""
+    """A publication, how large it is, and until when it is kept [s]."""
 
     publication: Publication
     size_bytes: int
@@ -36,8 +36,8 @@ class Retained:
     def __init__(self) -> None:
         self._latched: dict[str, _Kept] = {}
         self._latched_bytes = 0
-        # In order of time, for all are kept equally long.
-        self._recent: deque[_Kept] = deque()
+        # By topic, oldest first; the topics in order of their newest message, so that those in front have the oldest.
+        self._recent: OrderedDict[str, deque[_Kept]] = OrderedDict()
         self._recent_bytes = 0
 
     def latch(self, publication: Publication) -> bool:
@@ -47,7 +47,7 @@ class Retained:
             False when all that is latched would be too large; then the topic has no latched message.
         """
         self.unlatch(publication.topic)
-        size_bytes = _size_bytes(publication)
+        size_bytes = publication.size_bytes
         if self._latched_bytes + size_bytes > MAX_LATCHED_BYTES:
             return False
         self._latched[publication.topic] = _Kept(publication, size_bytes, math.inf)
@@ -74,11 +74,14 @@ class Retained:
             now: present time [s], monotonic.
             lifespan_s: for how long [s]; the same for all.
         """
-        size_bytes = _size_bytes(publication)
-        self._recent.append(_Kept(publication, size_bytes, now + lifespan_s))
+        topic, size_bytes = publication.topic, publication.size_bytes
+        recent = self._recent.setdefault(topic, deque())
+        recent.append(_Kept(publication, size_bytes, now + lifespan_s))
+        self._recent.move_to_end(topic)
         self._recent_bytes += size_bytes
-        while self._recent and (self._recent[0].until_s < now or self._recent_bytes > MAX_RECENT_BYTES):
-            self._recent_bytes -= self._recent.popleft().size_bytes
+        if len(recent) > MAX_RECENT_PER_TOPIC:
+            self._recent_bytes -= recent.popleft().size_bytes
+        self._give_up_old(now)
 
     def of(self, topic: str, now: float) -> list[Publication]:
         """Return what a new subscriber to the topic gets, oldest first.
@@ -88,17 +91,21 @@ class Retained:
             now: present time [s], monotonic.
         """
         latched = self._latched.get(topic)
-        recent = [kept for kept in self._recent if kept.publication.topic == topic][-MAX_RECENT_PER_TOPIC:]
+        recent = self._recent.get(topic, ())
         kept_now = recent if latched is None else [latched, *recent]
         return [kept.publication for kept in kept_now if kept.until_s >= now]
 
     def forget(self, topic: str) -> None:
         """Give up all that is kept of a topic."""
         self.unlatch(topic)
-        self._recent = deque(kept for kept in self._recent if kept.publication.topic != topic)
-        self._recent_bytes = sum(kept.size_bytes for kept in self._recent)
+        self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 
-
-def _size_bytes(publication: Publication) -> int:
-    # The frame that most subscribers get; it stays encoded.
-    return len(publication.frame(publication.topic).data)
+    def _give_up_old(self, now: float) -> None:
+        """Give up what is too old, and what is too much: the oldest of the topic that has been quiet for longest."""
+        while self._recent:
+            topic, recent = next(iter(self._recent.items()))
+            if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:
+                return
+            self._recent_bytes -= recent.popleft().size_bytes
+            if not recent:
+                del self._recent[topic]

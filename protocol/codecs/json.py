@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable
+from typing import AnyStr
 
 import orjson
 
@@ -20,6 +21,10 @@ MAX_NESTING_DEPTH = 64
 
 # The longest decimal numeral of a 64-bit integer, with its sign.
 _MAX_INTEGER_CHARACTERS = 20
+
+# From here on looking for a bracket again and again is quicker than counting: searches skip what does not match many
+# characters at a time, counts look at each.
+_LONG_FRAME = 4096
 
 _NOT_ASCII = re.compile(r"[^\x00-\x7f]+")
 
@@ -92,8 +97,20 @@ def _parse_integer(numeral: str) -> int | float:
 def _may_be_too_deep(frame: str | bytes) -> bool:
     """Count opening brackets: few of them cannot nest deep, and most frames have few."""
     if isinstance(frame, bytes):
-        return frame.count(b"[") + frame.count(b"{") > MAX_NESTING_DEPTH
-    return frame.count("[") + frame.count("{") > MAX_NESTING_DEPTH
+        return _count(frame, b"[") + _count(frame, b"{") > MAX_NESTING_DEPTH
+    return _count(frame, "[") + _count(frame, "{") > MAX_NESTING_DEPTH
+
+
+def _count(frame: AnyStr, bracket: AnyStr) -> int:
+    """Count brackets, in a long frame no further than matters."""
+    if len(frame) < _LONG_FRAME:
+        return frame.count(bracket)
+    place = -1
+    for number in range(MAX_NESTING_DEPTH + 1):
+        place = frame.find(bracket, place + 1)
+        if place < 0:
+            return number
+    return MAX_NESTING_DEPTH + 1
 
 
 def _check_depth(value: object) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from protocol.errors import OperationError, ProtocolError
 from protocol.names import qualify
@@ -81,7 +81,9 @@ class ClientTopics:
 
     def _publish(self, operation: Publish) -> None:
         topic = qualify(operation.topic)
-        message = self._spelling.from_client(self._graph.topic_type(topic), operation.msg)
+        message: object = operation.msg
+        if self._session.dialect == "ros1":
+            message = self._spelling.from_client(self._graph.topic_type(topic), message)
         self._graph.publish(self._node, topic, message, latch=operation.latch, lifespan_s=LIFESPAN_S)
 
     def _subscribe(self, operation: Subscribe) -> None:
@@ -94,20 +96,27 @@ class ClientTopics:
             if topic not in self._session.subscriptions:
                 self._graph.unsubscribe(self._node, topic)
             raise
-        subscription = self._session.subscriptions.get(topic)
-        # Under a throttle that drops, one of them gets through: it shall be the newest.
-        newest_only = subscription is not None and subscription.skips
-        for publication in (earlier[-1:] if newest_only else earlier) if first else ():
-            self._deliver(publication)
+        if first:
+            self._deliver_earlier(topic, earlier)
 
     def _unsubscribe(self, operation: Unsubscribe) -> None:
         if self._session.subscriptions.remove(operation.topic, operation.id):
             self._graph.unsubscribe(self._node, qualify(operation.topic))
 
-    def _deliver(self, publication: Publication) -> None:
+    def _deliver_earlier(self, topic: str, earlier: Sequence[Publication]) -> None:
+        subscription = self._session.subscriptions.get(topic)
+        # Under a throttle that drops, one of them gets through: it shall be the newest.
+        newest_only = subscription is not None and subscription.skips
+        for publication in earlier[-1:] if newest_only else earlier:
+            self._deliver(publication, wake=False)
+        # Not before all are there: of what waits for a throttle, only the last ones are to be sent.
+        self._wake()
+
+    def _deliver(self, publication: Publication, *, wake: bool = True) -> None:
         try:
-            self._session.deliver(publication, self._clock(), self._send_at_once)
+            queued = self._session.deliver(publication, self._clock(), self._send_at_once)
         except ProtocolError as error:
             self._refuse("subscribe", error)
-        if self._session.waiting:
-            self._wake()
+        else:
+            if queued and wake:
+                self._wake()

@@ -8,7 +8,6 @@ import logging
 import time
 from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.exceptions import ConnectionClosed
 from websockets.protocol import State
 
@@ -16,6 +15,7 @@ from protocol.dialect import Dialect
 from protocol.limits import Limits
 from protocol.parcel import Parcel
 from server.gateway.client import Client
+from server.gateway.websocket import TURN_S, WebSocket
 from server.graph import Graph
 from server.node import Node
 
@@ -26,9 +26,6 @@ POLICY_VIOLATION = 1008
 
 # How long a client that does not read may take to hear why it is closed.
 CLOSE_TIMEOUT_S = 1.0
-
-# Frames of one client are carried out for no longer than this before others have their turn.
-TURN_S = 0.001
 
 
 class Connection:
@@ -43,15 +40,14 @@ class Connection:
         address: where the client connects from.
     """
 
-    def __init__(self, websocket: ServerConnection, graph: Graph, limits: Limits) -> None:
+    def __init__(self, websocket: WebSocket, graph: Graph, limits: Limits) -> None:
         self._websocket = websocket
         self._wake = asyncio.Event()
         self.address, port = _address(websocket)
         name = f"client {self.address}:{port}"
-        self._sending = False
         self._closing: asyncio.Task[None] | None = None
         self._client = Client(
-            name, graph, limits, time.monotonic, self._wake_up, _dialect(websocket), self._send_at_once
+            name, graph, limits, time.monotonic, self._wake_up, _dialect(websocket), websocket.send_at_once
         )
 
     @property
@@ -64,10 +60,13 @@ class Connection:
         log.info("%s connected", self._client.node)
         writer = asyncio.create_task(self._write(), name=f"write to {self._client.node}")
         try:
+            self._websocket.on_message = self._client.receive_frame
             await self._read()
         finally:
+            self._websocket.on_message = None
             writer.cancel()
-            with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
+            # The writer may have been waiting for a socket that broke.
+            with contextlib.suppress(asyncio.CancelledError, OSError):
                 await writer
             self._client.leave()
 
@@ -86,21 +85,20 @@ class Connection:
             log.info("%s left", self._client.node)
 
     async def _write(self) -> None:
-        session = self._client.session
-        while True:
+        """Send what could not be sent at once."""
+        while self._websocket.state is State.OPEN:
             self._wake.clear()
-            frames = session.data_to_send(time.monotonic())
-            self._sending = bool(frames)
-            for frame in frames:
-                await self._websocket.send(frame.data, text=frame.text)
-            self._sending = False
-            if not frames:
-                await self._until_something_is_due()
+            self._flush()
+            await self._websocket.drain()
+            await self._until_something_is_due()
 
     def _wake_up(self) -> None:
-        """Have the rest sent; a client whose replies pile up is dropped, for the writer may wait for it in vain."""
-        if not self._client.session.overflowed:
-            self._wake.set()
+        """Send what is due, or have it sent; a client whose replies pile up is closed, for it may never read them."""
+        session = self._client.session
+        if not session.overflowed:
+            self._flush()
+            if session.waiting:
+                self._wake.set()
         elif self._closing is None:
             log.warning("%s: does not read its replies; closing", self._client.node)
             self._closing = asyncio.create_task(self._close(), name=f"close {self._client.node}")
@@ -111,17 +109,13 @@ class Connection:
             await asyncio.wait_for(self._websocket.close(POLICY_VIOLATION, "replies are not read"), CLOSE_TIMEOUT_S)
         self._websocket.transport.abort()
 
-    def _send_at_once(self, parcel: Parcel) -> bool:
-        """Send a message if the socket takes it without waiting; says whether it has.
-
-        A task and an event for each message would cost more than the message.
-        """
-        websocket = self._websocket
-        if self._sending or websocket.transport.get_write_buffer_size() or websocket.state is not State.OPEN:
-            return False
-        for frame in parcel.frames:
-            broadcast((websocket,), frame.data, text=frame.text)
-        return True
+    def _flush(self) -> None:
+        """Send what is due, for as long as the socket takes it without waiting."""
+        while self._websocket.takes_more:
+            frames = self._client.session.data_to_send(time.monotonic())
+            if not frames:
+                return
+            self._websocket.send_at_once(Parcel(*frames))
 
     async def _until_something_is_due(self) -> None:
         now_s = time.monotonic()
@@ -133,13 +127,13 @@ class Connection:
             await asyncio.wait_for(self._wake.wait(), due_s - now_s)
 
 
-def _address(websocket: ServerConnection) -> tuple[str, int]:
+def _address(websocket: WebSocket) -> tuple[str, int]:
     """Address and port of the client; a connection that broke off at once has none any more."""
     address = websocket.remote_address
     return (str(address[0]), int(address[1])) if isinstance(address, tuple) else ("unknown", 0)
 
 
-def _dialect(websocket: ServerConnection) -> Dialect:
+def _dialect(websocket: WebSocket) -> Dialect:
     """Which ROS the client asks for in its URL: ``?ros=1`` for ROS 1."""
     query = urlsplit(websocket.request.path).query if websocket.request else ""
     return "ros1" if parse_qs(query).get("ros") == ["1"] else "ros2"

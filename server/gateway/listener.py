@@ -7,6 +7,7 @@ import contextlib
 import errno
 import logging
 import socket
+from typing import cast
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 
@@ -14,6 +15,7 @@ from protocol.limits import Limits
 from server.client_list import ClientList
 from server.errors import StartError
 from server.gateway.connection import Connection
+from server.gateway.websocket import WRITE_LIMIT_BYTES, WebSocket
 from server.graph import Graph
 
 log = logging.getLogger("armbridge.gateway")
@@ -85,6 +87,8 @@ class Listener:
             max_size=OVERSIZE * self._limits.max_message_bytes,
             # As in rosbridge_server: deflate doubles the cost of every message.
             compression=None,
+            create_connection=WebSocket,
+            write_limit=WRITE_LIMIT_BYTES,
             # Some clients offer a subprotocol and expect it to be passed over.
             select_subprotocol=lambda _connection, _offered: None,
             close_timeout=CLOSE_TIMEOUT_S,
@@ -100,7 +104,8 @@ class Listener:
             self._socket.close()
 
     async def _serve_client(self, websocket: ServerConnection) -> None:
-        connection = Connection(websocket, self._graph, self._limits)
+        # What `create_connection` has made.
+        connection = Connection(cast(WebSocket, websocket), self._graph, self._limits)
         self._clients.add(connection.node, connection.address)
         try:
             await connection.run()

@@ -111,3 +111,10 @@ def test_ros1_subscribers_get_ros1_spelling_in_every_encoding(encoding):
 def test_a_message_of_an_unknown_type_goes_out_as_it_came(encoding, dialect):
     message = Publication("/a", "my_msgs/msg/Own", {"list": [1, 2]}, REGISTRY, RECEIVED)
     assert decoded(message.frame("/a", encoding, dialect), encoding)["msg"] == {"list": [1, 2]}
+
+
+def test_a_publications_size_is_that_of_its_message_as_it_went_out_and_else_as_json():
+    assert publication().size_bytes == len(b'{"data":"hello"}')
+    sent = publication(msg={"data": "x" * 1000})
+    sent.frame("chatter", "cbor")
+    assert 1000 < sent.size_bytes < len(sent.frame("chatter", "cbor").data)

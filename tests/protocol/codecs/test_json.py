@@ -107,6 +107,18 @@ def test_objects_count_for_the_nesting_as_lists_do(encode):
         json.decode(encode(deep))
 
 
+@pytest.mark.parametrize("encode", [str, str.encode])
+@pytest.mark.parametrize("bracket", ["[", '{"a":'])
+def test_in_a_long_frame_nesting_is_limited_as_well(encode, bracket):
+    def long(depth):
+        closing = "]" if bracket == "[" else "}"
+        return encode(f'["{"x" * 100_000}",{bracket * depth}1{closing * depth}]')
+
+    assert json.decode(long(json.MAX_NESTING_DEPTH - 1))
+    with pytest.raises(FrameError, match="nested deeper"):
+        json.decode(long(json.MAX_NESTING_DEPTH))
+
+
 def test_nesting_that_no_decoder_survives_is_refused():
     for frame in ("[" * 200_000, "[NaN," + "[" * 200_000, "[NaN," + nested(5_000) + "]"):
         with pytest.raises(FrameError):

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.collision import CollidingPair, CollisionModel
+from planners.goals import JointGoal, PositionGoal
 from planners.kinematics import IkResult
-from planners.problem import JointGoal, MoveItErrorCode, PlanningFailure, PlanningProblem, PositionGoal
+from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from robot.model import Group, RobotModel
 
 Vector = NDArray[np.float64]

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from planners import checks
 from planners.budget import Budget
 from planners.collision import CollisionModel
+from planners.goals import JointGoal, PositionGoal
 from planners.kinematics import PositionSolver
 from planners.motion import Task
 from planners.path import JointSpace
-from planners.problem import JointGoal, Plan, PlanningFailure, PlanningProblem, PositionGoal
+from planners.problem import Plan, PlanningFailure, PlanningProblem
 from planners.timing import RateLimits
 from robot.model import Group, RobotModel
 

@@ -15,7 +15,7 @@ ROOMS = ("server", "planners", "robot", "protocol")
 
 # What each room may import of ours; a name with a dot is one module of a room.
 ALLOWED = {
-    "server": ("server", "protocol", "robot", "planners.problem", "planners.pool"),
+    "server": ("server", "protocol", "robot", "planners.goals", "planners.scene", "planners.problem", "planners.pool"),
     "planners": ("planners", "robot.model", "robot.trajectory", "robot.processes"),
     "robot": ("robot",),
     "protocol": ("protocol",),

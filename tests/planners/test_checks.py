@@ -14,8 +14,9 @@ from planners.checks import (
     out_of_reach,
 )
 from planners.collision import CollidingPair
+from planners.goals import JointGoal, PositionGoal
 from planners.kinematics import IkResult
-from planners.problem import JointGoal, MoveItErrorCode, PlanningProblem, PositionGoal
+from planners.problem import MoveItErrorCode, PlanningProblem
 
 TIP = "gripper_frame_link"
 POINT = PositionGoal(TIP, (0.3, 0.0, 0.2), 0.01)

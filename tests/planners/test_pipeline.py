@@ -7,8 +7,9 @@ import pytest
 
 from planners.checks import START_CONTACT_DEPTH_M
 from planners.collision import CollisionModel
+from planners.goals import JointGoal, PositionGoal
 from planners.pipeline import Planner
-from planners.problem import JointGoal, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, PositionGoal
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.timing import RateLimits
 from robot import model
 from tests.planners.invariants import (

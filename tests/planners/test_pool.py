@@ -9,8 +9,9 @@ from collections.abc import AsyncIterator
 import psutil
 import pytest
 
+from planners.goals import JointGoal
 from planners.pool import PlannerPool
-from planners.problem import JointGoal, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from robot import model
 
 START = dict.fromkeys(["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"], 0.0)

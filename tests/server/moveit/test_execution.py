@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
+from planners.goals import JointGoal
 from planners.pool import PlannerPool
-from planners.problem import JointGoal, MoveItErrorCode
+from planners.problem import MoveItErrorCode
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration

@@ -9,8 +9,10 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.path import CHECK_STEP_M, JointSpace, search
-from planners.timing import RateLimits, time_path
+from planners.joint_space import CHECK_STEP_M, JointSpace
+from planners.path import search
+from planners.profile import RateLimits
+from planners.timing import time_path
 from robot.trajectory import Trajectory
 
 Vector = NDArray[np.float64]

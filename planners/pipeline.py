@@ -12,11 +12,11 @@ from planners import checks
 from planners.budget import Budget
 from planners.collision import CollisionModel
 from planners.goals import JointGoal, PositionGoal
+from planners.joint_space import JointSpace
 from planners.kinematics import PositionSolver
 from planners.motion import Task
-from planners.path import JointSpace
 from planners.problem import Plan, PlanningFailure, PlanningProblem
-from planners.timing import RateLimits
+from planners.profile import RateLimits
 from robot.model import Group, RobotModel
 
 Vector = NDArray[np.float64]

@@ -13,9 +13,9 @@ with warnings.catch_warnings():
 
 from planners.collision import CollisionModel
 from planners.kinematics import PositionSolver
-from planners.path import JointSpace
+from planners.joint_space import JointSpace
 from planners.pipeline import Planner
-from planners.timing import RateLimits
+from planners.profile import RateLimits
 from robot import model
 from tests.helpers import shared as helpers_shared
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from planners.path import CHECK_STEP_M, JointSpace, coarse_to_fine, search, shortcut
+from planners.joint_space import CHECK_STEP_M, JointSpace, coarse_to_fine
+from planners.path import search, shortcut
 from tests.planners.invariants import BLOCKED_LINES, never
 
 HOME = np.zeros(5)

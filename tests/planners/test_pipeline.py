@@ -10,7 +10,7 @@ from planners.collision import CollisionModel
 from planners.goals import JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
-from planners.timing import RateLimits
+from planners.profile import RateLimits
 from robot import model
 from tests.planners.invariants import (
     BLOCKED_LINES,

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planners.timing import SAMPLE_PERIOD_S, SHORTEST_INTERVAL_S, RateLimits, time_path
+from planners.profile import SAMPLE_PERIOD_S, SHORTEST_INTERVAL_S, RateLimits
+from planners.timing import time_path
 from tests.planners.invariants import (
     assert_from_rest_to_rest,
     assert_keeps_rates,

@@ -53,8 +53,29 @@ class MoveItErrorCode(IntEnum):
     NO_IK_SOLUTION = -31
 
 
-# Searches that can be asked for by name: OMPL's, without those that crash or do not end in time on an arm's problems.
-PLANNER_IDS = ("RRTConnect",)
+# Searches that can be asked for by name: OMPL's, the default first. Those not here crash (AORRTC), start threads, which
+# a worker that is killed at any time cannot have (PRM and its kin), or draw a fixed number of states before they begin
+# and find nothing when those were too few (FMT, BFMT).
+PLANNER_IDS = (
+    "RRTConnect",
+    "RRT",
+    "RRTstar",
+    "InformedRRTstar",
+    "SORRTstar",
+    "LBKPIECE1",
+    "BKPIECE1",
+    "KPIECE1",
+    "BITstar",
+)
+
+
+def planner_name(planner_id: str) -> str | None:
+    """Which of :data:`PLANNER_IDS` is meant, in MoveIt's spellings as well; the default for none; None if unknown.
+
+    MoveIt's configurations say "RRTConnectkConfigDefault" and "geometric::RRTConnect" for "RRTConnect".
+    """
+    name = planner_id.removeprefix("geometric::").removesuffix("kConfigDefault") or PLANNER_IDS[0]
+    return name if name in PLANNER_IDS else None
 
 
 @dataclass(frozen=True)
@@ -72,7 +93,7 @@ class PlanningProblem:
         seed: same problem and seed, same plan.
         start_velocity_rad_s: velocities of joints that move at the start; those not named stand still [rad/s].
         path_constraints: what must hold from start to end.
-        planner_id: which search to use, one of :data:`PLANNER_IDS`; empty for the default.
+        planner_id: which search to use, as :func:`planner_name` knows it; empty for the default.
         optimization_time_s: planning time to spend on shortening the motion once there is one [s].
         max_jerk_rad_s3: joint -> greatest jerk; joints not named have no such limit [rad/s^3].
     """

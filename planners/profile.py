@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.blending import BlendedPath
+from planners.spline import SplinePath
 from robot.trajectory import Trajectory
 
 Vector = NDArray[np.float64]
@@ -26,10 +26,12 @@ class RateLimits:
     Attributes:
         velocity_rad_s: above 0 [rad/s].
         acceleration_rad_s2: above 0 [rad/s^2].
+        jerk_rad_s3: above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
     """
 
     velocity_rad_s: Vector
     acceleration_rad_s2: Vector
+    jerk_rad_s3: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Profile:
         return np.concatenate(([0.0], np.cumsum(2.0 * np.diff(self.s) / (self.rate[:-1] + self.rate[1:]))))
 
 
-def sampled(path: BlendedPath, profile: Profile, joint_names: tuple[str, ...], points: Vector) -> Trajectory:
+def sampled(path: SplinePath, profile: Profile, joint_names: tuple[str, ...], points: Vector) -> Trajectory:
     """The motion along a path, sampled at its knots and at 100 Hz; it starts and ends exactly in ``points``' ends."""
     knots_s = profile.times_s
     times_s = _sample_times(knots_s)

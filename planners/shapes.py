@@ -1,8 +1,6 @@
-"""Collision shapes of a robot: one convex shape per link, or the URDF's own with meshes replaced by their hulls."""
+"""Collision shapes of a robot: one convex shape per link, or the URDF's own with meshes replaced by hulls."""
 
 from __future__ import annotations
-
-from itertools import combinations
 
 import coal
 import numpy as np
@@ -10,22 +8,38 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
-from robot.model import Hull, RobotModel
+from planners.hulls import convex, enclosing
+from robot.model import RobotModel
 
 Vector = NDArray[np.float64]
 
 
-def collision_geometry(robot: RobotModel, model: pin.Model) -> pin.GeometryModel:
-    """Shapes and the pairs of them to check.
+def robot_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
+    """The shapes that are checked: solid and quick to check.
 
     Raises:
         ShapeError: a shape of the URDF cannot be loaded, or there is none.
     """
-    geometry = _from_hulls(robot, model) if robot.hulls else _from_urdf(robot, model)
-    if geometry.ngeoms == 0:
+    shapes = [on_link(model, link, convex(hull.vertices)) for link, hull in robot.hulls.items()]
+    shapes = shapes or _from_urdf(robot, model)
+    if not shapes:
         raise ShapeError(robot.name, "no link has a collision shape")
-    _add_pairs(robot, model, geometry)
-    return geometry
+    return shapes
+
+
+def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
+    """The shapes of the URDF as they are, meshes with all their triangles.
+
+    Raises:
+        ShapeError: a shape cannot be loaded.
+    """
+    # package:// names start above the package's own directory, relative names in it.
+    folders = [] if robot.mesh_directory is None else [str(robot.mesh_directory), str(robot.mesh_directory.parent)]
+    try:
+        geometry = pin.buildGeomFromUrdfString(model, robot.urdf, pin.GeometryType.COLLISION, package_dirs=folders)
+    except (ValueError, RuntimeError) as error:
+        raise ShapeError(robot.name, f"cannot be loaded: {error}") from error
+    return list(geometry.geometryObjects)
 
 
 def link_name(model: pin.Model, shape: pin.GeometryObject) -> str:
@@ -39,64 +53,36 @@ def outline(shape: pin.GeometryObject) -> Vector:
     Returns:
         Shape (n, 3) [m], in the frame of the joint that carries the shape.
     """
-    return np.asarray([shape.placement.act(point) for point in _outline_in_shape(shape.geometry)])
+    return _corners(shape.geometry) @ shape.placement.rotation.T + shape.placement.translation
 
 
-def _from_hulls(robot: RobotModel, model: pin.Model) -> pin.GeometryModel:
-    geometry = pin.GeometryModel()
-    for link, hull in robot.hulls.items():
-        frame_id = model.getFrameId(link)
-        frame = model.frames[frame_id]
-        geometry.addGeometryObject(
-            pin.GeometryObject(link, frame.parentJoint, frame_id, frame.placement, _convex(hull))
-        )
-    return geometry
+def scaled(shape: coal.CollisionGeometry, factor: float) -> coal.Convex:
+    """The hull of a shape's outline, larger by a factor as seen from its middle."""
+    points = _corners(shape)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return convex(middle + factor * (points - middle))
 
 
-def _convex(hull: Hull) -> coal.Convex:
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in hull.vertices:
-        points.append(vertex)
-    for a, b, c in hull.triangles:
-        triangles.append(coal.Triangle(int(a), int(b), int(c)))
-    return coal.Convex(points, triangles)
+def on_link(model: pin.Model, link: str, shape: coal.CollisionGeometry) -> pin.GeometryObject:
+    """A shape in the frame of a link."""
+    frame_id = model.getFrameId(link)
+    frame = model.frames[frame_id]
+    return pin.GeometryObject(link, frame.parentJoint, frame_id, frame.placement, shape)
 
 
-def _from_urdf(robot: RobotModel, model: pin.Model) -> pin.GeometryModel:
-    # package:// names start above the package's own directory, relative names in it.
-    folders = [] if robot.mesh_directory is None else [str(robot.mesh_directory), str(robot.mesh_directory.parent)]
-    try:
-        geometry = pin.buildGeomFromUrdfString(model, robot.urdf, pin.GeometryType.COLLISION, package_dirs=folders)
-    except (ValueError, RuntimeError) as error:
-        raise ShapeError(robot.name, f"cannot be loaded: {error}") from error
-    for shape in geometry.geometryObjects:
+def _from_urdf(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
+    shapes = urdf_shapes(robot, model)
+    for shape in shapes:
         if isinstance(shape.geometry, coal.BVHModelBase):
-            shape.geometry = _hull_of_mesh(link_name(model, shape), shape.geometry)
-    return geometry
+            shape.geometry = enclosing(np.asarray(shape.geometry.vertices()))
+    return shapes
 
 
-def _hull_of_mesh(link: str, mesh: coal.BVHModelBase) -> coal.Convex:
-    """Hull of a mesh: far cheaper to check, and it encloses the mesh."""
-    try:
-        mesh.buildConvexHull(True, "Qt")
-    except RuntimeError as error:
-        raise ShapeError(link, f"the mesh has no convex hull: {error}") from error
-    return mesh.convex
-
-
-def _add_pairs(robot: RobotModel, model: pin.Model, geometry: pin.GeometryModel) -> None:
-    adjacent = {frozenset((joint.parent, joint.child)) for joint in robot.joints.values()}
-    unchecked = adjacent | robot.disabled_pairs
-    for (i, first), (j, second) in combinations(enumerate(geometry.geometryObjects), 2):
-        links = frozenset((link_name(model, first), link_name(model, second)))
-        if first.parentJoint != second.parentJoint and links not in unchecked:
-            geometry.addCollisionPair(pin.CollisionPair(i, j))
-
-
-def _outline_in_shape(shape: coal.CollisionGeometry) -> Vector:
+def _corners(shape: coal.CollisionGeometry) -> Vector:
     if isinstance(shape, coal.Convex):
         return np.asarray(shape.points())
+    if isinstance(shape, coal.BVHModelBase):
+        return np.asarray(shape.vertices())
     shape.computeLocalAABB()
     lower, upper = shape.aabb_local.min_, shape.aabb_local.max_
-    corners = np.array(np.meshgrid(*zip(lower, upper, strict=True)))
-    return corners.reshape(3, -1).T
+    return np.array(np.meshgrid(*zip(lower, upper, strict=True))).reshape(3, -1).T

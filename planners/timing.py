@@ -1,80 +1,120 @@
-"""When is the arm where along a path: least time within velocity and acceleration limits, from rest to rest.
+"""Closed forms: least time from rest to rest on a straight joint line, and from a moving start.
 
-Straight lines have a closed form; polylines with rounded corners are timed by :mod:`planners.path_timing`.
+Everything is rounded up to whole ticks, at most three of them.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.blending import BlendedPath
-from planners.path_timing import toppra_profile
-from planners.profile import SHORTEST_INTERVAL_S, Profile, RateLimits, sampled, within_limits
-from robot.trajectory import Trajectory
+from planners.curve import TICK_S, Curve, standing
+from planners.profile import RateLimits
+from planners.ramps import connect, least_time_s, reduced, whole_ticks
 
 Vector = NDArray[np.float64]
 
 # Points nearer than this are one point: directions between them are rounding errors.
 SAME_POINT_RAD = 1e-9
 
-
-def time_path(points: Vector, joint_names: tuple[str, ...], limits: RateLimits, blend_rad: float) -> Trajectory | None:
-    """Time a polyline, rounding its corners.
-
-    Args:
-        points: shape (m, n), m >= 1 [rad].
-        joint_names: the joints of the columns.
-        limits: kept at the samples and by the cubic interpolation between them.
-        blend_rad: how far from a corner the curve may leave the polyline [rad]; with 0 it stops in each corner.
-
-    Returns:
-        The motion, from rest to rest, exactly from the first point to the last. Samples are about
-        10 ms apart; more are set where accelerations jump. None when TOPP-RA finds no timing.
-        Points within 1e-9 rad of each other count as one.
-    """
-    points = _distinct(points)
-    if len(points) == 1:
-        rest = np.zeros_like(points)
-        return Trajectory(joint_names, np.zeros(1), points, rest, rest)
-    path = BlendedPath(points, blend_rad)
-    stops = len(points) == 2 or blend_rad == 0.0
-    profile = _stopping_profile(path, limits) if stops else toppra_profile(path, limits)
-    if profile is None:
-        return None
-    return within_limits(sampled(path, profile, joint_names, points), limits)
+# A moving joint that has to be slower than its neighbours may only be able to be much slower, by turning back.
+LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
 
 
-def _distinct(points: Vector) -> Vector:
-    """The points without those that repeat their predecessor; first and last stay exact, or are one point."""
-    kept = [points[0]]
-    for point in points[1:-1]:
-        if not _same(point, kept[-1]):
-            kept.append(point)
-    while len(kept) > 1 and _same(kept[-1], points[-1]):
-        kept.pop()
-    if not _same(kept[-1], points[-1]):
-        kept.append(points[-1])
-    return np.array(kept)
-
-
-def _same(a: Vector, b: Vector) -> bool:
+def same_point(a: Vector, b: Vector) -> bool:
+    """Whether two points are one."""
     return bool(np.max(np.abs(a - b)) <= SAME_POINT_RAD)
 
 
-def _stopping_profile(path: BlendedPath, limits: RateLimits) -> Profile:
-    """Speed up, cruise and slow down on each line: time-optimal for a straight line."""
-    s, rate = [0.0], [0.0]
-    for start, end in zip(path.knots[:-1], path.knots[1:], strict=True):
-        share = np.maximum(np.abs(path(0.5 * (start + end), 1)), 1e-12)
-        top = float(np.min(limits.velocity_rad_s / share))
-        acceleration = float(np.min(limits.acceleration_rad_s2 / share))
-        ramp = min(0.5 * top**2 / acceleration, 0.5 * (end - start))
-        top = float(np.sqrt(2.0 * acceleration * ramp))
-        if end - start - 2.0 * ramp > SHORTEST_INTERVAL_S * top:
-            s += [start + ramp, end - ramp, end]
-            rate += [top, top, 0.0]
-        else:
-            s += [0.5 * (start + end), end]
-            rate += [top, 0.0]
-    return Profile(np.array(s), np.array(rate))
+def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
+    """Speed up, cruise and slow down on a straight line, as fast as its tightest joint allows.
+
+    Args:
+        start: shape (n,) [rad].
+        goal: shape (n,), another point [rad].
+        limits: what to keep; their jerk is not considered.
+    """
+    share = np.maximum(np.abs(goal - start), SAME_POINT_RAD)
+    rate = float(np.min(limits.velocity_rad_s / share))
+    acceleration = float(np.min(limits.acceleration_rad_s2 / share))
+    ramp_s = min(rate / acceleration, float(np.sqrt(1.0 / acceleration)))
+    total_s = ramp_s + 1.0 / (acceleration * ramp_s)
+    ramp = int(np.ceil(ramp_s / TICK_S))
+    total = int(np.ceil(total_s / TICK_S)) + 1
+    top = (goal - start) / (TICK_S * (total - ramp))
+    ticks = np.array([0, ramp, total - ramp, total])
+    on_ramp = 0.5 * TICK_S * ramp * top
+    positions = np.array([start, start + on_ramp, goal - on_ramp, goal])
+    rest = np.zeros_like(start)
+    velocities = np.array([rest, top, top, rest])
+    if 2 * ramp == total:
+        return Curve(ticks[[0, 1, 3]], positions[[0, 1, 3]], velocities[[0, 1, 3]])
+    return Curve(ticks, positions, velocities)
+
+
+def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
+    """Stop in each point of a polyline.
+
+    Args:
+        points: shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
+        limits: what to keep; their jerk is not considered.
+        wait_ticks: how long to wait in each point between the first and the last.
+    """
+    points = _distinct(points)
+    curves = [line(start, goal, limits) for start, goal in pairwise(points)]
+    if not curves:
+        return standing(points[-1], 1)
+    whole = curves[0]
+    for point, curve in zip(points[1:-1], curves[1:], strict=True):
+        whole = (whole.then(standing(point, wait_ticks)) if wait_ticks else whole).then(curve)
+    return whole
+
+
+def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimits) -> Curve | None:
+    """Move from a moving start to rest in a point: no straight line, each joint takes its own ramps.
+
+    Args:
+        start: shape (n,) [rad].
+        velocity: shape (n,), within the limits [rad/s].
+        goal: shape (n,) [rad].
+        limits: what to keep; their jerk is not considered.
+
+    Returns:
+        None when no time was found that suits all joints.
+    """
+    rest = np.zeros_like(start)
+    least_s = least_time_s(start, velocity, goal, rest, reduced(limits))
+    times = (int(whole_ticks(factor * least_s)) for factor in LONGER_TIMES)
+    curves = (connect(start, velocity, goal, rest, ticks, limits) for ticks in times)
+    return next((curve for curve in curves if curve is not None), None)
+
+
+def brake(start: Vector, velocity: Vector, limits: RateLimits) -> Curve:
+    """Bring each joint to rest as soon as it can.
+
+    Args:
+        start: shape (n,) [rad].
+        velocity: shape (n,), not all 0 [rad/s].
+        limits: what to keep; their jerk is not considered.
+    """
+    braking = np.maximum(np.ceil(np.abs(velocity) / (limits.acceleration_rad_s2 * TICK_S)), 1.0)
+    knots = np.unique(np.concatenate(([0.0], braking)))
+    braked = np.minimum(knots[:, np.newaxis], braking)
+    share = braked / braking
+    positions = start + TICK_S * velocity * braked * (1.0 - 0.5 * share)
+    return Curve(knots.astype(np.int64), positions, velocity * (1.0 - share))
+
+
+def _distinct(points: Vector) -> Vector:
+    """The points without those that repeat their predecessor; the first and the last stay exact."""
+    kept = [points[0]]
+    for point in points[1:-1]:
+        if not same_point(point, kept[-1]):
+            kept.append(point)
+    while len(kept) > 1 and same_point(kept[-1], points[-1]):
+        kept.pop()
+    if len(points) > 1 and not same_point(kept[-1], points[-1]):
+        kept.append(points[-1])
+    return np.array(kept)

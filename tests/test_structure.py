@@ -17,9 +17,8 @@ WITHOUT_TEST = {
     "server/errors.py",
     "robot/errors.py",
     "server/moveit/parameters.py",
-    # The children's mains: run by the tests of the handles on them.
+    # A child's main: run by the tests of the handle on it.
     "robot/loop.py",
-    "planners/worker.py",
 }
 
 

@@ -12,7 +12,8 @@ with warnings.catch_warnings():
     import pinocchio  # noqa: F401
 
 from planners.collision import CollisionModel
-from planners.kinematics import PositionSolver
+from planners.constraints import Joints
+from planners.goal_states import GoalStates
 from planners.joint_space import JointSpace
 from planners.pipeline import Planner
 from planners.profile import RateLimits
@@ -36,8 +37,13 @@ def collision(robot):
 
 
 @pytest.fixture(scope="session")
-def solver(robot, collision):
-    return PositionSolver(robot, collision)
+def goal_states(robot, collision):
+    return GoalStates(robot, collision)
+
+
+@pytest.fixture(scope="session")
+def joints(collision):
+    return Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
 
 
 @pytest.fixture(scope="session")

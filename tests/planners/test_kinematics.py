@@ -2,125 +2,154 @@ import numpy as np
 import pytest
 
 from planners.collision import CollisionModel
-from planners.kinematics import DISTINCT_RAD, MAX_SOLUTIONS, PositionSolver, _Findings
+from planners.constraints import ConditionSet, Joints, conditions, wish
+from planners.forward import ForwardKinematics
+from planners.goals import (
+    AxisGoal,
+    Constraints,
+    JointConstraint,
+    OrientationConstraint,
+    PoseGoal,
+    PositionConstraint,
+    PositionGoal,
+)
+from planners.kinematics import Kinematics, Wish
+from planners.scene import Pose
 from robot import model
-from tests.planners.invariants import never
-from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
+from tests.helpers import seven_joint_arm
+from tests.planners.test_constraints import pose_of
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)
 
 
-@pytest.fixture
-def reachable(collision):
-    """Free configurations and where the tip is in them."""
-    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (120, 6))
-    free = np.array([q for q in states if not collision.in_collision(q)])
-    return list(zip(free, collision.tip_positions(free, TIP), strict=True))
+class Bench:
+    """A robot whose descents are looked at."""
+
+    def __init__(self, robot, tip):
+        self.tip = tip
+        self.arm = robot.groups["arm"]
+        collision = CollisionModel(robot)
+        self.joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
+        self.forward = ForwardKinematics(robot, collision.joint_names)
+        self.kinematics = Kinematics(robot, self.forward, collision.joint_names)
+
+    def states(self, count, seed=1):
+        return np.random.default_rng(seed).uniform(
+            self.joints.lower_rad, self.joints.upper_rad, (count, len(self.joints.names))
+        )
+
+    def descend(self, goal, q):
+        return self.kinematics.descent(self.arm, wish(goal, self.joints))(q)
+
+    def holds(self, goal, q):
+        return ConditionSet(self.forward, wish(goal, self.joints).required).holds(q)
 
 
-def test_every_reachable_point_has_a_free_solution_within_tolerance_and_limits(solver, collision, arm, reachable):
-    for _, target_m in reachable:
-        found = solver.solve_position(arm, target_m, TIP, HOME, 0.001, never)
-        assert found.solutions
-        for q in found.solutions:
-            assert np.linalg.norm(collision.tip_position(q, TIP) - target_m) <= 0.001
-            assert not collision.in_collision(q)
-            assert np.all((q >= collision.lower_rad) & (q <= collision.upper_rad))
+@pytest.fixture(scope="module")
+def so101(robot):
+    return Bench(robot, TIP)
 
 
-def test_solutions_differ_and_the_soonest_comes_first(solver, arm, reachable):
-    for seed_q, target_m in reachable[:20]:
-        found = solver.solve_position(arm, target_m, TIP, seed_q, 0.001, never)
-        times_s = [solver.move_time_s(seed_q, q) for q in found.solutions]
-        assert times_s == sorted(times_s)
-        assert len(found.solutions) <= MAX_SOLUTIONS
-        for i, q in enumerate(found.solutions):
-            assert all(np.max(np.abs(q - other)) >= DISTINCT_RAD for other in found.solutions[:i])
+@pytest.fixture(scope="module")
+def seven():
+    return Bench(model.parse(seven_joint_arm.URDF, seven_joint_arm.SRDF), "tool")
 
 
-def test_ends_of_descents_that_are_nearly_the_same_are_one_solution(collision):
-    target_m = collision.tip_position(HOME, TIP)
-    found = _Findings(collision, target_m, 0.1)
-    for q in (HOME, HOME + 0.9 * DISTINCT_RAD * np.eye(6)[4], HOME + 1.1 * DISTINCT_RAD * np.eye(6)[4]):
-        found.add(q, target_m)
-    assert len(found.result(lambda q: 0.0).solutions) == 2
+def goals_at(bench, q):
+    pose = pose_of(bench.forward, q, bench.tip)
+    bench.forward.place(q)
+    placement = bench.forward.placement(bench.tip)
+    offset_m = np.array([0.02, -0.01, 0.03])
+    direction = placement.rotation[:, 0]
+    return {
+        "point": PositionGoal(bench.tip, pose.position_m, 0.001),
+        "offset": PositionGoal(
+            bench.tip, tuple(placement.translation + placement.rotation @ offset_m), 0.001, tuple(offset_m)
+        ),
+        "axis": AxisGoal(bench.tip, pose.position_m, 0.001, (1.0, 0.0, 0.0), tuple(direction), 0.02),
+        "pose": PoseGoal(bench.tip, pose, 0.001, (0.02, 0.02, 0.02), strict=True),
+    }
 
 
-def test_a_joint_outside_the_group_is_not_used_to_get_nearer():
-    srdf = CRANE_SRDF.replace('<chain base_link="foot" tip_link="rod"/>', '<joint name="turn"/><joint name="lift"/>')
-    crane = model.parse(CRANE_URDF, srdf)
-    collision = CollisionModel(crane)
-    solver = PositionSolver(crane, collision)
-    target_m = np.array([0.35, 0.0, 0.27])
-    found = solver.solve_position(crane.groups["arm"], target_m, "rod", np.zeros(3), 0.001, never)
-    assert found.solutions == ()
-    assert found.distance_m == pytest.approx(0.05, abs=1e-3)
-    assert found.nearest_q[collision.joint_names.index("slide")] == 0.0
+@pytest.mark.parametrize("kind", ["point", "offset", "axis", "pose"])
+@pytest.mark.parametrize("arm_name", ["so101", "seven"])
+def test_what_a_nearby_configuration_has_is_reached(arm_name, kind, request):
+    bench = request.getfixturevalue(arm_name)
+    inner = 0.8 * bench.states(25)
+    reached = 0
+    for q in inner:
+        goal = goals_at(bench, q)[kind]
+        end = bench.descend(goal, q + np.random.default_rng(3).uniform(-0.2, 0.2, len(q)))
+        reached += bench.holds(goal, end)
+        assert np.all((end >= bench.joints.lower_rad) & (end <= bench.joints.upper_rad))
+    assert reached >= 23
 
 
-def test_joints_outside_the_group_stay(solver, collision, arm):
-    gripper = collision.joint_names.index("gripper")
-    seed_q = HOME.copy()
-    seed_q[gripper] = 0.7
-    found = solver.solve_position(arm, np.array([0.3, 0.1, 0.2]), TIP, seed_q, 0.01, never)
-    assert found.solutions
-    assert all(q[gripper] == 0.7 for q in found.solutions)
+def test_joints_outside_the_group_stay(so101):
+    gripper = so101.joints.names.index("gripper")
+    q = 0.4 * np.eye(6)[gripper]
+    assert so101.descend(PositionGoal(TIP, (0.2, 0.2, 0.2), 0.001), q)[gripper] == 0.4
 
 
-def test_point_of_the_first_client_is_41_mm_from_the_nearest_reachable_one(solver, collision, arm):
-    found = solver.solve_position(arm, np.array([0.1, 0.0, 0.15]), TIP, HOME, 0.01, never)
-    assert found.solutions == ()
-    assert found.colliding == ()
-    assert found.distance_m == pytest.approx(0.041, abs=0.001)
-    assert not collision.in_collision(found.nearest_q)
-    np.testing.assert_allclose(collision.tip_position(found.nearest_q, TIP), found.nearest_m, atol=1e-9)
+def test_base_does_not_fly_to_a_target_out_of_reach(so101):
+    end = so101.descend(PositionGoal(TIP, (2.0, 0.0, 0.2), 0.001), HOME)
+    so101.forward.place(end)
+    assert 0.4 < so101.forward.placement(TIP).translation[0] < 0.5
 
 
-@pytest.mark.parametrize("target_m", [(0.05, 0.05, 0.9), (5.0, 0.0, 0.0), (-0.6, 0.1, 0.0), (0.02, 0.02, 0.3)])
-def test_no_sampled_configuration_comes_nearer_than_the_nearest_one(solver, collision, arm, target_m):
-    states = np.random.default_rng(6).uniform(collision.lower_rad, collision.upper_rad, (3000, 6))
-    distances_m = np.linalg.norm(collision.tip_positions(states, TIP) - target_m, axis=1)
-    nearer = [states[i] for i in np.argsort(distances_m)[:50]]
-    sampled_m = min(
-        float(np.linalg.norm(collision.tip_position(q, TIP) - target_m))
-        for q in nearer
-        if not collision.in_collision(q)
-    )
-    found = solver.solve_position(arm, np.array(target_m), TIP, HOME, 1e-4, never)
-    assert found.distance_m <= sampled_m + 1e-3
+def test_preferred_orientation_does_not_cost_the_point(so101):
+    rng = np.random.default_rng(4)
+    for q in 0.8 * so101.states(20):
+        orientation = rng.normal(size=4)
+        pose = Pose(pose_of(so101.forward, q).position_m, tuple(orientation / np.linalg.norm(orientation)))
+        goal = PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02))
+        end = so101.descend(goal, q)
+        wanted = ConditionSet(so101.forward, wish(goal, so101.joints).required)
+        assert wanted.deviation(end).position_m < 2e-4
 
 
-def test_point_inside_the_arm_is_answered_with_the_links_that_touch(solver, arm):
-    found = solver.solve_position(arm, np.array([0.0, 0.0, 0.02]), TIP, HOME, 0.01, never)
-    assert found.solutions == ()
-    assert "base_link" in {link for pair in found.colliding for link in pair.links}
+def test_preferred_orientation_is_as_near_as_small_motions_can_make_it(so101):
+    rng = np.random.default_rng(5)
+    for q in 0.6 * so101.states(5):
+        pose = Pose(pose_of(so101.forward, q).position_m, (0.0, 0.0, 0.0, 1.0))
+        wanted = wish(PoseGoal(TIP, pose, 0.002, (0.02, 0.02, 0.02)), so101.joints)
+        required, preferred = (ConditionSet(so101.forward, part) for part in (wanted.required, wanted.preferred))
+        end = so101.kinematics.descent(so101.arm, wanted)(q)
+        around = end + rng.uniform(-0.02, 0.02, (4000, 6))
+        around = np.clip(around, so101.joints.lower_rad, so101.joints.upper_rad)
+        best = min((preferred.deviation(near).orientation_rad for near in around if required.holds(near)), default=9.0)
+        assert preferred.deviation(end).orientation_rad <= best + 0.03
 
 
-def test_nearest_configuration_is_free_even_where_a_colliding_one_is_nearer(solver, collision, arm):
-    inside_m = np.array([0.0, 0.0, 0.02])
-    # No descent gets this near, so every end of one counts as out of reach.
-    found = solver.solve_position(arm, inside_m, TIP, HOME, 1e-9, never)
-    assert not collision.in_collision(found.nearest_q)
+def test_tolerances_are_used_where_the_middle_cannot_be_had(so101):
+    # To the middle of the region the arm would have to turn the other way than its joint may.
+    region = PositionConstraint(TIP, Pose((0.3, -0.4, 0.2)), half_size_m=(0.5, 0.7, 0.5))
+    joint = JointConstraint("shoulder_pan", -0.8, 0.3, 0.3)
+    wanted = Wish(conditions(Constraints(joints=(joint,), positions=(region,)), so101.joints))
+    end = so101.kinematics.descent(so101.arm, wanted)(HOME)
+    assert ConditionSet(so101.forward, wanted.required).holds(end)
 
 
-def test_same_question_has_the_same_answer_whatever_was_asked_before(solver, arm):
-    def ask(target_m):
-        return solver.solve_position(arm, np.array(target_m), TIP, HOME, 0.01, never)
+def test_weights_decide_between_what_cannot_both_hold(so101):
+    def heights(weight):
+        high = PositionConstraint(TIP, Pose((0.3, 0.0, 0.3)), radius_m=0.01, weight=weight)
+        low = PositionConstraint(TIP, Pose((0.3, 0.0, 0.2)), radius_m=0.01)
+        wanted = Wish(conditions(Constraints(positions=(high, low)), so101.joints))
+        so101.forward.place(so101.kinematics.descent(so101.arm, wanted)(HOME))
+        return so101.forward.placement(TIP).translation[2]
 
-    first = ask((0.25, -0.1, 0.2))
-    ask((0.1, 0.0, 0.15))
-    np.testing.assert_array_equal(first.solutions, ask((0.25, -0.1, 0.2)).solutions)
-
-
-def test_stopped_search_answers_with_what_the_first_try_found(solver, arm):
-    asked = []
-    found = solver.solve_position(arm, np.array([0.1, 0.0, 0.15]), TIP, HOME, 0.01, lambda: not asked.append(1))
-    assert np.isfinite(found.distance_m)
-    assert len(asked) == 1
+    assert heights(0.2) < heights(1.0) - 0.02 < heights(5.0) - 0.04
 
 
-def test_a_seed_that_is_there_already_is_a_solution(solver, collision, arm):
-    target_m = collision.tip_position(HOME, TIP)
-    found = solver.solve_position(arm, target_m, TIP, HOME, 0.001, never)
-    np.testing.assert_array_equal(found.solutions[0], HOME)
+def test_inside_is_near_and_none_where_there_is_none(so101):
+    down = OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 3.2))
+    wanted = Wish(conditions(Constraints(orientations=(down,)), so101.joints))
+    descent = so101.kinematics.descent(so101.arm, wanted)
+    near = np.array([0.0, -0.2, 0.3, 1.3, 0.2, 0.0])
+    inside = descent.inside(near)
+    assert ConditionSet(so101.forward, wanted.required).holds(inside)
+    assert np.max(np.abs(inside - near)) < 0.5
+    far = PositionConstraint(TIP, Pose((2.0, 0.0, 0.0)), radius_m=0.1)
+    impossible = Wish(conditions(Constraints(positions=(far,)), so101.joints))
+    assert so101.kinematics.descent(so101.arm, impossible).inside(near) is None

@@ -8,47 +8,27 @@ import pytest
 import robot.description
 from planners.collision import CollisionModel
 from planners.errors import ShapeError
-from planners.shapes import collision_geometry, link_name, outline
+from planners.hulls import convex
+from planners.shapes import link_name, outline, robot_shapes, scaled, urdf_shapes
 from planners.skeleton import kinematic_urdf
 from robot import model
-from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
+from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 
-def geometry_of(arm):
+def shapes_of(arm):
     pin_model = pin.buildModelFromXML(kinematic_urdf(arm))
-    return pin_model, collision_geometry(arm, pin_model)
-
-
-def linked_pairs(pin_model, geometry):
-    shapes = geometry.geometryObjects
-    return {
-        frozenset((link_name(pin_model, shapes[pair.first]), link_name(pin_model, shapes[pair.second])))
-        for pair in geometry.collisionPairs
-    }
-
-
-def test_checked_pairs_leave_out_neighbours_and_disabled_ones(robot):
-    checked = linked_pairs(*geometry_of(robot))
-    neighbours = {frozenset((joint.parent, joint.child)) for joint in robot.joints.values()}
-    assert checked
-    assert not checked & neighbours
-    assert not checked & robot.disabled_pairs
-
-
-def test_every_other_pair_of_links_with_shapes_is_checked(robot):
-    checked = linked_pairs(*geometry_of(robot))
-    assert len(checked | robot.disabled_pairs) == len(robot.hulls) * (len(robot.hulls) - 1) / 2
+    return pin_model, robot_shapes(arm, pin_model)
 
 
 def test_without_hulls_the_shapes_of_the_urdf_are_used():
-    pin_model, geometry = geometry_of(model.parse(CRANE_URDF, CRANE_SRDF))
-    kinds = {link_name(pin_model, shape): type(shape.geometry) for shape in geometry.geometryObjects}
+    pin_model, shapes = shapes_of(model.parse(CRANE_URDF, CRANE_SRDF))
+    kinds = {link_name(pin_model, shape): type(shape.geometry) for shape in shapes}
     assert kinds == {"foot": coal.Box, "mast": coal.Cylinder, "boom": coal.Box, "rod": coal.Sphere}
 
 
 def test_outline_of_a_shape_encloses_it_in_the_frame_of_its_joint():
-    _, geometry = geometry_of(model.parse(CRANE_URDF, CRANE_SRDF))
-    boom = next(shape for shape in geometry.geometryObjects if shape.name.startswith("boom"))
+    _, shapes = shapes_of(model.parse(CRANE_URDF, CRANE_SRDF))
+    boom = next(shape for shape in shapes if shape.name.startswith("boom"))
     points = outline(boom)
     np.testing.assert_allclose(points.min(axis=0), (0.0, -0.01, -0.01), atol=1e-9)
     np.testing.assert_allclose(points.max(axis=0), (0.3, 0.01, 0.01), atol=1e-9)
@@ -58,13 +38,13 @@ def test_robot_without_any_shape_is_refused():
     bare = model.parse(CRANE_URDF, CRANE_SRDF)
     bare = model.parse(kinematic_urdf(bare), CRANE_SRDF)
     with pytest.raises(ShapeError, match="no link has a collision shape"):
-        geometry_of(bare)
+        shapes_of(bare)
 
 
 def test_missing_mesh_is_refused_by_name(tmp_path):
     urdf = CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', '<mesh filename="gone.stl"/>')
     with pytest.raises(ShapeError, match=r"gone\.stl"):
-        geometry_of(model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path))
+        shapes_of(model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path))
 
 
 @pytest.mark.parametrize("prefix", ["", "package://{folder}/"])
@@ -72,10 +52,28 @@ def test_meshes_are_found_beside_the_urdf_and_replaced_by_hulls(tmp_path, prefix
     (tmp_path / "boom.stl").write_text(_tetrahedron_stl())
     name = prefix.format(folder=tmp_path.name) + "boom.stl"
     urdf = CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', f'<mesh filename="{name}"/>')
-    _, geometry = geometry_of(model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path))
-    boom = next(shape for shape in geometry.geometryObjects if shape.name.startswith("boom"))
+    _, shapes = shapes_of(model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path))
+    boom = next(shape for shape in shapes if shape.name.startswith("boom"))
     assert isinstance(boom.geometry, coal.Convex)
     assert len(outline(boom)) == 4
+
+
+def test_shapes_of_the_urdf_keep_all_triangles_where_they_are_asked_for(tmp_path):
+    (tmp_path / "boom.stl").write_text(_tetrahedron_stl())
+    urdf = CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', '<mesh filename="boom.stl"/>')
+    arm = model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path)
+    kinds = {shape.name: type(shape.geometry) for shape in urdf_shapes(arm, shapes_of(arm)[0])}
+    assert kinds["boom_0"] == coal.BVHModelOBBRSS
+
+
+@pytest.mark.parametrize("shape", [coal.Box(0.1, 0.2, 0.3), convex(np.random.default_rng(1).normal(size=(20, 3)))])
+def test_a_scaled_shape_grows_about_its_middle(shape):
+    shape.computeLocalAABB()
+    larger = scaled(shape, 1.5)
+    larger.computeLocalAABB()
+    middle = 0.5 * (shape.aabb_local.min_ + shape.aabb_local.max_)
+    np.testing.assert_allclose(larger.aabb_local.min_ - middle, 1.5 * (shape.aabb_local.min_ - middle), atol=1e-9)
+    np.testing.assert_allclose(larger.aabb_local.max_ - middle, 1.5 * (shape.aabb_local.max_ - middle), atol=1e-9)
 
 
 def test_official_description_collides_only_where_the_hulls_do(shared_data, collision):
@@ -91,9 +89,4 @@ def test_official_description_collides_only_where_the_hulls_do(shared_data, coll
 
 def _tetrahedron_stl():
     corners = [(0, 0, 0), (0.3, 0, 0), (0, 0.02, 0), (0, 0, 0.02)]
-    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
-    facets = []
-    for face in faces:
-        vertices = "".join(f"vertex {x} {y} {z}\n" for x, y, z in (corners[i] for i in face))
-        facets.append(f"facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n")
-    return "solid boom\n" + "".join(facets) + "endsolid boom\n"
+    return stl([[corners[i] for i in face] for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))])

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import xml.etree.ElementTree as ET
 
@@ -27,3 +28,11 @@ def test_continuous_joints_get_one_turn_either_way(crane):
     turn = model_of_crane.joints[model_of_crane.getJointId("turn")].idx_q
     assert model_of_crane.lowerPositionLimit[turn] == pytest.approx(-math.pi)
     assert model_of_crane.upperPositionLimit[turn] == pytest.approx(math.pi)
+
+
+def test_limits_are_those_of_the_model(robot):
+    elbow = dataclasses.replace(robot.joints["elbow_flex"], lower=-0.5, upper=0.25)
+    narrow = dataclasses.replace(robot, joints={**robot.joints, "elbow_flex": elbow})
+    kinematics = pin.buildModelFromXML(kinematic_urdf(narrow))
+    column = kinematics.joints[kinematics.getJointId("elbow_flex")].idx_q
+    assert (kinematics.lowerPositionLimit[column], kinematics.upperPositionLimit[column]) == (-0.5, 0.25)

@@ -3,107 +3,93 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planners.profile import SAMPLE_PERIOD_S, SHORTEST_INTERVAL_S, RateLimits
-from planners.timing import time_path
-from tests.planners.invariants import (
-    assert_from_rest_to_rest,
-    assert_keeps_rates,
-    assert_well_formed,
-)
+from planners.curve import TICK_S
+from planners.profile import RateLimits
+from planners.timing import brake, from_moving, line, polyline, same_point
+from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
 
 NAMES = ("a", "b", "c")
 LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
 
 coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda value: round(value, 6))
-polylines = st.lists(st.tuples(*[coordinates] * 3), min_size=1, max_size=6).map(np.array)
-blends = st.sampled_from([0.0, 0.075, 0.3])
+points = st.tuples(*[coordinates] * 3).map(np.array)
+velocities = st.tuples(*[st.floats(-0.99, 0.99)] * 3).map(lambda share: np.array(share) * LIMITS.velocity_rad_s)
 
 
-def least_time_s(distance, velocity, acceleration):
-    """Least time from rest to rest over a distance."""
-    if distance < velocity**2 / acceleration:
-        return 2.0 * np.sqrt(distance / acceleration)
-    return distance / velocity + velocity / acceleration
+def least_time_s(velocity, acceleration):
+    """Least time from rest to rest over a distance of one."""
+    if velocity**2 / acceleration > 1.0:
+        return 2.0 * np.sqrt(1.0 / acceleration)
+    return 1.0 / velocity + velocity / acceleration
 
 
-@given(polylines, blends)
+@given(st.lists(points, min_size=1, max_size=6).map(np.array))
 @settings(max_examples=60)
-def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits(points, blend_rad):
-    trajectory = time_path(points, NAMES, LIMITS, blend_rad)
-    assert trajectory is not None
+def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits(corners):
+    trajectory = polyline(corners, LIMITS).sampled(NAMES)
     assert_well_formed(trajectory)
-    assert_from_rest_to_rest(trajectory, points[0], points[-1])
+    if not same_point(corners[0], corners[-1]):
+        assert_from_rest_to_rest(trajectory, corners[0], corners[-1])
     assert_keeps_rates(trajectory, LIMITS)
 
 
-@given(st.tuples(*[coordinates] * 3).map(np.array))
-def test_straight_motion_takes_the_least_time_of_its_slowest_joint(goal):
-    points = np.array([np.zeros(3), goal])
-    trajectory = time_path(points, NAMES, LIMITS, 0.0)
+@given(points)
+def test_a_line_takes_the_least_time_of_its_tightest_joint(goal):
+    if same_point(goal, np.zeros(3)):
+        return
+    curve = line(np.zeros(3), goal, LIMITS)
     # Joints keep to the line, so the tightest velocity and acceleration may be those of different joints.
-    share = np.maximum(np.abs(goal), 1e-12)
-    bound_s = least_time_s(1.0, np.min(LIMITS.velocity_rad_s / share), np.min(LIMITS.acceleration_rad_s2 / share))
-    assert trajectory.duration_s == pytest.approx(bound_s, rel=1e-6, abs=SHORTEST_INTERVAL_S)
+    share = np.maximum(np.abs(goal), 1e-9)
+    bound_s = least_time_s(np.min(LIMITS.velocity_rad_s / share), np.min(LIMITS.acceleration_rad_s2 / share))
+    assert bound_s - 1e-9 <= TICK_S * curve.duration_ticks <= bound_s + 3.0 * TICK_S
 
 
 @pytest.mark.parametrize("distance_rad", [1e-7, 1e-6, 1e-5, 1e-3])
 def test_tiny_moves_are_timed_and_end_exactly(distance_rad):
-    points = np.array([[0.1, 0.2, 0.3], [0.1 + distance_rad, 0.2, 0.3]])
-    trajectory = time_path(points, NAMES, LIMITS, 0.3)
+    start, goal = np.array([0.1, 0.2, 0.3]), np.array([0.1 + distance_rad, 0.2, 0.3])
+    trajectory = line(start, goal, LIMITS).sampled(NAMES)
     assert_well_formed(trajectory)
-    assert_from_rest_to_rest(trajectory, *points)
+    assert_from_rest_to_rest(trajectory, start, goal)
     assert 0.0 < trajectory.duration_s < 0.05
 
 
-@pytest.mark.parametrize("count", [1, 2, 5])
-def test_no_move_is_one_sample_at_time_zero(count):
-    trajectory = time_path(np.ones((count, 3)), NAMES, LIMITS, 0.3)
-    assert_well_formed(trajectory)
-    assert trajectory.duration_s == 0.0
-    np.testing.assert_array_equal(trajectory.positions_rad, np.ones((1, 3)))
-
-
-@pytest.mark.parametrize("blend_rad", [0.0, 0.3])
-def test_samples_are_ten_milliseconds_apart(blend_rad):
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0]])
-    spacing_s = np.diff(time_path(points, NAMES, LIMITS, blend_rad).time_s)
-    assert spacing_s.max() <= 1.1 * (SAMPLE_PERIOD_S + SHORTEST_INTERVAL_S)
-    assert spacing_s.min() >= SHORTEST_INTERVAL_S
-
-
-def test_without_blends_the_motion_stops_in_every_corner():
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0], [0.0, 0.0, 0.0]])
-    trajectory = time_path(points, NAMES, LIMITS, 0.0)
-    for corner in points[1:-1]:
-        at = np.argmin(np.linalg.norm(trajectory.positions_rad - corner, axis=1))
-        np.testing.assert_allclose(trajectory.positions_rad[at], corner, atol=1e-9)
-        np.testing.assert_allclose(trajectory.velocities_rad_s[at], 0.0, atol=1e-9)
-
-
-def test_rounded_corners_save_time():
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.2, 1.0, 1.0]])
-    durations_s = [time_path(points, NAMES, LIMITS, blend).duration_s for blend in (0.0, 0.075, 0.3)]
-    assert durations_s == sorted(durations_s, reverse=True)
-    assert durations_s[-1] < 0.9 * durations_s[0]
-
-
-def test_lower_limits_make_a_slower_motion_that_keeps_them():
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.2, 1.0, 1.0]])
-    slow = RateLimits(0.3 * LIMITS.velocity_rad_s, 0.3 * LIMITS.acceleration_rad_s2)
-    trajectory = time_path(points, NAMES, slow, 0.3)
-    assert_keeps_rates(trajectory, slow)
-    assert trajectory.duration_s > 1.8 * time_path(points, NAMES, LIMITS, 0.3).duration_s
-
-
-def test_the_last_point_is_reached_exactly_even_right_after_a_near_one():
-    goal = np.array([1.2, 1.0, 1.0])
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], goal + 5e-10, goal])
-    np.testing.assert_array_equal(time_path(points, NAMES, LIMITS, 0.3).positions_rad[-1], goal)
+def test_a_polyline_stops_in_every_corner_and_waits_there():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0]])
+    stopping, waiting = (polyline(corners, LIMITS, wait) for wait in (0, 300))
+    assert waiting.duration_ticks == stopping.duration_ticks + 300
+    at_corner = np.flatnonzero(np.all(waiting.positions_rad == corners[1], axis=1))
+    np.testing.assert_array_equal(waiting.velocities_rad_s[at_corner], np.zeros((2, 3)))
 
 
 def test_repeated_points_change_nothing():
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.2, 1.0, 1.0]])
-    repeated = np.repeat(points, 3, axis=0)
-    expected, got = (time_path(p, NAMES, LIMITS, 0.3) for p in (points, repeated))
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.2, 1.0, 1.0]])
+    expected, got = (polyline(each, LIMITS) for each in (corners, np.repeat(corners, 3, axis=0)))
     np.testing.assert_array_equal(got.positions_rad, expected.positions_rad)
-    np.testing.assert_array_equal(got.time_s, expected.time_s)
+    np.testing.assert_array_equal(got.ticks, expected.ticks)
+
+
+@given(points, velocities, points)
+@settings(max_examples=100)
+def test_a_moving_start_is_left_smoothly_and_within_the_limits(start, velocity, goal):
+    curve = from_moving(start, velocity, goal, LIMITS)
+    if curve is None:
+        return
+    np.testing.assert_array_equal(curve.positions_rad[[0, -1]], [start, goal])
+    np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [velocity, np.zeros(3)])
+    assert_keeps_rates(curve.sampled(NAMES), LIMITS)
+
+
+def test_nearly_every_moving_start_reaches_its_goal():
+    rng = np.random.default_rng(2)
+    starts = rng.uniform(-1.0, 1.0, (200, 3, 3))
+    found = [from_moving(p, 0.9 * v * LIMITS.velocity_rad_s, goal, LIMITS) is not None for p, v, goal in starts]
+    assert np.mean(found) > 0.95
+
+
+@given(points, velocities)
+def test_braking_brings_each_joint_to_rest_within_the_limits_as_soon_as_it_can(start, velocity):
+    curve = brake(start, velocity, LIMITS)
+    np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [velocity, np.zeros(3)])
+    assert_keeps_rates(curve.sampled(NAMES), LIMITS)
+    nearest = start + 0.5 * velocity * np.abs(velocity) / LIMITS.acceleration_rad_s2
+    assert np.all(np.abs(curve.positions_rad[-1] - nearest) <= TICK_S * LIMITS.velocity_rad_s)

@@ -11,8 +11,8 @@ import json
 from pathlib import Path
 
 from benchmarks.make_scenes import SCENES
-from planners import plan_command, problem_file
-from planners.plan_command import Options, Outcome
+from planners.files import plan_command, problem_file
+from planners.files.plan_command import Options, Outcome
 from planners.problem import Plan
 from robot import model
 from tests.helpers.full_meshes import Judge

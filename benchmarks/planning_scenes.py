@@ -19,9 +19,9 @@ import numpy as np
 from benchmarks import mplib_side
 from benchmarks.figures import percentiles, print_table
 from benchmarks.make_scenes import SCENES
-from planners import plan_command, problem_file
-from planners.motion import STRAIGHT_LINE
-from planners.plan_command import Outcome
+from planners.files import plan_command, problem_file
+from planners.files.plan_command import Outcome
+from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
 from robot import model
 from tests.helpers.full_meshes import Judge

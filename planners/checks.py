@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from planners.collision import CollidingPair
-from planners.goal_checks import check_constraints, check_goal, invalid_goal
+from planners.geometry.collision import CollidingPair
+from planners.ik.goal_checks import check_constraints, check_goal, invalid_goal
 from planners.problem import (
     PLANNER_IDS,
     IkQuestion,

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
-from planners.cartesian import plan_cartesian
-from planners.collision import CollisionModel
-from planners.goal_refusals import start_violates
-from planners.goal_states import Asker, GoalState, GoalStates
-from planners.joint_space import JointSpace
-from planners.motion import MotionTask, find_motion
+from planners.cartesian.planning import plan_cartesian
+from planners.geometry.collision import CollisionModel
+from planners.geometry.joint_space import JointSpace
+from planners.ik.goal_refusals import start_violates
+from planners.ik.goal_states import Asker, GoalState, GoalStates
+from planners.motions.motion import MotionTask, find_motion
 from planners.problem import (
     Answer,
     CartesianProblem,
@@ -27,8 +27,8 @@ from planners.problem import (
     Request,
     StateQuestion,
 )
-from planners.profile import RateLimits
 from planners.questions import answer_ik, answer_state
+from planners.rates import RateLimits
 from planners.recheck import recheck
 from planners.scene import Scene
 from robot.model import RobotModel

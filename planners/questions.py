@@ -6,8 +6,8 @@ import numpy as np
 
 from planners import checks
 from planners.budget import Budget
-from planners.collision import CollisionModel
-from planners.goal_states import Asker, GoalStates
+from planners.geometry.collision import CollisionModel
+from planners.ik.goal_states import Asker, GoalStates
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, StateAnswer, StateQuestion
 from robot.model import RobotModel
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners import checks
-from planners.certificate import Contact, certify
-from planners.collision import CollidingPair, CollisionModel
-from planners.joint_space import JointSpace
+from planners.geometry.certificate import Contact, certify
+from planners.geometry.collision import CollidingPair, CollisionModel
+from planners.geometry.joint_space import JointSpace
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from robot.model import RobotModel
 from robot.trajectory import Trajectory

@@ -40,7 +40,7 @@ def _run_serve(options: argparse.Namespace) -> int:
 
 def _run_plan(options: argparse.Namespace) -> int:
     # Imported when it is needed: it loads the planning libraries.
-    from planners import plan_command
+    from planners.files import plan_command
 
     settings = {key: getattr(options, key) for key in _PROBLEM_SETTINGS if getattr(options, key) is not None}
     chosen = plan_command.Options(

@@ -13,6 +13,7 @@ WITHOUT_TEST = {
     "planners/messages.py",
     "planners/goals.py",
     "planners/problem.py",
+    "planners/rates.py",
     "planners/scene.py",
     "server/errors.py",
     "robot/errors.py",

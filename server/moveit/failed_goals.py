@@ -8,7 +8,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from planners import problem_file
+from planners.files import problem_file
 from planners.problem import PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.model import RobotModel

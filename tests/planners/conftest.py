@@ -11,12 +11,12 @@ with warnings.catch_warnings():
     warnings.filterwarnings("ignore", "Please update your 'hppfcl' imports", DeprecationWarning)
     import pinocchio  # noqa: F401
 
-from planners.collision import CollisionModel
-from planners.constraints import Joints
-from planners.goal_states import GoalStates
-from planners.joint_space import JointSpace
+from planners.geometry.collision import CollisionModel
+from planners.geometry.joint_space import JointSpace
+from planners.ik.constraints import Joints
+from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
-from planners.profile import RateLimits
+from planners.rates import RateLimits
 from robot import model
 from tests.helpers import shared as helpers_shared
 

@@ -9,11 +9,11 @@ import pinocchio as pin
 from hypothesis import strategies as st
 
 from planners.budget import Budget
-from planners.cartesian import plan_cartesian
-from planners.forward import ForwardKinematics
+from planners.cartesian.planning import plan_cartesian
+from planners.cartesian.tip_tracking import TipTracker
+from planners.geometry.forward import ForwardKinematics
 from planners.problem import Arc, CartesianProblem, Line
 from planners.scene import Pose
-from planners.tip_tracking import TipTracker
 from tests.planners.invariants import never
 
 TIP = "gripper_frame_link"

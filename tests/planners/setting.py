@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from tests.planners.test_constraints import pose_of
 
-from planners.forward import ForwardKinematics
+from planners.geometry.forward import ForwardKinematics
 from planners.problem import Plan, PlanningProblem
-from planners.profile import RateLimits
+from planners.rates import RateLimits
 from tests.planners.invariants import (
     assert_from_rest_to_rest,
     assert_keeps_positions,
@@ -14,7 +15,6 @@ from tests.planners.invariants import (
     assert_touches_nothing,
     assert_well_formed,
 )
-from tests.planners.test_constraints import pose_of
 
 TIP = "gripper_frame_link"
 

@@ -12,7 +12,7 @@ from planners.checks import (
     check_start_contact,
     check_state_question,
 )
-from planners.collision import CollidingPair
+from planners.geometry.collision import CollidingPair
 from planners.goals import Constraints, JointConstraint, JointGoal, PositionGoal
 from planners.problem import IkQuestion, MoveItErrorCode, PlanningProblem, StateQuestion
 

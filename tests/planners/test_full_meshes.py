@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from planners import plan_command, problem_file
-from planners.plan_command import Options
+from planners.files import plan_command, problem_file
+from planners.files.plan_command import Options
 from robot import model
 from tests.helpers import shared
 from tests.helpers.full_meshes import Judge

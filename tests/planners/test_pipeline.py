@@ -6,8 +6,7 @@ import pinocchio as pin
 import pytest
 
 from planners.checks import START_CONTACT_DEPTH_M
-from planners.collision import CollisionModel
-from planners.goal_states import GoalStates
+from planners.geometry.collision import CollisionModel
 from planners.goals import (
     AnyOf,
     AxisGoal,
@@ -19,6 +18,8 @@ from planners.goals import (
     PositionConstraint,
     PositionGoal,
 )
+from planners.ik.goal_states import GoalStates
+from planners.motions.projected_path import PROJECTED_SEARCH
 from planners.pipeline import Planner
 from planners.problem import (
     CartesianPlan,
@@ -35,7 +36,6 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
-from planners.projected_path import PROJECTED_SEARCH
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot import model
 from tests.planners.invariants import (

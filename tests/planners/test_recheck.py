@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from planners.path_timing import time_along
+from planners.cartesian.path_timing import time_along
+from planners.cartesian.spline import SplinePath
 from planners.problem import MoveItErrorCode, RecheckQuestion
-from planners.profile import RateLimits
+from planners.rates import RateLimits
 from planners.recheck import recheck
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
-from planners.spline import SplinePath
 
 OTHERS = {"gripper": 0.0}
 POINTS = np.array([[-1.2, 0.0, 0.0, 0.0, 0.0], [1.2, 0.2, -0.2, 0.3, 0.5]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planners.collision import CollisionModel
+from planners.geometry.collision import CollisionModel
 from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode

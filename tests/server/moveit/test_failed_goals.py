@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from planners import problem_file
+from planners.files import problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot import model

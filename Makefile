@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: install install-dev run test lint check bench lock clean
+.PHONY: install install-dev run test lint check bench campaign-planners bench-planning lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -37,6 +37,13 @@ check: test lint
 
 bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)
+
+bench-planning: install-dev
+	$(BIN)/python -m benchmarks planning planning_scenes
+
+campaign-planners: install-dev
+	mkdir -p build
+	$(BIN)/python -m benchmarks.planner_campaign $(ARGS) 2>build/campaign-planners.log
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

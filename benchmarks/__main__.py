@@ -7,12 +7,25 @@ import os
 import platform
 from collections.abc import Callable
 
-from benchmarks import event_loop, gateway, goal_latency, joint_states, planning, processes, rosapi, servo_loop
+from benchmarks import (
+    event_loop,
+    gateway,
+    goal_latency,
+    joint_states,
+    planner_processes,
+    planning,
+    planning_scenes,
+    processes,
+    rosapi,
+    servo_loop,
+)
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "processes": processes.run,
     "goal_latency": goal_latency.run,
     "planning": planning.run,
+    "planner_processes": planner_processes.run,
+    "planning_scenes": planning_scenes.run,
     "servo_loop": servo_loop.run,
     "joint_states": joint_states.run,
     "event_loop": event_loop.run,

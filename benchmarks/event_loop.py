@@ -1,8 +1,9 @@
-"""Is the server's event loop ever blocked, whatever is planned?
+"""How late does planning make the server's event loop?
 
 The server runs in this process beside a task that wants to run every millisecond. Its lateness in wall time contains
 what the machine's other processes take away; the CPU time that the loop spends between two of its turns does not, and
-is an upper bound on how long anything of ours held the loop.
+is an upper bound on how long anything of ours held the loop. What planning adds is the lateness beside planners that
+are never idle, less that beside as many processes that compute something else at the planners' niceness.
 """
 
 from __future__ import annotations
@@ -13,15 +14,31 @@ import os
 import signal
 import sys
 import time
+from collections import defaultdict
+from collections.abc import AsyncIterator, Callable
 
+import numpy as np
 import uvloop
+from numpy.typing import NDArray
 
 from benchmarks.figures import percentiles, print_table
+from planners.pool import PlannerPool
+from planners.worker_process import NICENESS
+from robot import model
 from server.app import App
 from server.config import load
+from tests.helpers.requests import EASY, LONG
+
+BUSY_PROGRAM = f"import os; os.nice({NICENESS})\nwhile True: sum(range(100_000))"
 
 QUIET_S = 5.0
 LOAD_S = 15.0
+
+# Planning is compared with other loads in short turns, so that what else the machine does falls on all alike.
+TURNS = 12
+TURN_S = 1.5
+SETTLE_S = 0.1
+
 TICK_S = 0.001
 PORT = 9199
 
@@ -52,7 +69,14 @@ class Ticker:
 
 
 def run() -> None:
-    """Serve a client that plans without pause."""
+    """Plan beside a ticker alone, and serve a client that plans without pause."""
+    added: list[list[str]] = []
+    uvloop.run(_compare(added))
+    print_table(
+        f"Lateness of an event loop, {TURNS} turns of {TURN_S:g} s each [ms]",
+        ["beside it", "late p50", "late p99", "late max", "CPU between ticks p99", "max"],
+        added,
+    )
     rows: list[list[str]] = []
     uvloop.run(_measure(rows))
     print_table(
@@ -60,6 +84,73 @@ def run() -> None:
         ["load", "ticks", "late p50", "late p99", "late max", "CPU between ticks p99", "max"],
         rows,
     )
+
+
+async def _compare(rows: list[list[str]]) -> None:
+    pool = PlannerPool(model.builtin())
+    await pool.start()
+    await pool.ask(EASY)
+    loads: dict[str, Callable[[], contextlib.AbstractAsyncContextManager[None]]] = {
+        "nothing": _nothing,
+        "a busy process": _busy_process,
+        "a planner at work": lambda: _planning(pool),
+    }
+    turns: dict[str, list[Ticker]] = defaultdict(list)
+    for _ in range(TURNS):
+        for name, beside in loads.items():
+            async with beside():
+                turns[name].append(await _ticked())
+    await pool.close()
+    figures = {name: _pooled(tickers) for name, tickers in turns.items()}
+    rows += [[name, *(f"{value:.2f}" for value in figure)] for name, figure in figures.items()]
+    difference = figures["a planner at work"] - figures["a busy process"]
+    rows.append(["added by planning to a busy process", *(f"{value:+.2f}" for value in difference)])
+
+
+async def _ticked() -> Ticker:
+    await asyncio.sleep(SETTLE_S)
+    ticker = Ticker()
+    ticking = asyncio.create_task(ticker.run())
+    await asyncio.sleep(TURN_S)
+    ticking.cancel()
+    return ticker
+
+
+def _pooled(tickers: list[Ticker]) -> NDArray[np.float64]:
+    """Lateness p50, p99 and max, CPU time between ticks p99 and max [ms]."""
+    lateness_s = np.concatenate([ticker.lateness_s for ticker in tickers])
+    cpu_s = np.concatenate([ticker.cpu_s for ticker in tickers])
+    figures_s = [*np.percentile(lateness_s, [50, 99, 100]), *np.percentile(cpu_s, [99, 100])]
+    return 1e3 * np.array(figures_s, dtype=np.float64)
+
+
+@contextlib.asynccontextmanager
+async def _nothing() -> AsyncIterator[None]:
+    yield
+
+
+@contextlib.asynccontextmanager
+async def _busy_process() -> AsyncIterator[None]:
+    process = await asyncio.create_subprocess_exec(sys.executable, "-c", BUSY_PROGRAM)
+    yield
+    process.kill()
+    await process.wait()
+
+
+@contextlib.asynccontextmanager
+async def _planning(pool: PlannerPool) -> AsyncIterator[None]:
+    planning = asyncio.create_task(_plan_for_ever(pool))
+    yield
+    planning.cancel()
+    await asyncio.wait([planning])
+
+
+async def _plan_for_ever(pool: PlannerPool) -> None:
+    """Plan hard and easy motions, and give some up, as clients do."""
+    while True:
+        await pool.ask(EASY)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(pool.ask(LONG), 0.2)
 
 
 async def _measure(rows: list[list[str]]) -> None:

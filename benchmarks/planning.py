@@ -8,8 +8,9 @@ from collections import defaultdict
 import numpy as np
 
 from benchmarks.figures import percentiles, print_table
+from planners.goals import Goal, JointGoal, PositionGoal
 from planners.pipeline import Planner
-from planners.problem import Goal, JointGoal, Plan, PlanningFailure, PlanningProblem, PositionGoal
+from planners.problem import Plan, PlanningFailure, PlanningProblem
 from robot import model
 
 PROBLEMS = 450

@@ -44,7 +44,7 @@ async def _measure() -> list[list[str]]:
         raise RuntimeError(arm.state.reason)
     pool = PlannerPool(robot, PLANNERS)
     await pool.start()
-    await asyncio.gather(*(pool.plan(SEARCHED) for _ in range(PLANNERS + 1)))
+    await asyncio.gather(*(pool.ask(SEARCHED) for _ in range(PLANNERS + 1)))
     rows = [await _watch("at rest", states)]
     planning = asyncio.gather(*(_plan_for_ever(pool) for _ in range(PLANNERS)))
     rows.append(await _watch(f"{PLANNERS} planners busy", states))
@@ -66,4 +66,4 @@ async def _watch(machine: str, states: list[ArmState]) -> list[str]:
 
 async def _plan_for_ever(pool: PlannerPool) -> None:
     while True:
-        await pool.plan(SEARCHED)
+        await pool.ask(SEARCHED)

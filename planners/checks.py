@@ -1,22 +1,25 @@
 """What can be refused before any search: each check gives the code that is true of the case, with its figures.
 
-Every check takes a problem and gives a :class:`PlanningFailure`, or None when there is nothing to say against it.
+Every check gives a :class:`PlanningFailure`, or None when there is nothing to say against what it looks at.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-from planners.collision import CollidingPair, CollisionModel
-from planners.kinematics import IkResult
-from planners.problem import JointGoal, MoveItErrorCode, PlanningFailure, PlanningProblem, PositionGoal
+from planners.geometry.collision import CollidingPair
+from planners.ik.goal_checks import check_constraints, check_goal, invalid_goal
+from planners.problem import (
+    PLANNER_IDS,
+    IkQuestion,
+    MoveItErrorCode,
+    PlanningFailure,
+    PlanningProblem,
+    StateQuestion,
+    planner_name,
+)
 from robot.model import Group, RobotModel
-
-Vector = NDArray[np.float64]
 
 # A relaxed arm may hang this far beyond a soft limit, and a servo's zero is set by hand.
 START_LIMIT_TOLERANCE_RAD = 0.05
@@ -24,87 +27,90 @@ START_LIMIT_TOLERANCE_RAD = 0.05
 # The hulls reach up to 20 mm beyond the links: a folded arm touches itself in the hulls only, and must get out.
 START_CONTACT_DEPTH_M = 0.01
 
+# Searches and time to improve are bounded, since a request occupies a planner.
+MAX_ATTEMPTS = 1000
+MAX_PLANNING_TIME_S = 3600.0
+
+# A joint that is measured while it moves at its limit may be told a little faster.
+SPEED_TOLERANCE = 1e-6
+
 
 def check_request(robot: RobotModel, problem: PlanningProblem) -> PlanningFailure | None:
-    """Names and scalars of a problem."""
-    group = robot.groups.get(problem.group)
-    if group is None:
-        known = ", ".join(sorted(robot.groups))
-        return PlanningFailure(
-            MoveItErrorCode.INVALID_GROUP_NAME, f"there is no planning group {problem.group!r}; there are: {known}"
-        )
-    scalars = {
-        "velocity scaling": problem.velocity_scaling,
-        "acceleration scaling": problem.acceleration_scaling,
-    }
-    for name, value in scalars.items():
-        if not 0.0 < value <= 1.0:
-            return _invalid_goal(f"the {name} must be above 0 and at most 1, not {value:g}", value=value)
-    if not (math.isfinite(problem.allowed_time_s) and problem.allowed_time_s > 0.0):
-        return _invalid_goal(
-            f"the allowed planning time must be a finite number above 0 s, not {problem.allowed_time_s:g}"
-        )
-    if isinstance(problem.goal, JointGoal):
-        return _check_joint_goal(robot, group, problem.goal)
-    return _check_position_goal(robot, problem.goal)
+    """Names and numbers of a problem."""
+    refusal = check_group(robot, problem.group)
+    if refusal is not None:
+        return refusal
+    group = robot.groups[problem.group]
+    return (
+        next(_number_flaws(problem), None)
+        or next(_moving_start_flaws(robot, group, problem), None)
+        or next(_jerk_flaws(group, problem.max_jerk_rad_s3), None)
+        or check_goal(robot, group, problem.goal)
+        or check_constraints(robot, problem.path_constraints)
+    )
+
+
+def check_ik_question(robot: RobotModel, question: IkQuestion) -> PlanningFailure | None:
+    """Names and numbers of a question for configurations."""
+    return (
+        check_group(robot, question.group)
+        or next(_time_flaws(question.allowed_time_s), None)
+        or check_goal(robot, robot.groups[question.group], question.goal)
+        or check_constraints(robot, question.constraints)
+    )
+
+
+def check_state_question(robot: RobotModel, question: StateQuestion) -> PlanningFailure | None:
+    """Names and numbers of a question about a state; whether it is within limits is the question itself."""
+    return (
+        check_group(robot, question.group)
+        or next(_position_flaws(robot, question.positions_rad), None)
+        or check_constraints(robot, question.constraints)
+    )
+
+
+def check_group(robot: RobotModel, name: str) -> PlanningFailure | None:
+    """Whether there is a planning group of this name."""
+    if name in robot.groups:
+        return None
+    known = ", ".join(sorted(robot.groups))
+    return PlanningFailure(
+        MoveItErrorCode.INVALID_GROUP_NAME, f"there is no planning group {name!r}; there are: {known}", {"group": name}
+    )
 
 
 def check_start(robot: RobotModel, start_rad: Mapping[str, float]) -> PlanningFailure | None:
     """Positions of all joints at the start."""
+    return next(_position_flaws(robot, start_rad), None) or next(
+        limit_flaws(robot, start_rad, START_LIMIT_TOLERANCE_RAD, MoveItErrorCode.START_STATE_INVALID), None
+    )
+
+
+def limit_flaws(
+    robot: RobotModel, positions_rad: Mapping[str, float], tolerance_rad: float, code: MoveItErrorCode
+) -> Iterator[PlanningFailure]:
+    """Joints that stand beyond their limits by more than a tolerance."""
     for joint in robot.movable_joints:
-        value = start_rad.get(joint.name)
-        if value is None or not math.isfinite(value):
-            said = "is missing" if value is None else f"is {value}"
-            return PlanningFailure(
-                MoveItErrorCode.START_STATE_INVALID,
-                f"the start position of joint {joint.name!r} {said}",
-                {"joint": joint.name},
-            )
-        if not joint.lower - START_LIMIT_TOLERANCE_RAD <= value <= joint.upper + START_LIMIT_TOLERANCE_RAD:
-            return PlanningFailure(
-                MoveItErrorCode.START_STATE_INVALID,
+        value = positions_rad[joint.name]
+        if not joint.lower - tolerance_rad <= value <= joint.upper + tolerance_rad:
+            yield PlanningFailure(
+                code,
                 f"the arm stands with joint {joint.name!r} at {value:.4g} rad, beyond its limits"
                 f" {joint.lower:.4g} to {joint.upper:.4g} rad",
                 {"joint": joint.name, "position_rad": value, "lower_rad": joint.lower, "upper_rad": joint.upper},
             )
-    return None
 
 
 def check_start_contact(pairs: Sequence[CollidingPair]) -> PlanningFailure | None:
-    """Links that touch at the start; shallow contacts may be left and are no failure."""
+    """What touches at the start; shallow contacts may be left and are no failure."""
     if all(pair.depth_m <= START_CONTACT_DEPTH_M for pair in pairs):
         return None
-    return PlanningFailure(
-        MoveItErrorCode.START_STATE_IN_COLLISION,
-        f"the arm already touches itself: {describe_pairs(pairs)}",
-        {"pairs": pairs_as_data(pairs)},
-    )
+    return contact_failure(MoveItErrorCode.START_STATE_IN_COLLISION, "the arm stands in collision", pairs)
 
 
-def check_goal_contact(collision: CollisionModel, goal_q: Vector) -> PlanningFailure | None:
-    """Links that touch in the goal configuration."""
-    pairs = collision.colliding_pairs(goal_q)
-    return goal_in_collision(pairs) if pairs else None
-
-
-def goal_in_collision(pairs: Sequence[CollidingPair]) -> PlanningFailure:
-    """The goal can only be had with links touching."""
-    return PlanningFailure(
-        MoveItErrorCode.GOAL_IN_COLLISION,
-        f"in the goal the arm would touch itself: {describe_pairs(pairs)}",
-        {"pairs": pairs_as_data(pairs)},
-    )
-
-
-def out_of_reach(goal: PositionGoal, found: IkResult) -> PlanningFailure:
-    """No configuration brings the link to the point."""
-    nearest_m = [round(float(value), 4) for value in found.nearest_m]
-    return PlanningFailure(
-        MoveItErrorCode.NO_IK_SOLUTION,
-        f"{goal.link!r} cannot reach {_point(goal.position_m)} m, whatever its orientation: the nearest point it can"
-        f" reach is {_point(nearest_m)} m, {100.0 * found.distance_m:.1f} cm away",
-        {"distance_m": found.distance_m, "nearest_m": nearest_m, "tolerance_m": goal.tolerance_m},
-    )
+def contact_failure(code: MoveItErrorCode, what: str, pairs: Sequence[CollidingPair]) -> PlanningFailure:
+    """A refusal that names what touches."""
+    return PlanningFailure(code, f"{what}: {describe_pairs(pairs)}", {"pairs": pairs_as_data(pairs)})
 
 
 def describe_pairs(pairs: Sequence[CollidingPair]) -> str:
@@ -117,42 +123,65 @@ def pairs_as_data(pairs: Sequence[CollidingPair]) -> list[dict[str, str | float]
     return [{"first": pair.first, "second": pair.second, "depth_m": pair.depth_m} for pair in pairs]
 
 
-def _check_joint_goal(robot: RobotModel, group: Group, goal: JointGoal) -> PlanningFailure | None:
-    for name, value in goal.positions_rad.items():
-        if name not in group.joints:
-            known = ", ".join(group.joints)
-            return _invalid_goal(f"group {group.name!r} has no joint {name!r}; it has: {known}", joint=name)
-        if not math.isfinite(value):
-            return _invalid_goal(f"the goal of joint {name!r} is {value}, not a finite number", joint=name)
-        joint = robot.joints[name]
-        if not joint.lower - goal.tolerance_rad <= value <= joint.upper + goal.tolerance_rad:
-            return _invalid_goal(
-                f"the goal of joint {name!r}, {value:.4g} rad, is beyond its limits"
-                f" {joint.lower:.4g} to {joint.upper:.4g} rad",
-                joint=name,
-                position_rad=value,
-                lower_rad=joint.lower,
-                upper_rad=joint.upper,
-            )
-    return None
-
-
-def _check_position_goal(robot: RobotModel, goal: PositionGoal) -> PlanningFailure | None:
-    if goal.link not in robot.links:
-        known = ", ".join(robot.links)
-        return PlanningFailure(
-            MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {goal.link!r}; it has: {known}"
+def _number_flaws(problem: PlanningProblem) -> Iterator[PlanningFailure]:
+    scalings = {
+        "velocity scaling": problem.velocity_scaling,
+        "acceleration scaling": problem.acceleration_scaling,
+    }
+    for name, value in scalings.items():
+        if not 0.0 < value <= 1.0:
+            yield invalid_goal(f"the {name} must be above 0 and at most 1, not {value:g}", value=value)
+    yield from _time_flaws(problem.allowed_time_s)
+    if not 0.0 <= problem.optimization_time_s <= MAX_PLANNING_TIME_S:
+        value = problem.optimization_time_s
+        yield invalid_goal(f"the optimization time must be 0 to {MAX_PLANNING_TIME_S:g} s, not {value:g}", value=value)
+    if not 1 <= problem.attempts <= MAX_ATTEMPTS:
+        yield invalid_goal(f"the attempts must be 1 to {MAX_ATTEMPTS}, not {problem.attempts}", value=problem.attempts)
+    if planner_name(problem.planner_id) is None:
+        known = ", ".join(PLANNER_IDS)
+        yield invalid_goal(
+            f"there is no planner {problem.planner_id!r}; there are: {known}", planner_id=problem.planner_id
         )
-    if not all(math.isfinite(value) for value in goal.position_m):
-        return _invalid_goal(f"the goal position {_point(goal.position_m)} m is not finite")
-    if not (math.isfinite(goal.tolerance_m) and goal.tolerance_m > 0.0):
-        return _invalid_goal(f"the position tolerance must be above 0 m, not {goal.tolerance_m:g}")
-    return None
 
 
-def _invalid_goal(message: str, **details: str | float) -> PlanningFailure:
-    return PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, details)
+def _time_flaws(allowed_time_s: float) -> Iterator[PlanningFailure]:
+    if not (math.isfinite(allowed_time_s) and allowed_time_s > 0.0):
+        yield invalid_goal(f"the allowed planning time must be a finite number above 0 s, not {allowed_time_s:g}")
 
 
-def _point(position_m: Sequence[float]) -> str:
-    return "(" + ", ".join(f"{value:.4g}" for value in position_m) + ")"
+def _moving_start_flaws(robot: RobotModel, group: Group, problem: PlanningProblem) -> Iterator[PlanningFailure]:
+    for name, value in problem.start_velocity_rad_s.items():
+        if name not in group.joints:
+            yield _start_invalid(f"the start has a velocity of {name!r}, no joint of group {group.name!r}", joint=name)
+            return
+        limit = problem.velocity_scaling * robot.joints[name].max_velocity
+        if not abs(value) <= limit * (1.0 + SPEED_TOLERANCE):
+            yield _start_invalid(
+                f"the start velocity of joint {name!r}, {value:.4g} rad/s, is beyond its limit {limit:.4g} rad/s"
+                f" at a velocity scaling of {problem.velocity_scaling:g}",
+                joint=name,
+                velocity_rad_s=value,
+                limit_rad_s=limit,
+            )
+
+
+def _jerk_flaws(group: Group, max_jerk_rad_s3: Mapping[str, float]) -> Iterator[PlanningFailure]:
+    for name, value in max_jerk_rad_s3.items():
+        if name not in group.joints:
+            yield invalid_goal(f"there is a jerk limit for {name!r}, no joint of group {group.name!r}", joint=name)
+        if not (math.isfinite(value) and value > 0.0):
+            yield invalid_goal(
+                f"the jerk limit of joint {name!r} must be a finite number above 0 rad/s³, not {value:g}", joint=name
+            )
+
+
+def _position_flaws(robot: RobotModel, positions_rad: Mapping[str, float]) -> Iterator[PlanningFailure]:
+    for joint in robot.movable_joints:
+        value = positions_rad.get(joint.name)
+        if value is None or not math.isfinite(value):
+            said = "is missing" if value is None else f"is {value}"
+            yield _start_invalid(f"the start position of joint {joint.name!r} {said}", joint=joint.name)
+
+
+def _start_invalid(message: str, **details: str | float) -> PlanningFailure:
+    return PlanningFailure(MoveItErrorCode.START_STATE_INVALID, message, details)

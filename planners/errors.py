@@ -1,8 +1,10 @@
-"""Errors of the planners: only for a robot that cannot be planned for; a goal that fails is data.
+"""Errors of the planners: for a robot or a file that cannot be planned for; a goal that fails is data.
 
 * :exc:`PlannerError`
 
   * :exc:`ShapeError`
+  * :exc:`ProblemFileError`
+  * :exc:`PlottingError`
 """
 
 from __future__ import annotations
@@ -24,3 +26,23 @@ class ShapeError(PlannerError):
         super().__init__(f"collision shapes of {subject!r}: {reason}")
         self.subject = subject
         self.reason = reason
+
+
+class ProblemFileError(PlannerError):
+    """A file of planning problems cannot be used.
+
+    Attributes:
+        path: the file.
+        field: the field that is wrong, its parts joined by dots; empty when it is the file as such.
+        reason: what is wrong with it.
+    """
+
+    def __init__(self, path: str, field: str, reason: str) -> None:
+        super().__init__(f"{path}: {field}: {reason}" if field else f"{path}: {reason}")
+        self.path = path
+        self.field = field
+        self.reason = reason
+
+
+class PlottingError(PlannerError):
+    """A picture cannot be drawn."""

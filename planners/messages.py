@@ -1,29 +1,30 @@
-"""What the server and a planner process say to each other."""
+"""What the server and a planner process say to each other.
+
+The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
+:class:`MoreObjects` until it is whole, and requests, the next after the answer to the last. Each request gets one
+:class:`Answered`.
+"""
 
 from __future__ import annotations
 
-import signal
 from dataclasses import dataclass
 
-from planners.problem import Plan, PlanningFailure, PlanningProblem
+from planners.problem import Answer, Request
+from planners.scene import Scene, SceneObject
 from robot.model import RobotModel
-
-# Asks a worker to give up the problem in hand; it answers PREEMPTED.
-CANCEL_SIGNAL = signal.SIGUSR1
 
 
 @dataclass(frozen=True)
 class LoadRobot:
-    """First message to a worker: the arm to plan for."""
+    """First message to a worker: the arm to plan for, and the memory that the worker may use for data [bytes]."""
 
     robot: RobotModel
+    memory_limit_bytes: int
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """The worker is ready for problems, ``startup_s`` after its interpreter started."""
-
-    startup_s: float
+    """The worker is ready for requests."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +35,44 @@ class LoadFailed:
 
 
 @dataclass(frozen=True)
-class Solve:
-    """One problem; the number comes back with the answer."""
+class NewScene:
+    """The scene of the requests that follow, without its objects."""
 
-    number: int
-    problem: PlanningProblem
+    scene: Scene
 
 
 @dataclass(frozen=True)
-class Solved:
-    """The answer to a problem."""
+class MoreObjects:
+    """Further objects of the scene, in its order: large scenes come in parts that are quick to pack."""
+
+    objects: tuple[SceneObject, ...]
+
+
+@dataclass(frozen=True)
+class Ask:
+    """One request; the number comes back with the answer."""
 
     number: int
-    answer: Plan | PlanningFailure
+    request: Request
+
+
+@dataclass(frozen=True)
+class Cancel:
+    """A request is not wanted any more; if it is still worked on, it is answered PREEMPTED at once."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Answered:
+    """The answer to a request.
+
+    Attributes:
+        number: of the request.
+        answer: the answer.
+        ending: whether the worker ends now; a fresh one must take its place.
+    """
+
+    number: int
+    answer: Answer
+    ending: bool = False

@@ -1,4 +1,4 @@
-"""Problem in, plan out: check, find goal configurations, search a path, time it, and check the timed curve."""
+"""Problem in, plan out: check, find goal configurations, find a certified motion to one of them."""
 
 from __future__ import annotations
 
@@ -10,22 +10,32 @@ from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
-from planners.collision import CollisionModel
-from planners.kinematics import PositionSolver
-from planners.motion import Task
-from planners.path import JointSpace
-from planners.problem import JointGoal, Plan, PlanningFailure, PlanningProblem, PositionGoal
-from planners.timing import RateLimits
-from robot.model import Group, RobotModel
+from planners.cartesian.planning import plan_cartesian
+from planners.geometry.collision import CollisionModel
+from planners.geometry.joint_space import JointSpace
+from planners.ik.goal_refusals import start_violates
+from planners.ik.goal_states import Asker, GoalState, GoalStates
+from planners.motions.motion import MotionTask, find_motion
+from planners.problem import (
+    Answer,
+    CartesianProblem,
+    IkQuestion,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckQuestion,
+    Request,
+    StateQuestion,
+)
+from planners.questions import answer_ik, answer_state
+from planners.rates import RateLimits
+from planners.recheck import recheck
+from planners.scene import Scene
+from robot.model import RobotModel
 
 Vector = NDArray[np.float64]
 
-# A joint goal this near already holds: a servo's step is 1.5 mrad.
-ALREADY_THERE_RAD = 1e-6
-
 NOTHING_TO_DO = "nothing to do"
-STRAIGHT_LINE = "straight line"
-RRT_CONNECT = "RRTConnect"
 
 
 def never() -> bool:
@@ -48,7 +58,37 @@ class Planner:
         self._robot = robot
         self._clock = clock
         self._collision = CollisionModel(robot)
-        self._kinematics = PositionSolver(robot, self._collision)
+        self._states = GoalStates(robot, self._collision)
+
+    def set_scene(self, scene: Scene) -> PlanningFailure | None:
+        """Take over what stands around and what is held, for all that is asked from now on.
+
+        Returns:
+            What is wrong with the scene: then the one before stays.
+        """
+        return self._collision.set_scene(scene)
+
+    def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:
+        """Answer any request.
+
+        Args:
+            request: what is asked.
+            should_stop: asked all the time; once true the answer is PREEMPTED.
+        """
+        robot, collision = self._robot, self._collision
+        match request:
+            case PlanningProblem():
+                return self.plan(request, should_stop)
+            case CartesianProblem():
+                budget = Budget(self._clock, request.allowed_time_s, should_stop)
+                return plan_cartesian(request, robot, collision, self._states.forward, budget)
+            case IkQuestion():
+                budget = Budget(self._clock, request.allowed_time_s, should_stop)
+                return answer_ik(request, robot, self._states, collision, budget)
+            case StateQuestion():
+                return answer_state(request, robot, self._states, collision)
+            case RecheckQuestion():
+                return recheck(request, robot, collision)
 
     def plan(self, problem: PlanningProblem, should_stop: Callable[[], bool] = never) -> Plan | PlanningFailure:
         """Plan one motion.
@@ -65,82 +105,69 @@ class Planner:
         refusal = checks.check_request(self._robot, problem) or checks.check_start(self._robot, problem.start_rad)
         if refusal is not None:
             return refusal
-        names = self._collision.joint_names
-        start_q = np.array([problem.start_rad[name] for name in names])
+        start_q = np.array([problem.start_rad[name] for name in self._collision.joint_names])
         start_q = np.clip(start_q, self._collision.lower_rad, self._collision.upper_rad)
         contacts = self._collision.colliding_pairs(start_q)
-        refusal = checks.check_start_contact(contacts)
+        violations = self._states.condition_set(problem.path_constraints).violations(start_q)
+        refusal = checks.check_start_contact(contacts) or (start_violates(violations) if violations else None)
         if refusal is not None:
             return refusal
-        goals = self._goal_configurations(problem, start_q, budget)
+        group = self._robot.groups[problem.group]
+        goals = self._states.find(problem.goal, Asker(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
-        allowed = {pair.links: pair.depth_m for pair in contacts}
-        return self._move(problem, start_q, goals, allowed, budget)
-
-    def _goal_configurations(
-        self, problem: PlanningProblem, start_q: Vector, budget: Budget
-    ) -> Sequence[Vector] | PlanningFailure:
-        """Free configurations in which the goal holds, the soonest first."""
-        if isinstance(problem.goal, JointGoal):
-            return self._joint_goal(problem.goal, start_q)
-        return self._position_goal(self._robot.groups[problem.group], problem.goal, start_q, budget)
-
-    def _joint_goal(self, goal: JointGoal, start_q: Vector) -> Sequence[Vector] | PlanningFailure:
-        goal_q = start_q.copy()
-        for name, value in goal.positions_rad.items():
-            goal_q[self._collision.joint_names.index(name)] = value
-        goal_q = np.clip(goal_q, self._collision.lower_rad, self._collision.upper_rad)
-        if np.max(np.abs(goal_q - start_q)) <= ALREADY_THERE_RAD:
-            return [start_q]
-        return checks.check_goal_contact(self._collision, goal_q) or [goal_q]
-
-    def _position_goal(
-        self, group: Group, goal: PositionGoal, start_q: Vector, budget: Budget
-    ) -> Sequence[Vector] | PlanningFailure:
-        target_m = np.asarray(goal.position_m)
-        start_m = self._collision.tip_position(start_q, goal.link)
-        if np.linalg.norm(start_m - target_m) <= goal.tolerance_m:
-            return [start_q]
-        found = self._kinematics.solve_position(group, target_m, goal.link, start_q, goal.tolerance_m, budget.used_up)
-        if found.solutions:
-            return found.solutions
-        if budget.used_up():
-            return budget.failure()
-        if found.colliding:
-            return checks.goal_in_collision(found.colliding)
-        return checks.out_of_reach(goal, found)
+        return self._move(problem, start_q, goals, {pair.links: pair.depth_m for pair in contacts}, budget)
 
     def _move(
         self,
         problem: PlanningProblem,
         start_q: Vector,
-        goals: Sequence[Vector],
+        goals: Sequence[GoalState],
         allowed: Mapping[frozenset[str], float],
         budget: Budget,
     ) -> Plan | PlanningFailure:
-        if budget.used_up():
-            return budget.failure()
+        task = self._task(problem, start_q, goals, allowed)
+        motion = find_motion(task, budget)
+        if isinstance(motion, PlanningFailure) or budget.stopped:
+            return motion if isinstance(motion, PlanningFailure) else budget.failure()
+        method = motion.method if motion.trajectory.duration_s > 0.0 else NOTHING_TO_DO
+        reached = goals[motion.goal]
+        return Plan(motion.trajectory, method, budget.spent_s, reached.alternative, reached.deviation)
+
+    def _task(
+        self,
+        problem: PlanningProblem,
+        start_q: Vector,
+        goals: Sequence[GoalState],
+        allowed: Mapping[frozenset[str], float],
+    ) -> MotionTask:
         group = self._robot.groups[problem.group]
-        space = JointSpace(self._collision, group, start_q, allowed)
-        task = Task(
+        constraints = problem.path_constraints
+        holds = project = None
+        if constraints is not None and not constraints.empty:
+            holds = self._states.condition_set(constraints).holds
+            project = self._states.projection(group, constraints, start_q)
+        configurations = [goal.q for goal in goals]
+        space = JointSpace(self._collision, group, start_q, allowed, holds, configurations)
+        return MotionTask(
             space,
             group.joints,
-            self._rate_limits(group, problem),
+            self._rate_limits(problem),
             space.point(start_q),
-            [space.point(goal_q) for goal_q in goals],
+            np.array([problem.start_velocity_rad_s.get(name, 0.0) for name in group.joints]),
+            [space.point(q) for q in configurations],
+            problem.seed,
+            problem.attempts,
+            problem.planner_id,
+            problem.optimization_time_s,
+            project,
         )
-        motion, method = task.straight_motion(), STRAIGHT_LINE
-        if motion is None:
-            motion, method = task.searched_motion(problem.seed, problem.attempts, budget.used_up), RRT_CONNECT
-        if motion is None or budget.stopped:
-            return budget.failure()
-        method = method if motion.duration_s > 0.0 else NOTHING_TO_DO
-        return Plan(motion, method, budget.spent_s)
 
-    def _rate_limits(self, group: Group, problem: PlanningProblem) -> RateLimits:
-        joints = [self._robot.joints[name] for name in group.joints]
+    def _rate_limits(self, problem: PlanningProblem) -> RateLimits:
+        joints = [self._robot.joints[name] for name in self._robot.groups[problem.group].joints]
+        jerks = np.array([problem.max_jerk_rad_s3.get(joint.name, np.inf) for joint in joints])
         return RateLimits(
             problem.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
             problem.acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),
+            jerks if np.any(np.isfinite(jerks)) else None,
         )

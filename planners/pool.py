@@ -1,7 +1,8 @@
-"""Planner processes, as the server sees them: one at work, one warm spare, each replaced when it dies.
+"""Planner processes, as the server sees them: some at work, one warm spare, each replaced when it dies.
 
-The server awaits :meth:`PlannerPool.plan`; cancelling that await stops the worker, by a signal first and by force
-when it does not listen. Every problem gets exactly one answer, at the latest a grace period after its allowed time.
+The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
+it does not listen; the spare is free meanwhile. Every request gets exactly one answer, at the latest a grace period
+after its allowed time.
 """
 
 from __future__ import annotations
@@ -9,42 +10,49 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections import deque
-from collections.abc import Coroutine
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import AsyncIterator, Coroutine
+from typing import Any, overload
 
-from planners.messages import CANCEL_SIGNAL, Loaded, LoadFailed, LoadRobot, Solve, Solved
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import (
+    Answer,
+    CartesianPlan,
+    CartesianProblem,
+    IkAnswer,
+    IkQuestion,
+    MoveItErrorCode,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckAnswer,
+    RecheckQuestion,
+    Request,
+    StateAnswer,
+    StateQuestion,
+)
+from planners.scene import EMPTY_SCENE, Scene
+from planners.worker_process import WorkerProcess, allowed_time_s
 from robot.model import RobotModel
-from robot.processes import Child
 
 log = logging.getLogger("armbridge.planners")
 
-# A worker imports its libraries in about 1 s; a loaded machine may take several times that.
+# A worker imports its libraries in half a second; a loaded machine may take many times that.
 LOAD_TIMEOUT_S = 30.0
 
-# What a worker may take beyond the allowed time to finish timing and checks before it is ended.
+# What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
 OVERTIME_S = 1.0
 
-# Cooperative cancelling takes about a millisecond; past this the worker hangs in native code.
-CANCEL_TIMEOUT_S = 0.25
+# Requests that wait for a worker; past these a client asks faster than can be answered.
+MAX_WAITING = 64
 
-# Planning gives way to the servo loop and the server, which have deadlines.
-NICENESS = 5
-
-# A robot that no worker can load would otherwise restart workers for ever.
+# After so many failed starts in a row there is a pause before each further one.
 MAX_FAILED_STARTS = 3
+RESTART_PAUSE_S = 5.0
 
+# Processes that were being ended when the pool closed are gone within milliseconds.
+CLOSE_TIMEOUT_S = 2.0
 
-@dataclass
-class _Worker:
-    """One planner process and the problem in its hands."""
-
-    child: Child
-    ready: asyncio.Event = field(default_factory=asyncio.Event)
-    number: int = 0
-    answer: asyncio.Future[Plan | PlanningFailure] | None = None
+# A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
+MEMORY_LIMIT_BYTES = 1_024_000_000
 
 
 class PlannerPool:
@@ -52,170 +60,196 @@ class PlannerPool:
 
     Args:
         robot: the arm to plan for.
-        active: how many problems may be planned at the same time; one more process is kept as a warm spare.
+        active: how many motions may be planned at the same time. One more process is kept as a warm spare; while it is
+            spare it answers questions, which so never wait for motions.
+        memory_limit_bytes: what each process may use for data.
     """
 
-    def __init__(self, robot: RobotModel, active: int = 1) -> None:
+    def __init__(self, robot: RobotModel, active: int = 1, memory_limit_bytes: int = MEMORY_LIMIT_BYTES) -> None:
         self._robot = robot
-        self._active = active
-        self._workers: list[_Worker] = []
-        self._idle: deque[_Worker] = deque()
-        self._slots = asyncio.Semaphore(active)
-        self._changed = asyncio.Condition()
+        self._memory_limit_bytes = memory_limit_bytes
+        self._count = active + 1
+        self._workers: list[WorkerProcess] = []
+        self._idle: list[WorkerProcess] = []
+        self._motion_places = asyncio.Semaphore(active)
+        self._question_places = asyncio.Semaphore(1)
+        self._waiting = 0
+        self._changed = asyncio.Event()
         self._failed_starts = 0
-        self._closing = False
+        self._ever_loaded = False
+        self._robot_refused = False
+        self._closing = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self.load_failure: str | None = None
 
     async def start(self) -> None:
-        """Start the processes; they load in the background, and problems sent meanwhile wait for them."""
-        for _ in range(self._active + 1):
+        """Start the processes; they load in the background, and requests sent meanwhile wait for them."""
+        for _ in range(self._count):
             await self._spawn()
 
     @property
     def pids(self) -> tuple[int, ...]:
         """Process ids of the workers."""
-        return tuple(worker.child.pid for worker in self._workers)
+        return tuple(worker.pid for worker in self._workers)
 
     @property
-    def ready(self) -> bool:
-        """Whether a worker is loaded."""
-        return any(worker.ready.is_set() for worker in self._workers)
+    def idle_count(self) -> int:
+        """How many workers wait for a request."""
+        return len(self._idle)
 
-    async def plan(self, problem: PlanningProblem) -> Plan | PlanningFailure:
-        """Plan in a worker process.
+    @overload
+    async def ask(self, request: PlanningProblem, scene: Scene = ...) -> Plan | PlanningFailure: ...
+    @overload
+    async def ask(self, request: CartesianProblem, scene: Scene = ...) -> CartesianPlan | PlanningFailure: ...
+    @overload
+    async def ask(self, request: IkQuestion, scene: Scene = ...) -> IkAnswer | PlanningFailure: ...
+    @overload
+    async def ask(self, request: StateQuestion, scene: Scene = ...) -> StateAnswer | PlanningFailure: ...
+    @overload
+    async def ask(self, request: RecheckQuestion, scene: Scene = ...) -> RecheckAnswer | PlanningFailure: ...
 
-        Cancelling this call stops the planning. A worker that dies answers CRASH, one that overruns TIMED_OUT.
+    async def ask(self, request: Request, scene: Scene = EMPTY_SCENE) -> Answer:
+        """Have a planner process answer, in a scene.
+
+        Cancelling this call stops the work on it. A worker that dies answers CRASH, one that overruns TIMED_OUT.
         """
-        async with self._slots:
-            worker = await self._take_worker()
+        if self._waiting >= MAX_WAITING:
+            message = f"{self._waiting} requests wait for a planner already (limit {MAX_WAITING})"
+            return PlanningFailure(MoveItErrorCode.FAILURE, message)
+        async with self._place(request):
+            worker = await self._take_worker(scene)
             if worker is None:
                 reason = self.load_failure or f"no planner process was ready within {LOAD_TIMEOUT_S:g} s"
                 return PlanningFailure(MoveItErrorCode.FAILURE, f"planning is not available: {reason}")
-            return await self._solve(worker, problem)
+            return await self._work(worker, request, scene)
 
     async def close(self) -> None:
         """End every process."""
-        self._closing = True
-        await asyncio.gather(*(worker.child.kill() for worker in list(self._workers)))
+        self._closing.set()
+        await asyncio.gather(*(worker.kill() for worker in self._workers))
         if self._tasks:
-            await asyncio.wait(self._tasks, timeout=1.0)
+            await asyncio.wait(self._tasks, timeout=CLOSE_TIMEOUT_S)
 
-    async def _solve(self, worker: _Worker, problem: PlanningProblem) -> Plan | PlanningFailure:
-        worker.number += 1
-        worker.answer = asyncio.get_running_loop().create_future()
-        worker.child.send(Solve(worker.number, problem))
+    @contextlib.asynccontextmanager
+    async def _place(self, request: Request) -> AsyncIterator[None]:
+        """Hold one of the places of the request's kind."""
+        motion = isinstance(request, PlanningProblem | CartesianProblem)
+        places = self._motion_places if motion else self._question_places
+        self._waiting += 1
         try:
-            answer = await asyncio.wait_for(asyncio.shield(worker.answer), problem.allowed_time_s + OVERTIME_S)
+            await places.acquire()
+        finally:
+            self._waiting -= 1
+        try:
+            yield
+        finally:
+            places.release()
+
+    async def _work(self, worker: WorkerProcess, request: Request, scene: Scene) -> Answer:
+        allowed_s = allowed_time_s(request)
+        try:
+            async with asyncio.timeout(allowed_s + OVERTIME_S):
+                answer = await worker.ask(request, scene)
         except TimeoutError:
-            await self._discard(worker)
+            self._in_background(worker.kill())
             return PlanningFailure(
-                MoveItErrorCode.TIMED_OUT,
-                f"the planner did not answer within {problem.allowed_time_s:g} s and was restarted",
+                MoveItErrorCode.TIMED_OUT, f"the planner did not answer within {allowed_s:g} s and was restarted"
             )
         except asyncio.CancelledError:
-            # Shielded: the worker must be free or dead before its slot is, even if we are cancelled again.
-            await asyncio.shield(self._in_background(self._cancel(worker)))
+            self._in_background(self._cancel(worker))
             raise
-        if worker in self._workers:
-            self._put_idle(worker)
+        self._put_back(worker)
         return answer
 
-    async def _cancel(self, worker: _Worker) -> None:
-        answer = worker.answer
-        if answer is None:
-            return
-        worker.child.signal(CANCEL_SIGNAL)
-        try:
-            await asyncio.wait_for(asyncio.shield(answer), CANCEL_TIMEOUT_S)
-        except TimeoutError:
-            await self._discard(worker)
-        else:
-            if worker in self._workers:
-                self._put_idle(worker)
+    async def _cancel(self, worker: WorkerProcess) -> None:
+        await worker.cancel()
+        self._put_back(worker)
 
-    async def _take_worker(self) -> _Worker | None:
+    async def _take_worker(self, scene: Scene) -> WorkerProcess | None:
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(LOAD_TIMEOUT_S), self._changed:
-                await self._changed.wait_for(lambda: self._has_idle() or self.load_failure is not None)
-                if self._idle:
-                    return self._idle.popleft()
+            async with asyncio.timeout(LOAD_TIMEOUT_S):
+                while (worker := self._pick(scene)) is None and self.load_failure is None:
+                    await self._changed.wait()
+                return worker
         return None
 
-    def _has_idle(self) -> bool:
-        """Whether a worker is idle; one that died a moment ago, its exit not yet seen, does not count."""
-        while self._idle and not self._idle[0].child.running:
-            self._idle.popleft()
-        return bool(self._idle)
+    def _pick(self, scene: Scene) -> WorkerProcess | None:
+        """An idle worker, preferably one that has the scene; one that died a moment ago does not count."""
+        self._idle = [worker for worker in self._idle if worker.usable]
+        if not self._idle:
+            return None
+        chosen = min(self._idle, key=lambda worker: not worker.has(scene))
+        self._idle.remove(chosen)
+        return chosen
 
-    def _put_idle(self, worker: _Worker) -> None:
-        worker.answer = None
-        self._idle.append(worker)
-        self._in_background(self._notify())
+    def _put_back(self, worker: WorkerProcess) -> None:
+        if worker.usable:
+            self._idle.append(worker)
+            self._wake_waiting()
+        else:
+            self._in_background(worker.kill())
 
-    async def _notify(self) -> None:
-        async with self._changed:
-            self._changed.notify_all()
-
-    async def _discard(self, worker: _Worker) -> None:
-        """End a worker; its exit starts the replacement."""
-        await worker.child.kill()
+    def _wake_waiting(self) -> None:
+        self._changed.set()
+        self._changed.clear()
 
     async def _spawn(self) -> None:
-        worker = _Worker(
-            Child(
-                "planners.worker",
-                on_message=lambda message: self._received(worker, message),
-                on_exit=lambda: self._exited(worker),
-                niceness=NICENESS,
-            )
-        )
+        worker = WorkerProcess(self._robot, self._memory_limit_bytes, self._on_loaded, self._on_exit)
         self._workers.append(worker)
-        await worker.child.connect()
-        worker.child.send(LoadRobot(self._robot))
+        asyncio.get_running_loop().call_later(LOAD_TIMEOUT_S, self._end_unless_loaded, worker)
+        await worker.start()
 
-    def _received(self, worker: _Worker, message: Any) -> None:
-        if isinstance(message, Loaded):
-            self._failed_starts = 0
-            worker.ready.set()
-            self._put_idle(worker)
-        elif isinstance(message, LoadFailed):
-            self.load_failure = message.reason
-            log.error("planner process cannot load the robot: %s", message.reason)
-            self._in_background(self._notify())
-        elif isinstance(message, Solved) and message.number == worker.number:
-            _resolve(worker, message.answer)
+    def _end_unless_loaded(self, worker: WorkerProcess) -> None:
+        if not worker.loaded and not self._closing.is_set():
+            self._in_background(worker.kill())
 
-    def _exited(self, worker: _Worker) -> None:
+    def _on_loaded(self, worker: WorkerProcess, refusal: str | None) -> None:
+        if refusal is None:
+            self._failed_starts, self._ever_loaded, self.load_failure = 0, True, None
+            self._put_back(worker)
+            return
+        log.error("planner process cannot load the robot: %s", refusal)
+        self._robot_refused, self.load_failure = True, refusal
+        self._wake_waiting()
+
+    def _on_exit(self, worker: WorkerProcess) -> None:
         self._workers.remove(worker)
-        with contextlib.suppress(ValueError):
-            self._idle.remove(worker)
-        _resolve(
-            worker, PlanningFailure(MoveItErrorCode.CRASH, "the planner process ended while it worked on this goal")
-        )
-        if self._closing:
+        if self._closing.is_set() or self._robot_refused:
             return
-        if not worker.ready.is_set():
-            self._failed_starts += 1
-        if self._failed_starts >= MAX_FAILED_STARTS:
-            self.load_failure = f"planner processes ended {self._failed_starts} times while starting"
-            log.error("%s; no more are started", self.load_failure)
-            self._in_background(self._notify())
-            return
-        log.warning("planner process %d ended; starting another", worker.child.pid)
+        if not worker.loaded:
+            self._count_failed_start("ended while starting")
         self._in_background(self._replace(worker))
 
-    async def _replace(self, worker: _Worker) -> None:
-        await worker.child.kill()
-        await self._spawn()
+    async def _replace(self, worker: WorkerProcess) -> None:
+        await worker.kill()
+        log.warning("planner process %d ended (%s); starting another", worker.pid, worker.ending)
+        await self._pause_after_failed_starts()
+        while not self._closing.is_set():
+            try:
+                await self._spawn()
+            except OSError as error:
+                self._count_failed_start(f"could not be started: {error}")
+                await self._pause_after_failed_starts()
+            else:
+                break
 
-    def _in_background(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+    async def _pause_after_failed_starts(self) -> None:
+        if self._failed_starts >= MAX_FAILED_STARTS:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._closing.wait(), RESTART_PAUSE_S)
+
+    def _count_failed_start(self, problem: str) -> None:
+        self._failed_starts += 1
+        if self._failed_starts < MAX_FAILED_STARTS:
+            return
+        message = f"planner processes {problem}, {self._failed_starts} times in a row"
+        log.error("%s; the next try is in %g s", message, RESTART_PAUSE_S)
+        if not self._ever_loaded:
+            # Where one has loaded another will: then requests wait for it.
+            self.load_failure = message
+            self._wake_waiting()
+
+    def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-        return task
-
-
-def _resolve(worker: _Worker, answer: Plan | PlanningFailure) -> None:
-    if worker.answer is not None and not worker.answer.done():
-        worker.answer.set_result(answer)

@@ -1,5 +1,7 @@
 """What is asked of a planner and what it answers: plain data that crosses process boundaries.
 
+Where a motion is to end is said in :mod:`planners.goals`, what is in its way in :mod:`planners.scene`.
+
 This module imports none of the planning libraries, so the server can speak of problems without loading them.
 """
 
@@ -10,6 +12,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
+from planners.goals import Constraints, Goal
+from planners.scene import Pose
 from robot.trajectory import Trajectory
 
 
@@ -49,34 +53,29 @@ class MoveItErrorCode(IntEnum):
     NO_IK_SOLUTION = -31
 
 
-@dataclass(frozen=True)
-class JointGoal:
-    """Bring joints to positions [rad]; joints of the group that are not named keep their start position.
+# Searches that can be asked for by name: OMPL's, the default first. Those not here crash (AORRTC), start threads, which
+# a worker that is killed at any time cannot have (PRM and its kin), or draw a fixed number of states before they begin
+# and find nothing when those were too few (FMT, BFMT).
+PLANNER_IDS = (
+    "RRTConnect",
+    "RRT",
+    "RRTstar",
+    "InformedRRTstar",
+    "SORRTstar",
+    "LBKPIECE1",
+    "BKPIECE1",
+    "KPIECE1",
+    "BITstar",
+)
 
-    Attributes:
-        positions_rad: joint name -> position, met exactly where the limits allow it.
-        tolerance_rad: by so much a position may lie beyond its limit; the joint then goes to the limit.
+
+def planner_name(planner_id: str) -> str | None:
+    """Which of :data:`PLANNER_IDS` is meant, in MoveIt's spellings as well; the default for none; None if unknown.
+
+    MoveIt's configurations say "RRTConnectkConfigDefault" and "geometric::RRTConnect" for "RRTConnect".
     """
-
-    positions_rad: Mapping[str, float]
-    tolerance_rad: float = 1e-4
-
-
-@dataclass(frozen=True)
-class PositionGoal:
-    """Bring the origin of ``link`` to a point of the planning frame, whatever the orientation.
-
-    Attributes:
-        position_m: x, y, z in the robot's root link [m].
-        tolerance_m: radius of the sphere around the point that counts as there [m].
-    """
-
-    link: str
-    position_m: tuple[float, float, float]
-    tolerance_m: float
-
-
-Goal = JointGoal | PositionGoal
+    name = planner_id.removeprefix("geometric::").removesuffix("kConfigDefault") or PLANNER_IDS[0]
+    return name if name in PLANNER_IDS else None
 
 
 @dataclass(frozen=True)
@@ -86,11 +85,17 @@ class PlanningProblem:
     Attributes:
         group: planning group of the SRDF.
         start_rad: position of every movable joint of the robot [rad].
+        goal: where to.
         velocity_scaling: share of the velocity limits to use, in (0, 1].
         acceleration_scaling: share of the acceleration limits to use, in (0, 1].
         allowed_time_s: planning time after which the answer is TIMED_OUT [s].
-        attempts: how many independent searches may be made; the shortest result in time is kept.
+        attempts: how many independent searches are made at most while there is no motion better than the last.
         seed: same problem and seed, same plan.
+        start_velocity_rad_s: velocities of joints that move at the start; those not named stand still [rad/s].
+        path_constraints: what must hold from start to end.
+        planner_id: which search to use, as :func:`planner_name` knows it; empty for the default.
+        optimization_time_s: planning time to spend on shortening the motion once there is one [s].
+        max_jerk_rad_s3: joint -> greatest jerk; joints not named have no such limit [rad/s^3].
     """
 
     group: str
@@ -99,22 +104,117 @@ class PlanningProblem:
     velocity_scaling: float = 1.0
     acceleration_scaling: float = 1.0
     allowed_time_s: float = 5.0
-    attempts: int = 1
+    attempts: int = 5
+    seed: int = 0
+    start_velocity_rad_s: Mapping[str, float] = field(default_factory=dict)
+    path_constraints: Constraints | None = None
+    planner_id: str = ""
+    optimization_time_s: float = 0.012
+    max_jerk_rad_s3: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Line:
+    """The tip moves on a straight line to a pose."""
+
+    end: Pose
+
+
+@dataclass(frozen=True)
+class Arc:
+    """The tip moves on the circle through where it is, ``via_m`` [m] and the end's position."""
+
+    via_m: tuple[float, float, float]
+    end: Pose
+
+
+@dataclass(frozen=True)
+class CartesianProblem:
+    """A path of the tip to follow.
+
+    Attributes:
+        group: planning group of the SRDF.
+        start_rad: position of every movable joint of the robot [rad].
+        link: the tip.
+        segments: lines and arcs, one after the other from where the tip is.
+        keep_orientation: whether the orientations asked for must hold within ``orientation_tolerance_rad``; else
+            the position is followed and the nearest orientation taken.
+        orientation_tolerance_rad: greatest rotation from the asked orientation [rad].
+        max_step_m: greatest distance between the points that are solved for [m].
+        max_joint_step_rad: greatest step of any joint between them, 0 for none: a greater one is a jump [rad].
+        tip_speed_m_s: greatest speed of the tip [m/s], None for as fast as the joints allow.
+        avoid_collisions: whether contacts end the path.
+        velocity_scaling: share of the velocity limits to use, in (0, 1].
+        acceleration_scaling: share of the acceleration limits to use, in (0, 1].
+        allowed_time_s: planning time after which the answer is TIMED_OUT [s].
+        path_constraints: what must hold from start to end.
+    """
+
+    group: str
+    start_rad: Mapping[str, float]
+    link: str
+    segments: tuple[Line | Arc, ...]
+    keep_orientation: bool = False
+    orientation_tolerance_rad: float = 0.02
+    max_step_m: float = 0.005
+    max_joint_step_rad: float = 0.0
+    tip_speed_m_s: float | None = None
+    avoid_collisions: bool = True
+    velocity_scaling: float = 1.0
+    acceleration_scaling: float = 1.0
+    allowed_time_s: float = 5.0
+    path_constraints: Constraints | None = None
+
+
+@dataclass(frozen=True)
+class IkQuestion:
+    """Where must the joints be for a goal to hold? Answered by :class:`IkAnswer`.
+
+    Attributes:
+        group: the joints that may move.
+        start_rad: position of every movable joint [rad]; the solution nearest in time to it is wanted.
+        goal: what must hold.
+        avoid_collisions: whether solutions in contact count as none.
+        constraints: what must hold as well.
+        allowed_time_s: time after which the answer is TIMED_OUT [s].
+        seed: same question and seed, same answer.
+    """
+
+    group: str
+    start_rad: Mapping[str, float]
+    goal: Goal
+    avoid_collisions: bool = True
+    constraints: Constraints | None = None
+    allowed_time_s: float = 0.05
     seed: int = 0
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A motion that keeps limits and touches nothing.
+class StateQuestion:
+    """Is a state free, within limits, and do constraints hold there? Answered by :class:`StateAnswer`."""
+
+    group: str
+    positions_rad: Mapping[str, float]
+    constraints: Constraints | None = None
+
+
+@dataclass(frozen=True)
+class RecheckQuestion:
+    """Is the rest of a motion that runs still free in the present scene? Answered by :class:`RecheckAnswer`.
 
     Attributes:
-        method: how the path was found: "nothing to do", "straight line" or the planner's name.
-        planning_time_s: time spent on it [s].
+        trajectory: the motion.
+        others_rad: position of every joint that is not in it [rad].
+        from_s: where in it the robot is now [s].
     """
 
+    group: str
     trajectory: Trajectory
-    method: str
-    planning_time_s: float
+    others_rad: Mapping[str, float]
+    from_s: float
+
+
+Request = PlanningProblem | CartesianProblem | IkQuestion | StateQuestion | RecheckQuestion
 
 
 @dataclass(frozen=True)
@@ -130,3 +230,85 @@ class PlanningFailure:
     code: MoveItErrorCode
     message: str
     details: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far the end of a motion is from what was asked: position [m] and rotation [rad]."""
+
+    position_m: float = 0.0
+    orientation_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A motion that keeps limits and touches nothing.
+
+    Attributes:
+        method: how the path was found: "nothing to do", "straight line" or the planner's name.
+        planning_time_s: time spent on it [s].
+        goal_index: which of the alternatives is reached.
+        deviation: of its end from that goal.
+    """
+
+    trajectory: Trajectory
+    method: str
+    planning_time_s: float
+    goal_index: int = 0
+    deviation: Deviation = Deviation()
+
+
+@dataclass(frozen=True)
+class CartesianPlan:
+    """As much of the tip's path as can be followed.
+
+    Attributes:
+        trajectory: the timed motion, certified as a plan's.
+        fraction: share of the path's length that it covers, 0 to 1.
+        stopped_by: why it is not the whole; None for all of it.
+        planning_time_s: time spent on it [s].
+        deviation: greatest deviation of the tip from the path on the way.
+    """
+
+    trajectory: Trajectory
+    fraction: float
+    stopped_by: PlanningFailure | None
+    planning_time_s: float
+    deviation: Deviation = Deviation()
+
+
+@dataclass(frozen=True)
+class IkAnswer:
+    """Configurations in which a goal holds.
+
+    Attributes:
+        positions_rad: every movable joint by name, one mapping a solution, least time from the start first [rad].
+        deviations: of each solution from the goal.
+    """
+
+    positions_rad: tuple[Mapping[str, float], ...]
+    deviations: tuple[Deviation, ...]
+
+
+@dataclass(frozen=True)
+class StateAnswer:
+    """What is true of a state.
+
+    Attributes:
+        valid: whether nothing is wrong with it.
+        problems: what is wrong, each with its code, sentence and data.
+    """
+
+    valid: bool
+    problems: tuple[PlanningFailure, ...]
+
+
+@dataclass(frozen=True)
+class RecheckAnswer:
+    """Whether the rest of a motion is free: ``contact`` says what it would touch at ``contact_s``, else None."""
+
+    contact: PlanningFailure | None
+    contact_s: float | None = None
+
+
+Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | PlanningFailure

@@ -1,69 +1,203 @@
-"""The planner process: takes problems, gives plans, one at a time.
+"""The planner process: takes requests, gives answers, one at a time.
 
-Started by :mod:`planners.pool`; the signal of :mod:`planners.messages` makes it give up the problem in hand.
+Started by :mod:`planners.worker_process`, with which it exchanges the messages of :mod:`planners.messages`.
 """
 
 from __future__ import annotations
 
+import ctypes
+import dataclasses
+import faulthandler
 import logging
 import os
+import resource
+import select
 import signal
-import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
-from planners.messages import CANCEL_SIGNAL, Loaded, LoadFailed, LoadRobot, Solve, Solved
+from planners.messages import (
+    Answered,
+    Ask,
+    Cancel,
+    Loaded,
+    LoadFailed,
+    LoadRobot,
+    MoreObjects,
+    NewScene,
+)
 from planners.pipeline import Planner
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
+from planners.scene import EMPTY_SCENE, Scene, SceneObject
 from robot.model import RobotModel
 from robot.processes import Channel, channel_of_child
 
 log = logging.getLogger("armbridge.planner")
 
+# Of linux/prctl.h.
+PR_SET_PDEATHSIG = 1
 
-class StopFlag:
-    """Raised by the cancel signal, lowered before each problem."""
+# When the machine runs out of memory a planner is to go first: it costs one goal, the arm process costs the arm.
+OOM_SCORE = "600"
+
+
+class Mailbox:
+    """What the server sends, also while a request is worked on."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._messages: deque[Any] = deque()
+        self._readable = select.poll()
+        self._readable.register(channel, select.POLLIN)
+
+    def next(self) -> Any:
+        """Wait for the next message; None once the server is gone."""
+        while not self._messages and not self._channel.closed:
+            self._messages += self._channel.receive(timeout_s=None)
+        return self._messages.popleft() if self._messages else None
+
+    def withdrawn(self, number: int) -> bool:
+        """Whether nobody waits for the answer to a request any more; asked thousands of times a second."""
+        if self._readable.poll(0):
+            self._messages += self._channel.receive(timeout_s=0.0)
+        return self._channel.closed or Cancel(number) in self._messages
+
+
+class Surroundings:
+    """The scene as it comes, and what the planner says to it; a scene that it refuses answers every request."""
 
     def __init__(self) -> None:
-        self.raised = False
-        signal.signal(CANCEL_SIGNAL, lambda _number, _frame: self._raise())
+        self._scene = EMPTY_SCENE
+        self._objects: list[SceneObject] = []
+        self._changed = False
+        self._refusal: PlanningFailure | None = None
 
-    def _raise(self) -> None:
-        self.raised = True
+    def begin(self, scene: Scene) -> None:
+        """Start a scene; what came of another is dropped."""
+        self._scene, self._objects, self._changed = scene, list(scene.objects), True
+
+    def extend(self, objects: tuple[SceneObject, ...]) -> None:
+        """Take further objects of it."""
+        self._objects += objects
+
+    def set_up(self, planner: Planner) -> PlanningFailure | None:
+        """Give the planner the scene unless it has it; why nothing can be planned in it."""
+        if self._changed:
+            scene = dataclasses.replace(self._scene, objects=tuple(self._objects))
+            self._refusal = planner.set_scene(scene)
+            # Only now: a scene that raised must raise again, not count as set.
+            self._changed = False
+        return self._refusal
 
 
-def run(channel: Channel) -> None:
-    """Serve the server's problems until it closes the channel."""
-    stop = StopFlag()
-    planner: Planner | None = None
-    while not channel.closed:
-        for message in channel.receive(timeout_s=None):
-            if isinstance(message, LoadRobot):
-                planner = _load(message.robot, channel)
-            elif isinstance(message, Solve) and planner is not None:
-                stop.raised = False
-                channel.send(Solved(message.number, _solve(planner, message.problem, stop)))
+class Worker:
+    """Serves one server.
+
+    Args:
+        channel: to the server.
+        make_planner: loads a robot.
+    """
+
+    def __init__(self, channel: Channel, make_planner: Callable[[RobotModel], Planner]) -> None:
+        self._channel = channel
+        self._mailbox = Mailbox(channel)
+        self._make_planner = make_planner
+        self._surroundings = Surroundings()
+        self._planner: Planner | None = None
+        self._memory_limit_bytes = 0
+        self._ending = False
+
+    def run(self) -> None:
+        """Serve until the server closes the channel, or memory has run out."""
+        while not self._ending and (message := self._mailbox.next()) is not None:
+            self._take(message)
+
+    def _take(self, message: Any) -> None:
+        match message:
+            case LoadRobot():
+                self._load(message)
+            case NewScene(scene):
+                self._surroundings.begin(scene)
+            case MoreObjects(objects):
+                self._surroundings.extend(objects)
+            case Ask(number, request) if self._planner is not None:
+                answer = self._answer(self._planner, number, request)
+                self._channel.send(Answered(number, answer, self._ending))
+
+    def _load(self, message: LoadRobot) -> None:
+        self._memory_limit_bytes = message.memory_limit_bytes
+        limit_memory(message.memory_limit_bytes)
+        try:
+            self._planner = self._make_planner(message.robot)
+        except Exception as error:
+            log.exception("cannot load the robot %r", message.robot.name)
+            self._channel.send(LoadFailed(f"{type(error).__name__}: {error}"))
+        else:
+            self._channel.send(Loaded())
+
+    def _answer(self, planner: Planner, number: int, request: Request) -> Answer:
+        try:
+            return self._surroundings.set_up(planner) or planner.answer(
+                request, lambda: self._mailbox.withdrawn(number)
+            )
+        except MemoryError:
+            # What the native libraries hold after that is anyone's guess.
+            self._ending = True
+            return self._out_of_memory(request)
+        except Exception as error:  # a bug in one request must not take the worker and its warm libraries with it
+            log.exception("planning failed on %r", request)
+            return PlanningFailure(MoveItErrorCode.CRASH, f"the planner failed: {type(error).__name__}: {error}")
+
+    def _out_of_memory(self, request: Request) -> PlanningFailure:
+        limit_mb = self._memory_limit_bytes / 1e6
+        log.error("a planner ran out of its %.0f MB on a %s", limit_mb, type(request).__name__)
+        return PlanningFailure(
+            MoveItErrorCode.CRASH,
+            f"the planner needed more than the {limit_mb:.0f} MB of memory that it may use, and was restarted",
+            {"memory_limit_mb": limit_mb},
+        )
 
 
-def _load(robot: RobotModel, channel: Channel) -> Planner | None:
-    started_s = time.monotonic()
+def limit_memory(limit_bytes: int) -> None:
+    """Bound this process's data, so that running out is a MemoryError here and nothing elsewhere.
+
+    Data and not address space: libraries map several times what they ever use.
+    """
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    if hard != resource.RLIM_INFINITY:
+        limit_bytes = min(limit_bytes, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard))
+
+
+def _end_with_the_server() -> None:
+    """A worker that hangs never sees its socket close; the kernel ends it with the server's thread."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def _go_first_when_memory_is_short() -> None:
     try:
-        planner = Planner(robot)
-    except Exception as error:
-        log.exception("cannot load the robot %r", robot.name)
-        channel.send(LoadFailed(f"{type(error).__name__}: {error}"))
-        return None
-    channel.send(Loaded(time.monotonic() - started_s))
-    return planner
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
+    except OSError as error:
+        log.debug("oom_score_adj stays as it is: %s", error)
 
 
-def _solve(planner: Planner, problem: PlanningProblem, stop: StopFlag) -> Plan | PlanningFailure:
+def main(make_planner: Callable[[RobotModel], Planner]) -> None:
+    """Be a planner process until the server ends it."""
+    # The server says which signal ended a worker; where in it is only known here.
+    faulthandler.enable()
+    _end_with_the_server()
+    _go_first_when_memory_is_short()
+    worker = Worker(channel_of_child(), make_planner)
     try:
-        return planner.plan(problem, lambda: stop.raised)
-    except Exception as error:  # a bug in one plan must not take the worker and its warm libraries with it
-        log.exception("planning failed on %r", problem)
-        return PlanningFailure(MoveItErrorCode.CRASH, f"the planner failed: {type(error).__name__}: {error}")
+        worker.run()
+    except Exception:
+        log.exception("the planner process ends")
+        os._exit(1)
+    # Not through the interpreter's end, where the native libraries print what they think they leaked.
+    os._exit(0)
 
 
 if __name__ == "__main__":
-    run(channel_of_child())
-    # Not through the interpreter's end, where the native libraries print what they think they leaked.
-    os._exit(0)
+    main(Planner)

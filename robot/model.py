@@ -77,6 +77,8 @@ class RobotModel:
         named_states: group name -> state name -> joint name -> position [rad].
         disabled_pairs: pairs of links whose collision is not checked.
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
+        parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
+            the link's frame; for the cases in which a hull is too wide.
     """
 
     name: str
@@ -89,6 +91,7 @@ class RobotModel:
     disabled_pairs: frozenset[frozenset[str]]
     mesh_directory: Path | None = None
     hulls: Mapping[str, Hull] = field(default_factory=dict)
+    parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
 
     @property
     def root_link(self) -> str:
@@ -105,10 +108,12 @@ def builtin() -> RobotModel:
     """The SO-101 follower as shipped with the package."""
     folder = resources.files("robot.description")
     hulls = json.loads((folder / "so101_hulls.json").read_text())["links"]
+    parts = json.loads((folder / "so101_parts.json").read_text())["links"]
     return parse(
         (folder / "so101.urdf").read_text(),
         (folder / "so101.srdf").read_text(),
         hulls={name: _hull(shape) for name, shape in hulls.items()},
+        parts={name: tuple(np.array(vertices) for vertices in shapes) for name, shapes in parts.items()},
     )
 
 
@@ -122,7 +127,12 @@ def load(urdf_path: Path, srdf_path: Path) -> RobotModel:
 
 
 def parse(
-    urdf: str, srdf: str, *, mesh_directory: Path | None = None, hulls: Mapping[str, Hull] | None = None
+    urdf: str,
+    srdf: str,
+    *,
+    mesh_directory: Path | None = None,
+    hulls: Mapping[str, Hull] | None = None,
+    parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
 
@@ -151,6 +161,7 @@ def parse(
         ),
         mesh_directory=mesh_directory,
         hulls=hulls or {},
+        parts=parts or {},
     )
 
 

@@ -39,8 +39,14 @@ READ_BYTES = 64 << 10
 
 
 def encode(message: object) -> bytes:
-    """Frame one message for the other end."""
+    """Frame one message for the other end.
+
+    Raises:
+        ValueError: it is larger than the other end takes.
+    """
     payload = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise ValueError(f"a message of {len(payload)} bytes is over the limit of {MAX_MESSAGE_BYTES}")
     return LENGTH.pack(len(payload)) + payload
 
 
@@ -187,6 +193,14 @@ class Child:
         """Whether the child has not ended."""
         return self._process.poll() is None
 
+    @property
+    def ending(self) -> str:
+        """How the child ended, or that it has not."""
+        code = self._process.poll()
+        if code is None:
+            return "it still runs"
+        return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+
     async def connect(self) -> None:
         """Begin to read the child's messages."""
         reader, self._writer = await asyncio.open_unix_connection(sock=self._socket)
@@ -196,11 +210,6 @@ class Child:
         """Queue a message for the child; lost when the child is gone."""
         if self._writer is not None and not self._writer.is_closing():
             self._writer.write(encode(message))
-
-    def signal(self, number: signal.Signals) -> None:
-        """Send a signal to the child, if it still runs."""
-        if self.running:
-            self._process.send_signal(number)
 
     async def wait(self, timeout_s: float) -> None:
         """Wait for the child's end, and end it by force when it takes longer."""
@@ -219,10 +228,15 @@ class Child:
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         decoder = Decoder()
-        with contextlib.suppress(ConnectionError):
+        try:
             while data := await reader.read(READ_BYTES):
                 for message in decoder.feed(data):
                     self._hand_on(message)
+        except ConnectionError:
+            pass
+        except Exception:  # whatever a broken child sends, its end must be told
+            log.exception("process %d sent what is no message, and is ended", self.pid)
+            self._process.kill()
         self._on_exit()
 
     def _hand_on(self, message: Any) -> None:

@@ -28,6 +28,7 @@ from server.goal_queue import GoalQueue
 from server.graph import Graph
 from server.joint_states import JointStates
 from server.moveit.execution import GoalExecutor
+from server.moveit.failed_goals import FailedGoals
 from server.moveit.goal_topics import GoalTopics
 from server.moveit.goals import GoalTranslator, MotionRequest
 from server.moveit.parameters import MoveItParameters
@@ -41,6 +42,8 @@ ARM_START_TIMEOUT_S = 15.0
 
 # The queue waits this long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
+
+BYTES_PER_MB = 1_000_000
 
 
 def serve(settings: Settings) -> None:
@@ -97,7 +100,14 @@ class App:
         self._joint_states = JointStates(self._graph)
         self._goal_topics = GoalTopics(self._graph, GoalTranslator(description.robot, settings.moveit))
         self._listener = Listener(self._graph, settings.server.host, settings.server.port)
-        self._pool = PlannerPool(description.robot, settings.planning.workers)
+        self._pool = PlannerPool(
+            description.robot, settings.planning.workers, settings.planning.memory_limit_mb * BYTES_PER_MB
+        )
+        self._failed_goals = (
+            FailedGoals(settings.planning.save_failed_goals, description.robot, time.time)
+            if settings.planning.save_failed_goals is not None
+            else None
+        )
         self._emulated_bus = (
             EmulatedBus(settings.emulator, settings.arm.calibration) if settings.arm.serial is None else None
         )
@@ -143,7 +153,7 @@ class App:
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
         self._queue = GoalQueue(
-            GoalExecutor(self._arm, self._pool, self._settings.moveit),
+            GoalExecutor(self._arm, self._pool, self._settings.moveit, self._failed_goals),
             self._settings.goals.policy,
             self._settings.goals.capacity,
             self._goal_topics.on_progress,

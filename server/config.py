@@ -75,9 +75,14 @@ class PlanningSettings(_Section):
 
     Attributes:
         workers: how many goals may be planned at the same time; one more process is kept as a warm spare.
+        memory_limit_mb: data that each process may hold; one that needs more is restarted [MB].
+        save_failed_goals: directory for the goals that could not be planned, as files for ``armbridge plan``; None
+            to keep none.
     """
 
     workers: int = Field(default=1, ge=1, le=16)
+    memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
+    save_failed_goals: Path | None = None
 
 
 class EmulatorSettings(_Section):

@@ -15,14 +15,24 @@ ROOMS = ("server", "planners", "robot", "protocol")
 
 # What each room may import of ours; a name with a dot is one module of a room.
 ALLOWED = {
-    "server": ("server", "protocol", "robot", "planners.problem", "planners.pool"),
+    "server": (
+        "server",
+        "protocol",
+        "robot",
+        "planners.goals",
+        "planners.scene",
+        "planners.problem",
+        "planners.files.problem_file",
+        "planners.files.plan_command",
+        "planners.pool",
+    ),
     "planners": ("planners", "robot.model", "robot.trajectory", "robot.processes"),
     "robot": ("robot",),
     "protocol": ("protocol",),
 }
 
-# Only the server knows sockets of clients and configuration; the two handles on child processes know asyncio.
-ASYNCIO_OUTSIDE_SERVER = {"robot/processes.py", "robot/arm.py", "planners/pool.py"}
+# Only the server knows sockets of clients and configuration; the handles on child processes know asyncio.
+ASYNCIO_OUTSIDE_SERVER = {"robot/processes.py", "robot/arm.py", "planners/pool.py", "planners/worker_process.py"}
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 
 

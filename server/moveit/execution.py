@@ -9,9 +9,11 @@ from collections.abc import Callable
 
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.scene import EMPTY_SCENE
 from robot.arm import Arm
 from robot.messages import ArmState, Mode, MotionEnded, Outcome
 from server.goal_queue import Answer, GoalState, Progress
+from server.moveit.failed_goals import FailedGoals
 from server.moveit.goals import MotionRequest
 from server.moveit.parameters import MoveItParameters
 
@@ -47,12 +49,16 @@ class GoalExecutor:
         arm: the arm.
         pool: the planners.
         parameters: how goals are planned.
+        failed_goals: keeps those that could not be planned, or None.
     """
 
-    def __init__(self, arm: Arm, pool: PlannerPool, parameters: MoveItParameters) -> None:
+    def __init__(
+        self, arm: Arm, pool: PlannerPool, parameters: MoveItParameters, failed_goals: FailedGoals | None = None
+    ) -> None:
         self._arm = arm
         self._pool = pool
         self._parameters = parameters
+        self._failed_goals = failed_goals
         self._planning: asyncio.Task[Plan | PlanningFailure] | None = None
         self._stop_reason = ""
 
@@ -63,8 +69,11 @@ class GoalExecutor:
         if unusable is not None:
             return Answer.of(unusable)
         report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
-        plan = await self._plan(request)
+        problem = self._problem(request)
+        plan = await self._plan(problem)
         if isinstance(plan, PlanningFailure):
+            if self._failed_goals is not None and plan.code is not MoveItErrorCode.PREEMPTED:
+                await self._failed_goals.save(problem, EMPTY_SCENE, plan)
             return Answer.of(plan)
         if self._stop_reason:
             return Answer(MoveItErrorCode.PREEMPTED, f"{self._stop_reason} before the motion began")
@@ -80,8 +89,8 @@ class GoalExecutor:
             self._planning.cancel()
         self._arm.stop()
 
-    async def _plan(self, request: MotionRequest) -> Plan | PlanningFailure:
-        planning = asyncio.create_task(self._pool.plan(self._problem(request)), name="plan")
+    async def _plan(self, problem: PlanningProblem) -> Plan | PlanningFailure:
+        planning = asyncio.create_task(self._pool.ask(problem), name="plan")
         self._planning = planning
         try:
             await asyncio.wait([planning])
@@ -106,6 +115,8 @@ class GoalExecutor:
             acceleration_scaling=self._parameters.max_acceleration_scaling,
             allowed_time_s=self._parameters.allowed_planning_time,
             attempts=self._parameters.num_planning_attempts,
+            planner_id=self._parameters.planner_id,
+            optimization_time_s=self._parameters.optimization_time,
         )
 
     async def _play(self, plan: Plan, report: Callable[[Progress], None]) -> MotionEnded:

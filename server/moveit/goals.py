@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from planners.problem import Goal, JointGoal, MoveItErrorCode, PlanningFailure, PositionGoal
+from planners.goals import Goal, JointGoal, PositionGoal
+from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.model import RobotModel
 from server.moveit.parameters import MoveItParameters
 

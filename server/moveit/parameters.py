@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from planners.problem import PLANNER_IDS, planner_name
 
 
 class MoveItParameters(BaseModel):
@@ -12,7 +14,9 @@ class MoveItParameters(BaseModel):
         group_name: planning group of the SRDF.
         end_effector_link: link that position goals move; empty for the tip of the group.
         planning_frame: frame of poses with an empty frame_id; empty for the robot's root link.
+        planner_id: which search to use, one of those of docs/planning.md; empty for the default.
         num_planning_attempts: searches of which the shortest result is kept.
+        optimization_time: planning time spent on shortening a motion once there is one [s].
         allowed_planning_time: after this a goal is answered TIMED_OUT [s].
         max_velocity_scaling: share of the velocity limits.
         max_acceleration_scaling: share of the acceleration limits.
@@ -25,9 +29,18 @@ class MoveItParameters(BaseModel):
     group_name: str = "arm"
     end_effector_link: str = ""
     planning_frame: str = ""
+    planner_id: str = ""
     num_planning_attempts: int = Field(default=5, ge=1, le=100)
+    optimization_time: float = Field(default=0.012, ge=0.0, le=10.0)
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=60.0)
     max_velocity_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
     max_acceleration_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
     position_tolerance: float = Field(default=0.01, gt=0.0, le=0.1)
     joint_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
+
+    @field_validator("planner_id")
+    @classmethod
+    def _is_known(cls, value: str) -> str:
+        if planner_name(value) is None:
+            raise ValueError(f"must be empty or one of {', '.join(PLANNER_IDS)}")
+        return value

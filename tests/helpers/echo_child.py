@@ -1,6 +1,11 @@
-"""A child process that sends back what it gets, and ends when it is told to close or loses its server."""
+"""A child process that sends back what it gets, and ends when it is told to close or loses its server.
+
+Bytes after the word "raw" are sent as they are, whether they are a message or not.
+"""
 
 from __future__ import annotations
+
+import os
 
 from robot.processes import channel_of_child
 
@@ -10,4 +15,7 @@ if __name__ == "__main__":
         for message in channel.receive(None):
             if message == "close":
                 raise SystemExit(0)
+            if isinstance(message, tuple) and message[0] == "raw":
+                os.write(channel.fileno(), message[1])
+                continue
             channel.send(message)

@@ -11,11 +11,12 @@ with warnings.catch_warnings():
     warnings.filterwarnings("ignore", "Please update your 'hppfcl' imports", DeprecationWarning)
     import pinocchio  # noqa: F401
 
-from planners.collision import CollisionModel
-from planners.kinematics import PositionSolver
-from planners.path import JointSpace
+from planners.geometry.collision import CollisionModel
+from planners.geometry.joint_space import JointSpace
+from planners.ik.constraints import Joints
+from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
-from planners.timing import RateLimits
+from planners.rates import RateLimits
 from robot import model
 from tests.helpers import shared as helpers_shared
 
@@ -36,8 +37,13 @@ def collision(robot):
 
 
 @pytest.fixture(scope="session")
-def solver(robot, collision):
-    return PositionSolver(robot, collision)
+def goal_states(robot, collision):
+    return GoalStates(robot, collision)
+
+
+@pytest.fixture(scope="session")
+def joints(collision):
+    return Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
 
 
 @pytest.fixture(scope="session")

@@ -30,3 +30,12 @@ CRANE_SRDF = """
   <group name="arm"><chain base_link="foot" tip_link="rod"/></group>
 </robot>
 """
+
+
+def stl(triangles_m):
+    """Triangles, shape (n, 3, 3) [m], as the text of an STL file."""
+    facets = []
+    for corners in triangles_m:
+        vertices = "".join(f"vertex {x} {y} {z}\n" for x, y, z in corners)
+        facets.append(f"facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n")
+    return "solid shape\n" + "".join(facets) + "endsolid shape\n"

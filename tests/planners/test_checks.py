@@ -1,25 +1,26 @@
 import dataclasses
 import math
 
-import numpy as np
 import pytest
 
 from planners.checks import (
     START_CONTACT_DEPTH_M,
     START_LIMIT_TOLERANCE_RAD,
-    check_goal_contact,
+    check_ik_question,
     check_request,
     check_start,
     check_start_contact,
-    out_of_reach,
+    check_state_question,
 )
-from planners.collision import CollidingPair
-from planners.kinematics import IkResult
-from planners.problem import JointGoal, MoveItErrorCode, PlanningProblem, PositionGoal
+from planners.geometry.collision import CollidingPair
+from planners.goals import Constraints, JointConstraint, JointGoal, PositionGoal
+from planners.problem import IkQuestion, MoveItErrorCode, PlanningProblem, StateQuestion
 
 TIP = "gripper_frame_link"
 POINT = PositionGoal(TIP, (0.3, 0.0, 0.2), 0.01)
 NAN = math.nan
+NO_RANGE = Constraints(joints=(JointConstraint("elbow", 0.5, 0.1, 0.1),))
+INVALID = MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
 
 
 @pytest.fixture
@@ -45,23 +46,22 @@ def test_sound_requests_pass(robot, problem):
     ("changes", "code", "said"),
     [
         ({"group": "leg"}, MoveItErrorCode.INVALID_GROUP_NAME, ["leg", "arm", "gripper"]),
-        ({"velocity_scaling": 0.0}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["velocity scaling", "0"]),
-        ({"velocity_scaling": 1.5}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["velocity scaling", "1.5"]),
-        ({"acceleration_scaling": NAN}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["acceleration scaling", "nan"]),
-        ({"allowed_time_s": -1.0}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["allowed planning time", "-1"]),
-        ({"allowed_time_s": math.inf}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["allowed planning time", "inf"]),
-        ({"goal": JointGoal({"elbow": 0.5})}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["'elbow'", "elbow_flex"]),
-        ({"goal": JointGoal({"gripper": 0.5})}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["'gripper'", "'arm'"]),
-        ({"goal": JointGoal({"elbow_flex": NAN})}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["elbow_flex", "nan"]),
-        (
-            {"goal": JointGoal({"elbow_flex": 1.7})},
-            MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
-            ["elbow_flex", "1.7 rad", "-1.69 to 1.69 rad"],
-        ),
-        ({"goal": PositionGoal("hand", (0, 0, 0), 0.1)}, MoveItErrorCode.INVALID_LINK_NAME, ["'hand'", TIP]),
-        ({"goal": PositionGoal(TIP, (0, NAN, 0), 0.1)}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["(0, nan, 0)"]),
-        ({"goal": PositionGoal(TIP, (0.3, 0, 0), 0.0)}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["tolerance", "0"]),
-        ({"goal": PositionGoal(TIP, (0.3, 0, 0), NAN)}, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, ["tolerance", "nan"]),
+        ({"velocity_scaling": 0.0}, INVALID, ["velocity scaling", "0"]),
+        ({"velocity_scaling": 1.5}, INVALID, ["velocity scaling", "1.5"]),
+        ({"acceleration_scaling": NAN}, INVALID, ["acceleration scaling", "nan"]),
+        ({"allowed_time_s": -1.0}, INVALID, ["allowed planning time", "-1"]),
+        ({"allowed_time_s": math.inf}, INVALID, ["allowed planning time", "inf"]),
+        ({"optimization_time_s": -1.0}, INVALID, ["optimization time", "-1"]),
+        ({"optimization_time_s": NAN}, INVALID, ["optimization time", "nan"]),
+        ({"attempts": 0}, INVALID, ["attempts", "0"]),
+        ({"planner_id": "AORRTC"}, INVALID, ["'AORRTC'", "RRTConnect"]),
+        ({"max_jerk_rad_s3": {"elbow": 1.0}}, INVALID, ["'elbow'", "'arm'"]),
+        ({"max_jerk_rad_s3": {"elbow_flex": 0.0}}, INVALID, ["elbow_flex", "not 0"]),
+        ({"start_velocity_rad_s": {"elbow": 0.1}}, MoveItErrorCode.START_STATE_INVALID, ["'elbow'", "'arm'"]),
+        ({"start_velocity_rad_s": {"elbow_flex": NAN}}, MoveItErrorCode.START_STATE_INVALID, ["elbow_flex", "nan"]),
+        ({"start_velocity_rad_s": {"elbow_flex": -99.0}}, MoveItErrorCode.START_STATE_INVALID, ["-99 rad/s", "limit"]),
+        ({"goal": JointGoal({"elbow_flex": NAN})}, INVALID, ["elbow_flex", "nan"]),
+        ({"path_constraints": NO_RANGE}, INVALID, ["'elbow'"]),
     ],
 )
 def test_senseless_requests_are_refused_with_names_and_values(robot, problem, changes, code, said):
@@ -70,21 +70,16 @@ def test_senseless_requests_are_refused_with_names_and_values(robot, problem, ch
     assert all(part in failure.message for part in said), failure.message
 
 
-def test_refusal_of_a_joint_goal_carries_joint_value_and_limits_as_data(robot, problem):
-    failure = refusal(robot, problem, goal=JointGoal({"elbow_flex": -2.0}))
-    joint = robot.joints["elbow_flex"]
-    assert failure.details == {
-        "joint": "elbow_flex",
-        "position_rad": -2.0,
-        "lower_rad": joint.lower,
-        "upper_rad": joint.upper,
-    }
+def test_moving_start_may_be_as_fast_as_the_scaled_limit(robot, problem):
+    limit = robot.joints["elbow_flex"].max_velocity
+    half = {"start_velocity_rad_s": {"elbow_flex": -0.5 * limit}}
+    assert refusal(robot, problem, velocity_scaling=0.5, **half) is None
+    assert refusal(robot, problem, velocity_scaling=0.4, **half).details["limit_rad_s"] == pytest.approx(0.4 * limit)
 
 
-def test_joint_goal_may_exceed_a_limit_by_rounding_only(robot, problem):
-    upper = robot.joints["elbow_flex"].upper
-    assert refusal(robot, problem, goal=JointGoal({"elbow_flex": upper + 0.009}, tolerance_rad=0.01)) is None
-    assert refusal(robot, problem, goal=JointGoal({"elbow_flex": upper + 0.011}, tolerance_rad=0.01))
+@pytest.mark.parametrize("planner_id", ["", "RRTConnect", "RRTConnectkConfigDefault"])
+def test_planners_are_known_by_moveits_spellings_too(robot, problem, planner_id):
+    assert refusal(robot, problem, planner_id=planner_id) is None
 
 
 def test_start_a_little_beyond_a_limit_is_accepted_and_further_is_not(robot, at_home):
@@ -116,24 +111,23 @@ def test_shallow_contact_at_the_start_is_let_go_and_a_deep_one_is_not():
     assert len(failure.details["pairs"]) == 2
 
 
-def test_goal_that_touches_is_refused_however_shallow(collision):
-    folded = np.array([0.0, -1.7, 1.65, 1.0, 0.0, 0.0])
-    failure = check_goal_contact(collision, folded)
-    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
-    assert "shoulder_link and lower_arm_link" in failure.message
-    assert failure.details["pairs"][0]["depth_m"] > 0.0
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"group": "leg"}, MoveItErrorCode.INVALID_GROUP_NAME),
+        ({"allowed_time_s": 0.0}, INVALID),
+        ({"goal": PositionGoal("hand", (0.3, 0.0, 0.2), 0.01)}, MoveItErrorCode.INVALID_LINK_NAME),
+        ({"constraints": NO_RANGE}, INVALID),
+    ],
+)
+def test_senseless_questions_for_configurations_are_refused(robot, at_home, changes, code):
+    question = IkQuestion("arm", at_home, POINT)
+    assert check_ik_question(robot, question) is None
+    assert check_ik_question(robot, dataclasses.replace(question, **changes)).code is code
 
 
-def test_goal_in_the_open_passes(collision):
-    assert check_goal_contact(collision, np.zeros(6)) is None
-
-
-def test_point_out_of_reach_is_answered_with_the_nearest_one_and_its_distance():
-    found = IkResult((), (), np.zeros(6), np.array([0.25, 0.0, 0.2]), 0.05)
-    failure = out_of_reach(POINT, found)
-    assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
-    assert "(0.3, 0, 0.2) m" in failure.message
-    assert "(0.25, 0, 0.2) m" in failure.message
-    assert "5.0 cm" in failure.message
-    assert failure.details["nearest_m"] == [0.25, 0.0, 0.2]
-    assert failure.details["distance_m"] == 0.05
+def test_senseless_questions_about_states_are_refused_and_bad_states_are_not(robot, at_home):
+    question = StateQuestion("arm", at_home | {"elbow_flex": 9.0})
+    assert check_state_question(robot, question) is None
+    for changes in ({"group": "leg"}, {"positions_rad": {}}, {"constraints": NO_RANGE}):
+        assert check_state_question(robot, dataclasses.replace(question, **changes)) is not None

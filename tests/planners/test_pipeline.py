@@ -6,74 +6,49 @@ import pinocchio as pin
 import pytest
 
 from planners.checks import START_CONTACT_DEPTH_M
-from planners.collision import CollisionModel
+from planners.geometry.collision import CollisionModel
+from planners.goals import (
+    AnyOf,
+    AxisGoal,
+    Constraints,
+    JointConstraint,
+    JointGoal,
+    OrientationConstraint,
+    PoseGoal,
+    PositionConstraint,
+    PositionGoal,
+)
+from planners.ik.goal_states import GoalStates
+from planners.motions.projected_path import PROJECTED_SEARCH
 from planners.pipeline import Planner
-from planners.problem import JointGoal, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, PositionGoal
-from planners.timing import RateLimits
+from planners.problem import (
+    CartesianPlan,
+    CartesianProblem,
+    IkAnswer,
+    IkQuestion,
+    Line,
+    MoveItErrorCode,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckAnswer,
+    RecheckQuestion,
+    StateAnswer,
+    StateQuestion,
+)
+from planners.scene import Box, Pose, Scene, SceneObject
 from robot import model
 from tests.planners.invariants import (
     BLOCKED_LINES,
-    assert_from_rest_to_rest,
-    assert_keeps_positions,
     assert_keeps_rates,
     assert_touches_nothing,
-    assert_well_formed,
     configurations,
 )
+from tests.planners.setting import TIP, Setting, end_of
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
-TIP = "gripper_frame_link"
 # Folded a little too far: the hulls of lower arm and shoulder overlap by some 7 mm, the links themselves do not.
 FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.65, "wrist_flex": 1.0}
-
-
-class Setting:
-    """A planner with what its plans are judged by."""
-
-    def __init__(self, planner, robot, collision):
-        self.planner, self.robot, self.collision = planner, robot, collision
-        self.joints = robot.groups["arm"].joints
-
-    def start(self, positions_rad, gripper_rad=0.3):
-        return {"gripper": gripper_rad} | dict(zip(self.joints, map(float, positions_rad), strict=True))
-
-    def home(self, **changes):
-        return self.start([0.0] * 5, 0.0) | changes
-
-    def problem(self, goal, start_rad=None, **options):
-        return PlanningProblem("arm", start_rad or self.home(), goal, **options)
-
-    def solve(self, problem):
-        """Plan, and judge the plan by every invariant that holds for all goals."""
-        plan = self.planner.plan(problem)
-        assert isinstance(plan, Plan), plan
-        motion = plan.trajectory
-        start = [problem.start_rad[name] for name in self.joints]
-        limits = [self.robot.joints[name] for name in self.joints]
-        assert motion.joint_names == self.joints
-        assert_well_formed(motion)
-        assert_from_rest_to_rest(motion, start, motion.positions_rad[-1])
-        assert_keeps_positions(motion, [joint.lower for joint in limits], [joint.upper for joint in limits])
-        assert_keeps_rates(motion, self.scaled_limits(problem))
-        assert_touches_nothing(motion, self.collision, problem.start_rad)
-        return plan
-
-    def scaled_limits(self, problem):
-        joints = [self.robot.joints[name] for name in self.joints]
-        return RateLimits(
-            problem.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
-            problem.acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),
-        )
-
-    def random_state(self, rng):
-        while True:
-            q = rng.uniform(self.collision.lower_rad, self.collision.upper_rad)
-            if not self.collision.in_collision(q):
-                return dict(zip(self.collision.joint_names, q.tolist(), strict=True))
-
-    def tip_m(self, positions_rad):
-        q = np.array([positions_rad[name] for name in self.collision.joint_names])
-        return tuple(self.collision.tip_position(q, TIP).tolist())
 
 
 @pytest.fixture
@@ -84,10 +59,6 @@ def setting(planner, robot, collision):
 @pytest.fixture(scope="module")
 def official_meshes(shared_data):
     return _OfficialMeshes(shared_data)
-
-
-def end_of(plan):
-    return dict(zip(plan.trajectory.joint_names, plan.trajectory.positions_rad[-1], strict=True))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -232,6 +203,84 @@ def test_an_arm_of_another_kind_is_planned_for():
     failure = planner.plan(PlanningProblem("arm", start, PositionGoal("rod", (0.0, 0.0, 2.0), 0.005)))
     assert isinstance(failure, PlanningFailure)
     assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
+
+
+def test_reached_alternative_is_told(setting):
+    far = PositionGoal(TIP, (0.0, 0.35, 0.2), 0.01)
+    plan = setting.solve(setting.problem(AnyOf((far, JointGoal({"wrist_roll": 0.3})))))
+    assert plan.goal_index == 1
+    assert end_of(plan)["wrist_roll"] == 0.3
+
+
+def test_deviation_of_a_pose_on_five_joints_is_that_of_the_end(setting):
+    pose = Pose((0.25, 0.1, 0.2))
+    plan = setting.solve(setting.problem(PoseGoal(TIP, pose, 0.005, (0.01, 0.01, 0.01))))
+    assert np.linalg.norm(np.subtract(setting.tip_m(setting.home() | end_of(plan)), pose.position_m)) <= 0.005
+    assert plan.deviation.position_m <= 0.005
+    assert plan.deviation.orientation_rad > 0.1
+
+
+def test_path_constraints_are_kept_all_the_way_around_an_obstacle(robot, setting):
+    planner = Planner(robot)
+    states = GoalStates(robot, setting.collision)
+    wall = SceneObject("wall", ((Box((0.3, 0.02, 0.08)), Pose()),), Pose((0.25, 0.0, 0.04)))
+    assert planner.set_scene(Scene(1, (wall,))) is None
+    down = AxisGoal(TIP, (0.22, -0.12, 0.05), 0.002, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.02)
+    start = planner.answer(IkQuestion("arm", setting.home(), down)).positions_rad[0]
+    level = Constraints(orientations=(OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0), (0.15, 0.15, 3.2)),))
+    goal = PositionGoal(TIP, (0.22, 0.12, 0.05), 0.005)
+    plan = planner.plan(setting.problem(goal, dict(start), path_constraints=level, seed=3))
+    assert isinstance(plan, Plan), plan
+    assert plan.method == PROJECTED_SEARCH
+    assert_keeps_rates(plan.trajectory, setting.scaled_limits(setting.problem(goal)))
+    holds = states.condition_set(level).holds
+    assert all(holds(q) for q in configurations(plan.trajectory, setting.collision, start, step_m=0.01))
+
+
+def test_start_outside_the_path_constraints_is_refused(setting):
+    roll = Constraints(joints=(JointConstraint("wrist_roll", 1.0, 0.1, 0.1),))
+    failure = setting.planner.plan(setting.problem(JointGoal({"wrist_roll": 1.0}), path_constraints=roll))
+    assert failure.code is MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
+    assert failure.details["violations"][0]["joint"] == "wrist_roll"
+
+
+def test_constraints_that_no_path_keeps_end_with_the_time(robot, setting):
+    ticks = iter(range(100_000))
+    planner = Planner(robot, clock=lambda: 0.001 * next(ticks))
+    fence = SceneObject("fence", ((Box((0.4, 0.02, 0.3)), Pose()),), Pose((0.34, 0.0, 0.15)))
+    assert planner.set_scene(Scene(1, (fence,))) is None
+    low = Constraints(positions=(PositionConstraint(TIP, Pose((0.25, 0.0, 0.1)), half_size_m=(0.5, 0.5, 0.1)),))
+    beside = PositionGoal(TIP, (0.25, -0.15, 0.1), 0.005)
+    start = planner.answer(IkQuestion("arm", setting.home(), beside, allowed_time_s=1.0)).positions_rad[0]
+    goal = PositionGoal(TIP, (0.25, 0.15, 0.1), 0.005)
+    failure = planner.plan(setting.problem(goal, dict(start), path_constraints=low, allowed_time_s=0.5))
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+
+
+def test_bad_scene_is_refused_and_the_one_before_stays(robot, setting):
+    planner = Planner(robot)
+    block = SceneObject("block", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.39, 0.0, 0.226)))
+    assert planner.set_scene(Scene(1, (block,))) is None
+    assert isinstance(planner.set_scene(Scene(2, (block, block))), PlanningFailure)
+    failure = planner.plan(setting.problem(JointGoal({"wrist_roll": 0.3})))
+    assert failure.code is MoveItErrorCode.START_STATE_IN_COLLISION
+    assert "block" in failure.message
+
+
+def test_every_kind_of_request_gets_its_kind_of_answer(setting):
+    home = setting.home()
+    plan = setting.planner.answer(setting.problem(JointGoal({"elbow_flex": 0.5})))
+    point = PositionGoal(TIP, (0.3, 0.1, 0.2), 0.01)
+    line = CartesianProblem("arm", home, TIP, (Line(Pose((0.37, 0.0, 0.2))),))
+    requests = [
+        (IkQuestion("arm", home, point), IkAnswer),
+        (StateQuestion("arm", home), StateAnswer),
+        (RecheckQuestion("arm", plan.trajectory, {"gripper": 0.0}, 0.1), RecheckAnswer),
+        (line, CartesianPlan),
+    ]
+    assert isinstance(plan, Plan)
+    for request, kind in requests:
+        assert isinstance(setting.planner.answer(request), kind), request
 
 
 class TestBenchmarkProblems:

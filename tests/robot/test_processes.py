@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import socket
 import sys
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot import processes
-from robot.processes import MAX_PENDING_BYTES, Channel, Child, Decoder, encode
+from robot.processes import MAX_MESSAGE_BYTES, MAX_PENDING_BYTES, Channel, Child, Decoder, encode
 
 ECHO = "tests.helpers.echo_child"
 
@@ -29,6 +30,11 @@ def test_messages_survive_any_cutting_of_the_stream(messages: list[bytes], size:
 def test_a_message_over_the_limit_is_refused() -> None:
     with pytest.raises(ValueError, match="over the limit"):
         Decoder().feed(b"\xff\xff\xff\xff")
+
+
+def test_a_message_that_the_other_end_refuses_is_not_sent() -> None:
+    with pytest.raises(ValueError, match="over the limit"):
+        encode(bytes(MAX_MESSAGE_BYTES))
 
 
 @pytest.fixture
@@ -99,12 +105,11 @@ async def test_a_child_answers_in_order_whatever_the_size() -> None:
 async def test_the_end_of_a_child_is_told_once() -> None:
     exited = asyncio.Event()
     child = await start_echo([], exited)
-    child.signal(signal.SIGKILL)
+    os.kill(child.pid, signal.SIGKILL)
     await asyncio.wait_for(exited.wait(), 5.0)
     await child.wait(1.0)
     assert not child.running
     child.send("nobody hears this")
-    child.signal(signal.SIGTERM)
 
 
 async def test_a_child_ends_when_its_server_does() -> None:
@@ -122,6 +127,26 @@ async def test_a_child_that_does_not_end_is_ended_by_force() -> None:
     await until(received, 1)
     await asyncio.wait_for(child.wait(0.1), 5.0)
     assert not child.running
+
+
+@pytest.mark.parametrize("garbage", [b"\xff\xff\xff\xff", b"\x04\x00\x00\x00what"], ids=["huge", "no pickle"])
+async def test_a_child_that_sends_garbage_is_ended_and_its_end_told(garbage: bytes) -> None:
+    exited = asyncio.Event()
+    child = Child(ECHO, lambda _message: None, exited.set)
+    await child.connect()
+    child.send(("raw", garbage))
+    await asyncio.wait_for(exited.wait(), 5.0)
+    await child.wait(5.0)
+    assert child.ending == "SIGKILL"
+
+
+async def test_how_a_child_ended_is_told() -> None:
+    exited = asyncio.Event()
+    child = await start_echo([], exited)
+    assert child.ending == "it still runs"
+    child.send("close")
+    await child.wait(5.0)
+    assert child.ending == "exit code 0"
 
 
 async def test_an_error_in_serving_one_message_does_not_make_the_server_deaf(

@@ -36,6 +36,8 @@ REFUSED = {
     "unknown key": ("[server]\nprt = 1", "server.prt"),
     "unknown section": ("[serve]\nport = 1", "serve"),
     "out of range": ("[moveit]\nmax_velocity_scaling = 3.0", "moveit.max_velocity_scaling: .*1 .*3.0"),
+    "unknown search": ('[moveit]\nplanner_id = "AORRTC"', "moveit.planner_id: .*RRTConnect.*'AORRTC'"),
+    "too little memory": ("[planning]\nmemory_limit_mb = 100", "planning.memory_limit_mb: .*256.*100"),
     "wrong type": ('[server]\nport = "many"', "server.port.*'many'"),
     "urdf alone": ('[arm]\nurdf = "a.urdf"', "urdf and srdf must be given together"),
     "no TOML": ("server: port", "not TOML"),

@@ -1,5 +1,6 @@
 """The part of toppra.constraint 0.6 that is used."""
 
+from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
@@ -11,8 +12,8 @@ class DiscretizationType(Enum):
 
 class LinearConstraint: ...
 
-class JointVelocityConstraint(LinearConstraint):
-    def __init__(self, vlim: NDArray[np.float64]) -> None: ...
+class JointVelocityConstraintVarying(LinearConstraint):
+    def __init__(self, vlim_func: Callable[[float], NDArray[np.float64]]) -> None: ...
 
 class JointAccelerationConstraint(LinearConstraint):
-    def __init__(self, alim: NDArray[np.float64], *, discretization_scheme: DiscretizationType) -> None: ...
+    def __init__(self, alim: NDArray[np.float64], discretization_scheme: DiscretizationType) -> None: ...

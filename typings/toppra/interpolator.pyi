@@ -1,10 +1,13 @@
 """The part of toppra.interpolator 0.6 that is used."""
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
-class AbstractGeometricPath:
-    def __call__(self, path_positions: float | NDArray[np.float64], order: int = 0) -> NDArray[np.float64]: ...
+# A class to inherit from in the library, which asks no more of its paths than these.
+class AbstractGeometricPath(Protocol):
+    def __call__(self, path_positions: NDArray[np.float64], order: int = 0) -> NDArray[np.float64]: ...
     @property
     def dof(self) -> int: ...
     @property

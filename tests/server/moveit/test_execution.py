@@ -1,16 +1,19 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import signal
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from planners.goals import JointGoal
 from planners.pool import PlannerPool
-from planners.problem import JointGoal, MoveItErrorCode
+from planners.problem import MoveItErrorCode
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
@@ -20,6 +23,7 @@ from server.config import EmulatorSettings
 from server.emulated_bus import EmulatedBus
 from server.goal_queue import GoalState, Progress
 from server.moveit.execution import GoalExecutor
+from server.moveit.failed_goals import FailedGoals
 from server.moveit.goals import MotionRequest
 from server.moveit.parameters import MoveItParameters
 
@@ -118,3 +122,11 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     answer = await executor.run(MotionRequest(JointGoal({"shoulder_pan": 0.5})), lambda _progress: None)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
+
+
+async def test_only_a_goal_that_could_not_be_planned_is_saved(rig: Rig, tmp_path: Path) -> None:
+    failed_goals = FailedGoals(tmp_path, model.builtin(), lambda: 0.0)
+    rig.executor = GoalExecutor(rig.arm, rig.pool, MoveItParameters(max_velocity_scaling=1.0), failed_goals)
+    assert (await rig.run(shoulder_pan=0.01)).code is MoveItErrorCode.SUCCESS
+    answer = await rig.run(shoulder_lift=math.nan)
+    assert os.listdir(tmp_path) == [f"goal-19700101T000000.000000Z-{answer.code.name}.json"]  # noqa: PTH208

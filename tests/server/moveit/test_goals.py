@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from planners.problem import JointGoal, MoveItErrorCode, PlanningFailure, PositionGoal
+from planners.goals import JointGoal, PositionGoal
+from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from robot import model

@@ -1,0 +1,217 @@
+"""Motions among obstacles: are they valid, found, short and quick, and are the refusals true? And MPlib beside it.
+
+The scenes are those of the reference data beside the checkout, when it is there, and the benchmark's own. Validity is
+judged by the official meshes, which are part of the reference data.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import mplib_side
+from benchmarks.figures import percentiles, print_table
+from benchmarks.make_scenes import SCENES
+from planners.files import plan_command, problem_file
+from planners.files.plan_command import Outcome
+from planners.motions.motion import STRAIGHT_LINE
+from planners.problem import Plan
+from robot import model
+from tests.helpers.full_meshes import Judge
+from tests.helpers.shared import SHARED
+
+# A feasible problem counts as solved within this time.
+ALLOWED_TIME_S = 1.0
+LONG_OPTIMIZATION_S = 0.06
+
+# MPlib's default, and the setting at which it is fastest on these scenes.
+MPLIB_RANGES = (0.1, 1.0)
+
+# MPlib's timing exceeds its limits by 10 to 20 % nearly everywhere; only what is beyond that is held against it.
+MPLIB_RATE_EXCESS = 0.25
+
+# What makes a motion of its invalid: words of the judge, the worst first.
+MPLIB_FAULTS = ("touches", "position limit", "acceleration limit", "velocity limit")
+
+# A file, and what MPlib answers to one of its problems.
+Answered = tuple[Path, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One problem, how it was answered, and what the judge says.
+
+    Attributes:
+        fields: the problem as the file has it.
+        mesh: whether there is a mesh among the obstacles.
+        outcome: our answer.
+        faults: what is wrong with the motion; None when there is none, or nobody to judge it.
+    """
+
+    fields: dict[str, Any]
+    mesh: bool
+    outcome: Outcome
+    faults: list[str] | None
+
+    @property
+    def kind(self) -> str:
+        """Which row of the table it belongs to."""
+        if not isinstance(self.outcome.answer, Plan):
+            return "refused"
+        if self.outcome.answer.method == STRAIGHT_LINE:
+            return "straight"
+        return "mesh" if self.mesh else "planned"
+
+    @property
+    def duration_ratio(self) -> float | None:
+        """Duration over the best known one, where one is known."""
+        best_s = self.fields.get("best_known_duration")
+        if best_s is None or not isinstance(self.outcome.answer, Plan):
+            return None
+        return float(self.outcome.answer.trajectory.duration_s / best_s)
+
+
+def run() -> None:
+    """Measure and print."""
+    paths = scene_files()
+    if not SHARED.is_dir():
+        print("no reference data beside the checkout: its scenes and the judgement by the official meshes are left out")
+    reason = mplib_side.installed()
+    default, longer = list[Measured](), list[Measured]()
+    peers = {rrt_range: list[Answered]() for rrt_range in MPLIB_RANGES}
+    for path in paths:
+        default += measure(path, {})
+        # Beside ours in time as well: the machine may be busier later.
+        for rrt_range, answers in peers.items() if not reason else ():
+            answers += ((path, answer) for answer in mplib_side.plans(path, rrt_range))
+        longer += measure(path, {"optimization_time_s": LONG_OPTIMIZATION_S})
+    for one in (*default, *longer):
+        if one.faults or not one.outcome.expected:
+            print(f"{one.outcome.asked.id}: {one.outcome.code.name} {'; '.join(one.faults or [])}")
+    print_table(f"Motions in {len(paths)} scenes", ["", "problems", "goal", "measured"], _rows(default, longer))
+    if reason:
+        print(f"\nMPlib is not measured: {reason}")
+    else:
+        _print_beside(default, peers)
+
+
+def scene_files() -> list[Path]:
+    """Every problem file there is."""
+    return [*sorted((SHARED / "planning_problems").glob("*.json")), *sorted(SCENES.glob("*.json"))]
+
+
+def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
+    """Plan and judge every problem of a file."""
+    fields = json.loads(path.read_text())
+    entries = {entry["id"]: entry for key in _LISTS for entry in fields.get(key, [])}
+    mesh = any(thing.get("type") == "mesh" for thing in fields["objects"])
+    judge = _judge(path) if SHARED.is_dir() else None
+    file = problem_file.read(path, model.builtin())
+    options = plan_command.Options(path, every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
+    for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
+        entry = entries[outcome.asked.id]
+        (answer,) = plan_command.as_json([outcome], file.joint_names)
+        faults = judge.faults(entry, answer) if judge is not None and "positions" in answer else None
+        yield Measured(entry, mesh, outcome, faults)
+
+
+_LISTS = ("joint_problems", "position_problems", "infeasible")
+
+
+def _rows(default: Sequence[Measured], longer: Sequence[Measured]) -> Iterator[list[str]]:
+    judged = [one for one in (*default, *longer) if one.faults is not None]
+    yield _share("valid under the official meshes", judged, lambda one: not one.faults, "100 %")
+    feasible = [one for one in default if one.outcome.asked.feasible]
+    yield _share("feasible, solved within 1 s", feasible, lambda one: one.outcome.expected, ">= 99.5 %")
+    infeasible = [one for one in default if not one.outcome.asked.feasible]
+    yield _share("infeasible, right code", infeasible, lambda one: one.outcome.expected, "100 %")
+    yield _cpu("straight line", default, "straight", (50, 99), "2.5 / 6")
+    yield _cpu("planned among primitives", default, "planned", (50, 95, 99), "20 / 50 / 100")
+    yield _cpu("planned among meshes", default, "mesh", (50, 95, 99), "100 / 350 / 500")
+    yield _cpu("refused", default, "refused", (50, 99), "")
+    yield _durations("by default", default, "1.15")
+    yield _durations("with 60 ms", longer, "1.05")
+    yield _durations("straight lines", [one for one in default if one.kind == "straight"], "1.00")
+
+
+def _share(name: str, of: Sequence[Measured], holds: Callable[[Measured], bool], goal: str) -> list[str]:
+    count = sum(map(holds, of))
+    return [name, str(len(of)), goal, f"{100.0 * count / max(1, len(of)):.1f} % ({len(of) - count} not)"]
+
+
+def _cpu(name: str, measured: Sequence[Measured], kind: str, shares: Iterable[int], goal: str) -> list[str]:
+    times_s = [one.outcome.cpu_s for one in measured if one.kind == kind]
+    label = f"{name}, CPU {' / '.join(f'p{share}' for share in shares)} [ms]"
+    return [label, str(len(times_s)), goal, " / ".join(percentiles(times_s, *shares, digits=1))]
+
+
+def _durations(name: str, measured: Sequence[Measured], goal: str) -> list[str]:
+    ratios = [one.duration_ratio for one in measured]
+    known = [ratio for ratio in ratios if ratio is not None]
+    mean = f"{np.mean(known):.3f}" if known else "-"
+    return [f"duration over best known, mean, {name}", str(len(known)), goal, mean]
+
+
+def _print_beside(ours: Sequence[Measured], peers: Mapping[float, Sequence[Answered]]) -> None:
+    joint = {one.outcome.asked.id: one for one in ours if one.outcome.asked.feasible and "goal" in one.fields}
+    rows = [_row_of_ours(list(joint.values()))]
+    rows += [_row_of_mplib(rrt_range, answers, joint) for rrt_range, answers in peers.items()]
+    header = [
+        "planner",
+        "problems",
+        "returned",
+        "valid",
+        "why not",
+        "CPU p50 / p95 [ms]",
+        "ours / this, p50",
+        "duration",
+    ]
+    print_table("The joint goals, beside MPlib 0.2.1 on the same hulls and limits", header, rows)
+
+
+def _row_of_ours(measured: Sequence[Measured]) -> list[str]:
+    returned = [one for one in measured if isinstance(one.outcome.answer, Plan)]
+    valid = [one for one in returned if not one.faults]
+    cpu = percentiles((one.outcome.cpu_s for one in measured), 50, 95, digits=1)
+    counts = [str(len(part)) for part in (measured, returned, valid)]
+    ratios = [one.duration_ratio for one in valid if one.duration_ratio is not None]
+    return ["armbridge", *counts, "", " / ".join(cpu), "1", f"{np.mean(ratios):.2f}" if ratios else "-"]
+
+
+def _row_of_mplib(rrt_range: float, answers: Sequence[Answered], ours: dict[str, Measured]) -> list[str]:
+    returned = [(path, answer) for path, answer in answers if "positions" in answer]
+    why: Counter[str] = Counter()
+    ratios = []
+    for path, answer in returned:
+        asked = ours[answer["problem"]]
+        faults = _judge(path).faults(asked.fields, answer, MPLIB_RATE_EXCESS) if SHARED.is_dir() else []
+        kind = next((kind for kind in MPLIB_FAULTS if any(kind in fault for fault in faults)), None)
+        best_s = asked.fields.get("best_known_duration")
+        if kind is not None:
+            why[kind] += 1
+        elif best_s is not None:
+            ratios.append(answer["time_from_start"][-1] / best_s)
+    cpu_s = [answer["cpu_s"] for _, answer in answers]
+    ratio = np.median([ours[answer["problem"]].outcome.cpu_s for _, answer in answers]) / np.median(cpu_s)
+    return [
+        f"MPlib, rrt_range {rrt_range:g}",
+        str(len(answers)),
+        str(len(returned)),
+        str(len(returned) - why.total()),
+        ", ".join(f"{count} {kind}" for kind, count in why.items()),
+        " / ".join(percentiles(cpu_s, 50, 95, digits=1)),
+        f"{ratio:.2f}",
+        f"{np.mean(ratios):.2f}" if ratios else "-",
+    ]
+
+
+@cache
+def _judge(path: Path) -> Judge:
+    return Judge(SHARED, json.loads(path.read_text()))

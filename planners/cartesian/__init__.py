@@ -1,0 +1,1 @@
+"""Motions along a path of the tip, timed by TOPP-RA."""

@@ -1,0 +1,171 @@
+"""How far can the tip follow a path? Joint positions along it, step by step, until something ends it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
+from planners.cartesian.tip_tracking import TipTracker
+
+Vector = NDArray[np.float64]
+
+# The tip counts as on the path when this near: a tenth of what the servos resolve at arm's length.
+ON_PATH_M = 2e-5
+
+# Half-way between two points a straight joint line may lead the tip this far off: the curve through all points is
+# then far nearer.
+CHORD_M = 2e-4
+
+# A smooth curve rounds a corner within about a tenth of the steps beside it.
+CORNER_STEP_M = 0.001
+
+# Steps grow with the distance from a corner by this share of it.
+GROWTH = 0.5
+
+# What ends a path is looked for this closely.
+SHORTEST_STEP_M = 0.0003
+
+# For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
+# does so over some centimetres.
+TURN_RAD_PER_M = 10.0
+
+
+@dataclass(frozen=True)
+class Ended:
+    """Why a path cannot be followed further.
+
+    Attributes:
+        reason: "reach", "orientation", "jump", "limit", or what the condition on single points says.
+        sentence: with the figures.
+        details: the same as plain values.
+    """
+
+    reason: str
+    sentence: str
+    details: dict[str, object]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What could be followed of a path.
+
+    Attributes:
+        along_m: shape (m,), lengths of the path from 0 [m].
+        points: shape (m, n), the joints there [rad].
+        ended: why it is not the whole; None for all of it.
+    """
+
+    along_m: Vector
+    points: Vector
+    ended: Ended | None
+
+
+@dataclass(frozen=True)
+class Following:
+    """What following a path has to heed.
+
+    Attributes:
+        tracker: the tip and its joints.
+        joint_names: the joints.
+        path: where the tip shall be.
+        max_step_m: greatest distance between points [m].
+        max_joint_step_rad: greatest step of a joint between points, 0 for none [rad].
+        orientation_tolerance_rad: greatest deviation from the path's orientation; infinite to take the nearest [rad].
+        flaw: what is wrong with a point, or None.
+        should_stop: ends it early.
+    """
+
+    tracker: TipTracker
+    joint_names: tuple[str, ...]
+    path: TipPath
+    max_step_m: float
+    max_joint_step_rad: float
+    orientation_tolerance_rad: float
+    flaw: Callable[[Vector], Ended | None]
+    should_stop: Callable[[], bool]
+
+    def from_point(self, start: Vector) -> Followed:
+        """Follow the path from its start as far as it goes, or until told to stop."""
+        along_m, points = [0.0], [start]
+        step_m, ended = CORNER_STEP_M, None
+        while along_m[-1] < self.path.length_m and not self.should_stop():
+            reach_m = self._reach_m(along_m[-1], step_m)
+            point = self._solved(points[-1], along_m[-1], reach_m)
+            ended = self._ended(points[-1], along_m[-1], point, reach_m)
+            if ended is None:
+                step_m = 2.0 * (reach_m - along_m[-1])
+                along_m.append(reach_m)
+                points.append(point)
+            elif reach_m - along_m[-1] <= 1.001 * SHORTEST_STEP_M:
+                break
+            else:
+                step_m = 0.5 * (reach_m - along_m[-1])
+        return Followed(np.array(along_m), np.array(points), ended)
+
+    def _reach_m(self, from_m: float, step_m: float) -> float:
+        """Where the next point shall be: short steps beside corners, and one exactly in each."""
+        corners_m = np.array([0.0, *self.path.corners_m])
+        next_m = float(corners_m[np.searchsorted(corners_m, from_m, side="right")])
+        left_m = next_m - from_m
+        # The end is no corner to be rounded.
+        room_m = left_m if next_m == self.path.length_m else max(CORNER_STEP_M, GROWTH * left_m)
+        step_m = max(min(step_m, self.max_step_m, room_m), min(SHORTEST_STEP_M, self.max_step_m))
+        return next_m if left_m < 1.5 * step_m and left_m <= self.max_step_m else from_m + step_m
+
+    def _solved(self, point: Vector, from_m: float, reach_m: float) -> Vector:
+        return self.tracker.follow(point, self.path.at(reach_m), TURN_RAD_PER_M * (reach_m - from_m))
+
+    def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> Ended | None:
+        """What speaks against a step from one point to the next."""
+        asked, pose = self.path.at(reach_m), self.tracker.pose(point)
+        turned_rad = apart_rad(asked, pose)
+        if apart_m(asked, pose) > ON_PATH_M:
+            end = self.path.at(self.path.length_m)
+            nearest = self.tracker.pose(self.tracker.follow(point, end, 0.0))
+            return _out_of_reach(asked, apart_m(end, nearest))
+        if turned_rad > self.orientation_tolerance_rad:
+            return _turned_away(turned_rad, self.orientation_tolerance_rad)
+        step = np.abs(point - before)
+        most = int(np.argmax(step))
+        halfway = self.tracker.pose(0.5 * (before + point)), self.path.at(0.5 * (from_m + reach_m))
+        if 0.0 < self.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
+            return _jump(self.joint_names[most], float(step[most]), reach_m - from_m)
+        return self.flaw(point)
+
+
+def leaves_limits(joint: str) -> Ended:
+    """A joint would go beyond a limit to keep to the path."""
+    return Ended("limit", f"joint {joint!r} would leave its limits", {"joint": joint})
+
+
+def _out_of_reach(asked: pin.SE3, end_m: float) -> Ended:
+    place = ", ".join(f"{value:.4g}" for value in asked.translation)
+    whole = f"the tip comes no nearer to the end of the path than {100.0 * end_m:.1f} cm"
+    sentence = whole if end_m > ON_PATH_M else f"the path leaves the arm's reach at ({place}) m, but not its end"
+    return Ended(
+        "reach",
+        sentence,
+        {"position_m": [float(value) for value in asked.translation], "distance_m": end_m},
+    )
+
+
+def _turned_away(turned_rad: float, tolerance_rad: float) -> Ended:
+    return Ended(
+        "orientation",
+        f"the tip would have to turn by {np.degrees(turned_rad):.1f} degrees from the orientation asked for,"
+        f" of which {np.degrees(tolerance_rad):.1f} are tolerated",
+        {"deviation_rad": turned_rad, "tolerance_rad": tolerance_rad},
+    )
+
+
+def _jump(joint: str, step_rad: float, step_m: float) -> Ended:
+    return Ended(
+        "jump",
+        f"joint {joint!r} would jump by {step_rad:.3g} rad within {1000.0 * step_m:.2g} mm of the path",
+        {"joint": joint, "step_rad": step_rad, "step_m": step_m},
+    )

@@ -1,0 +1,140 @@
+"""Timing of a given smooth path by TOPP-RA: least time within velocity and acceleration limits.
+
+Pham & Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018.
+
+toppra is imported in the functions that use it: it loads scipy and matplotlib, most of a second and 65 MB that only
+paths of the tip need and that a worker may not take at its start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.cartesian.profile import Profile, sampled, within_limits
+from planners.cartesian.spline import SplinePath
+from planners.rates import RateLimits
+from robot.trajectory import Trajectory
+
+Vector = NDArray[np.float64]
+
+# Where the joints stand nothing else bounds the progress, which is about 1 where they move, in scaled units. Much more
+# makes numbers that toppra's solver takes for 0.
+FASTEST_RATE = 30.0
+
+# Where the arm can only stand, toppra's tolerance of 1e-8 in squared rates makes it crawl at up to 7e-4 of these units.
+STANDING_RATE = 1e-3
+
+
+def toppra_profile(path: SplinePath, limits: RateLimits, top_rate: Vector | None = None) -> Profile | None:
+    """The fastest progress along a path from rest to rest.
+
+    Args:
+        path: its acceleration limits are kept at the points of its ``grid`` and nearly so between them.
+        limits: of the joints.
+        top_rate: shape (len(path.grid),), further limits of the progress rate, each above 0.
+
+    Returns:
+        None when the path demands an infinite acceleration, or stands still from start to end, or has numbers that are
+        not finite.
+    """
+    length = float(path.knots[-1] - path.knots[0])
+    reach_s2 = np.abs(path(path.grid, 1)) * length / limits.acceleration_rad_s2
+    unit_s = float(np.sqrt(np.max(reach_s2)))
+    if not 0.0 < unit_s < np.inf:
+        return None
+    scaled = _ScaledPath(path, length, limits.acceleration_rad_s2 * unit_s**2)
+    scaled_velocity = limits.velocity_rad_s * unit_s / scaled.joint_units_rad
+    scaled_top = np.full(len(scaled.grid), FASTEST_RATE)
+    if top_rate is not None:
+        scaled_top = np.minimum(scaled_top, top_rate * unit_s / length)
+    rate = _fastest(scaled, scaled_velocity, scaled_top)
+    # The motion may stop in a point, but has to get away from it.
+    if not np.all(rate[:-1] + rate[1:] > 2.0 * STANDING_RATE * min(1.0, scaled_top.min())):
+        return None
+    return Profile(path.grid, rate * length / unit_s)
+
+
+@dataclass(frozen=True)
+class _ScaledPath:
+    """A path for toppra, with numbers of about 1, which its tolerances are made for.
+
+    Its last column is progress itself, so that limits of the progress rate are those of a joint.
+
+    Attributes:
+        path: what is scaled.
+        length: of its parameter, which goes from 0 to 1 here.
+        joint_units_rad: shape (n,), what is 1 here; with them the acceleration limits are 1.
+    """
+
+    path: SplinePath
+    length: float
+    joint_units_rad: Vector
+
+    @property
+    def grid(self) -> Vector:
+        """Parameters for timing."""
+        return np.asarray((self.path.grid - self.path.knots[0]) / self.length)
+
+    @property
+    def dof(self) -> int:
+        """Number of columns."""
+        return len(self.joint_units_rad) + 1
+
+    @property
+    def path_interval(self) -> Vector:
+        """First and last parameter."""
+        return np.array([0.0, 1.0])
+
+    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
+        """As :class:`SplinePath`."""
+        joints = self.path(self.path.knots[0] + self.length * path_positions, order)
+        progress = (path_positions, np.ones_like(path_positions), np.zeros_like(path_positions))[order]
+        return np.column_stack((joints * (self.length**order / self.joint_units_rad), progress / FASTEST_RATE**2))
+
+
+def _fastest(path: _ScaledPath, velocity: Vector, top_rate: Vector) -> Vector:
+    """The greatest rate at each grid point, not a number where toppra finds none.
+
+    Args:
+        path: with acceleration limits of 1.
+        velocity: shape (n,), limits of the joints.
+        top_rate: shape (len(path.grid),), limits of the rate.
+    """
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraintVarying
+
+    grid = path.grid
+    allowed = np.column_stack((np.tile(velocity, (len(grid), 1)), top_rate / FASTEST_RATE**2))
+    both_ways = np.stack((-allowed, allowed), axis=2)
+    constraints = [
+        JointVelocityConstraintVarying(lambda position: both_ways[np.searchsorted(grid, position)]),
+        # The scheme that looks at single points exceeds the limits up to 2.4 times between them.
+        JointAccelerationConstraint(np.ones(path.dof), DiscretizationType.Interpolation),
+    ]
+    solver = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel")
+    _, rate, _ = solver.compute_parameterization(0.0, 0.0)
+    return np.full_like(grid, np.nan) if rate is None else rate
+
+
+def time_along(
+    path: SplinePath, joint_names: tuple[str, ...], limits: RateLimits, top_rate: Vector | None = None
+) -> Trajectory | None:
+    """The fastest motion along a path from rest to rest, whose interpolation keeps the limits as well.
+
+    Args:
+        path: where the joints go.
+        joint_names: the joints of its columns.
+        limits: of the joints.
+        top_rate: as for :func:`toppra_profile`.
+
+    Returns:
+        Samples at most 10 ms apart, or None where :func:`toppra_profile` has none.
+    """
+    profile = toppra_profile(path, limits, top_rate)
+    if profile is None:
+        return None
+    ends = path(path.knots[[0, -1]])
+    return within_limits(sampled(path, profile, joint_names, ends), limits)

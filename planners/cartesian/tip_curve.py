@@ -1,0 +1,111 @@
+"""The smooth curve through the points of a followed path, and how far the tip is off the path between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.cartesian.following import CHORD_M, Followed
+from planners.cartesian.spline import SplinePath
+from planners.cartesian.tip_path import TipPath, apart_rad
+from planners.cartesian.tip_tracking import TipTracker
+from planners.problem import Deviation
+
+Vector = NDArray[np.float64]
+
+# The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
+MEASURED_PER_SPAN = 2
+
+# Joints are looked at in so many places of each span: beyond a limit for a shorter stretch they are by nothing.
+LOOKS_PER_SPAN = 16
+
+# Beside a corner the curve runs ahead of the path or behind it, by no more than so many measured places.
+MEASURED_AROUND = 2
+
+# Each round of new points halves the spans where the curve is off, and what it is off by more than that.
+REFINEMENTS = 5
+
+
+@dataclass(frozen=True)
+class TipCurve:
+    """A curve of the joints for a path of the tip.
+
+    Attributes:
+        followed: the points it goes through, more where they are needed.
+        curve: the spline through them, by the length of the path.
+        deviation: greatest deviation of the tip from the path on it.
+    """
+
+    followed: Followed
+    curve: SplinePath
+    deviation: Deviation
+
+
+def tip_curve(followed: Followed, path: TipPath, tracker: TipTracker) -> TipCurve:
+    """The curve through at least two followed points, with more of them where it would leave the path or the limits."""
+    for _ in range(REFINEMENTS):
+        measured = _measured(followed, path, tracker)
+        off = np.flatnonzero(measured.off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
+        places = measured.curve(_along_m(followed, LOOKS_PER_SPAN))
+        outside = np.flatnonzero(tracker.outside(places).any(axis=1).reshape(-1, LOOKS_PER_SPAN).any(axis=1))
+        spans = np.union1d(off, outside)
+        if not len(spans):
+            break
+        followed = _halved(followed, spans, path, tracker)
+    else:
+        measured = _measured(followed, path, tracker)
+    return TipCurve(followed, measured.curve, Deviation(float(measured.off_m.max()), measured.turned_rad))
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A curve, the tip's distances from the path on it, shape (m,), and its greatest angle from the path's."""
+
+    curve: SplinePath
+    off_m: Vector
+    turned_rad: float
+
+
+def _measured(followed: Followed, path: TipPath, tracker: TipTracker) -> _Measured:
+    curve = SplinePath(followed.along_m, followed.points)
+    along_m = _along_m(followed, MEASURED_PER_SPAN)
+    asked = [path.at(length_m) for length_m in along_m]
+    poses = [tracker.pose(point) for point in curve(along_m)]
+    turned_rad = max(apart_rad(*pair) for pair in zip(asked, poses, strict=True))
+    places_m, line_m = (np.array([pose.translation for pose in part]) for part in (poses, asked))
+    return _Measured(curve, _distances_m(places_m, line_m), turned_rad)
+
+
+def _along_m(followed: Followed, per_span: int) -> Vector:
+    """Lengths evenly within each span, its end included, shape (spans * per_span,) [m]."""
+    spans = len(followed.points) - 1
+    at = (np.arange(per_span * spans) + 1.0) / per_span
+    return np.interp(at, np.arange(spans + 1), followed.along_m)
+
+
+def _distances_m(places_m: Vector, line_m: Vector) -> Vector:
+    """Distance of places from the pieces of a polyline around the points of their index, shape (m, 3) each."""
+    nearest_m = np.linalg.norm(places_m - line_m, axis=1)
+    last = len(line_m) - 1
+    for shift in range(-MEASURED_AROUND, MEASURED_AROUND):
+        i = np.clip(np.arange(last + 1) + shift, 0, last - 1)
+        edge = line_m[i + 1] - line_m[i]
+        square = np.maximum(np.sum(edge**2, axis=1), np.finfo(float).tiny)
+        share = np.clip(np.sum((places_m - line_m[i]) * edge, axis=1) / square, 0.0, 1.0)
+        away_m = np.linalg.norm(places_m - line_m[i] - share[:, np.newaxis] * edge, axis=1)
+        nearest_m = np.minimum(nearest_m, away_m)
+    return np.asarray(nearest_m)
+
+
+def _halved(followed: Followed, spans: NDArray[np.int64], path: TipPath, tracker: TipTracker) -> Followed:
+    """With a point more in the middle of some spans: half-way between their ends, brought back to the path."""
+    middle_m = 0.5 * (followed.along_m[spans] + followed.along_m[spans + 1])
+    guesses = zip(middle_m, 0.5 * (followed.points[spans] + followed.points[spans + 1]), strict=True)
+    points = np.array([tracker.follow(guess, path.at(length_m), 0.0) for length_m, guess in guesses])
+    return Followed(
+        np.insert(followed.along_m, spans + 1, middle_m),
+        np.insert(followed.points, spans + 1, points, axis=0),
+        followed.ended,
+    )

@@ -1,0 +1,185 @@
+"""Where the tip shall be along lines and arcs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planners.ik.conditions import ROTATION_ARM_M
+from planners.ik.constraints import rotation
+from planners.problem import Arc, Line
+from planners.scene import Pose
+
+Vector = NDArray[np.float64]
+
+# Shorter pieces are repeated points: neither direction nor speed can be told of them.
+SHORTEST_M = 1e-7
+
+# Directions of neighbouring pieces that differ by less go on smoothly.
+SMOOTH_TURN_RAD = 1e-3
+
+# Points nearer to each other do not tell an arc's plane.
+SHORTEST_CHORD_M = 1e-5
+
+# Flatter arcs lose digits, and no arm tells them from lines.
+LARGEST_RADIUS_M = 100.0
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A line, or an arc around ``center``; the tip turns evenly by ``turn`` about an axis of its own on the way.
+
+    Attributes:
+        start_m: length of the path before it [m].
+        length_m: its own length [m].
+        origin: where it starts, shape (3,) [m].
+        along: from there to the end of a line; the spoke a quarter ahead of ``spoke`` on an arc [m].
+        spoke: from the center to the start, on an arc [m].
+        angle: of the arc [rad], 0 for a line.
+        rotation: at its start, shape (3, 3).
+        turn: rotation vector in the tip's frame, shape (3,) [rad].
+    """
+
+    start_m: float
+    length_m: float
+    origin: Vector
+    along: Vector
+    spoke: Vector
+    angle: float
+    rotation: Vector
+    turn: Vector
+
+    def position(self, share: float) -> Vector:
+        """Where the tip is after a share of the piece [m]."""
+        if self.angle == 0.0:
+            return np.asarray(self.origin + share * self.along)
+        angle = share * self.angle
+        return np.asarray(self.origin + (np.cos(angle) - 1.0) * self.spoke + np.sin(angle) * self.along)
+
+    def direction(self, share: float) -> Vector:
+        """Its derivative by the share [m]."""
+        if self.angle == 0.0:
+            return self.along
+        angle = share * self.angle
+        return np.asarray(self.angle * (np.cos(angle) * self.along - np.sin(angle) * self.spoke))
+
+
+class TipPath:
+    """Lines and arcs one after the other; the path's parameter is its length, to which turns of the tip contribute.
+
+    Args:
+        start: pose of the tip at the start.
+        segments: from there on; pieces without any length are left out.
+
+    Attributes:
+        length_m: the whole length, 0 when no segment has any [m].
+        corners_m: lengths at which the direction changes, strictly increasing, with the end as the last [m].
+    """
+
+    def __init__(self, start: pin.SE3, segments: Sequence[Line | Arc]) -> None:
+        self._pieces = _pieces(start, segments)
+        self._start = start
+        self._starts_m = np.array([piece.start_m for piece in self._pieces])
+        self.length_m = sum(piece.length_m for piece in self._pieces)
+        turns = [
+            first.start_m + first.length_m
+            for first, second in zip(self._pieces[:-1], self._pieces[1:], strict=True)
+            if _is_corner(first, second)
+        ]
+        self.corners_m = [*turns, self.length_m]
+
+    def at(self, along_m: float) -> pin.SE3:
+        """Pose of the tip in the root link's frame after a length of the path [m]."""
+        if not self._pieces:
+            return self._start
+        index = int(np.searchsorted(self._starts_m, along_m, side="right")) - 1
+        piece = self._pieces[min(max(index, 0), len(self._pieces) - 1)]
+        share = min(1.0, (along_m - piece.start_m) / piece.length_m)
+        return pin.SE3(piece.rotation @ pin.exp3(share * piece.turn), piece.position(share))
+
+
+def apart_m(a: pin.SE3, b: pin.SE3) -> float:
+    """Distance between the origins of two poses [m]."""
+    return float(np.linalg.norm(a.translation - b.translation))
+
+
+def apart_rad(a: pin.SE3, b: pin.SE3) -> float:
+    """Angle between the orientations of two poses [rad]."""
+    return float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
+
+
+def arc_flaw(start_m: Vector, arc: Arc) -> str | None:
+    """Why three points make no arc, or None."""
+    via_m, end_m = np.asarray(arc.via_m), np.asarray(arc.end.position_m)
+    sides_m = [float(np.linalg.norm(side)) for side in (via_m - start_m, end_m - via_m, start_m - end_m)]
+    if min(sides_m) < SHORTEST_CHORD_M:
+        return "two of its three points are the same"
+    if _radius_m(start_m, via_m, end_m) > LARGEST_RADIUS_M:
+        return "its three points lie on a line"
+    return None
+
+
+def _radius_m(a: Vector, b: Vector, c: Vector) -> float:
+    """Radius of the circle through three points; infinite for a line."""
+    double_area = float(np.linalg.norm(np.cross(b - a, c - a)))
+    sides = float(np.linalg.norm(b - a) * np.linalg.norm(c - b) * np.linalg.norm(c - a))
+    return sides / (2.0 * double_area) if double_area > 0.0 else np.inf
+
+
+def _placement(pose: Pose) -> pin.SE3:
+    return pin.SE3(rotation(pose.orientation), np.asarray(pose.position_m, dtype=np.float64))
+
+
+def _pieces(start: pin.SE3, segments: Sequence[Line | Arc]) -> list[_Piece]:
+    pieces: list[_Piece] = []
+    along_m = 0.0
+    for segment in segments:
+        piece = _piece(along_m, start, segment)
+        if piece.length_m > SHORTEST_M:
+            pieces.append(piece)
+            along_m += piece.length_m
+            start = _placement(segment.end)
+    return pieces
+
+
+def _piece(start_m: float, start: pin.SE3, segment: Line | Arc) -> _Piece:
+    end = _placement(segment.end)
+    turn = np.asarray(pin.log3(start.rotation.T @ end.rotation))
+    along, spoke, angle = end.translation - start.translation, np.zeros(3), 0.0
+    if isinstance(segment, Arc):
+        along, spoke, angle = _circle(start.translation, np.asarray(segment.via_m), end.translation)
+    length_m = float(np.linalg.norm(along)) * (angle or 1.0)
+    length_m = max(length_m, ROTATION_ARM_M * float(np.linalg.norm(turn)))
+    return _Piece(start_m, length_m, start.translation, along, spoke, angle, start.rotation, turn)
+
+
+def _circle(start: Vector, via: Vector, end: Vector) -> tuple[Vector, Vector, float]:
+    """Spoke a quarter ahead of the start, spoke of the start, and angle from start over via to end."""
+    a, b = start - end, via - end
+    normal = np.cross(a, b)
+    # Circumcenter of a triangle in space, from its third corner.
+    center = end + np.cross(a @ a * b - b @ b * a, normal) / (2.0 * normal @ normal)
+    spoke = start - center
+    # Seen against this normal the arc runs counter-clockwise through start, via and end.
+    ahead = np.cross(normal, spoke) / np.linalg.norm(normal)
+    via_angle, end_angle = (_angle(point - center, spoke, ahead) for point in (via, end))
+    if via_angle <= end_angle:
+        return ahead, spoke, end_angle
+    return -ahead, spoke, 2.0 * np.pi - end_angle
+
+
+def _angle(vector: Vector, spoke: Vector, ahead: Vector) -> float:
+    """From one spoke to another, 0 to a whole turn [rad]."""
+    return float(np.arctan2(vector @ ahead, vector @ spoke)) % (2.0 * np.pi)
+
+
+def _is_corner(first: _Piece, second: _Piece) -> bool:
+    before, after = first.direction(1.0), second.direction(0.0)
+    lengths = float(np.linalg.norm(before) * np.linalg.norm(after))
+    across = float(np.linalg.norm(np.cross(before, after)))
+    # A tip that turns on the spot starts or ends its turn with a corner.
+    return lengths == 0.0 or across > SMOOTH_TURN_RAD * lengths or float(before @ after) < 0.0

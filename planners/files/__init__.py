@@ -1,0 +1,1 @@
+"""Problem files, and the command that plans them."""

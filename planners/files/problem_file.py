@@ -1,0 +1,351 @@
+"""Planning problems in files, in the format ``so101-plan-bench/1``: one scene, limits, and motions to plan in it.
+
+``docs/planning.md`` describes the fields. ``null`` stands for a number that is not finite, wherever it comes. This
+module imports none of the planning libraries.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+
+from planners.errors import ProblemFileError
+from planners.files.scene_format import Point, SceneFields, scene_fields
+from planners.goals import AnyOf, AxisGoal, ConstraintGoal, Goal, JointGoal, PoseGoal, PositionGoal
+from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.scene import Scene
+from robot.model import Group, RobotModel
+
+FORMAT: Literal["so101-plan-bench/1"] = "so101-plan-bench/1"
+
+# The joint that the field ``gripper`` positions: the only one of the SO-101 that is not in its planning group.
+GRIPPER_JOINT = "gripper"
+
+_GOALS: Mapping[str, type[Any]] = {
+    "joints": JointGoal,
+    "position": PositionGoal,
+    "axis": AxisGoal,
+    "pose": PoseGoal,
+    "constraints": ConstraintGoal,
+}
+_ADAPTERS: Mapping[type[Any], TypeAdapter[Any]] = {
+    PlanningProblem: TypeAdapter(PlanningProblem),
+    **{kind: TypeAdapter(kind) for kind in _GOALS.values()},
+}
+_NOT_OPTIONS = {"group", "start_rad", "goal"}
+_ANY_OF = "any_of"
+
+# As much of a refused value as fits in a line.
+SHOWN_CHARACTERS = 60
+
+_Rate = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_Angle = Annotated[float, Field(allow_inf_nan=False)]
+
+
+@dataclass(frozen=True)
+class FileProblem:
+    """One motion of a file.
+
+    Attributes:
+        id: its name in the file.
+        problem: what to plan.
+        accept_codes: values of moveit_msgs/MoveItErrorCodes that are right answers.
+    """
+
+    id: str
+    problem: PlanningProblem
+    accept_codes: tuple[int, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether there is said to be a motion."""
+        return MoveItErrorCode.SUCCESS in self.accept_codes
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """What a file says.
+
+    Attributes:
+        robot: the robot that was given, with the file's limits.
+        joint_names: the joints of its problems, in the file's order.
+        scene: what stands around; its version is a checksum of the file.
+        problems: in the file's order.
+    """
+
+    name: str
+    robot: RobotModel
+    joint_names: tuple[str, ...]
+    scene: Scene
+    problems: tuple[FileProblem, ...]
+
+
+class _Limits(BaseModel):
+    """Per joint of ``joint_names``: positions [rad], rates [rad/s, rad/s^2]."""
+
+    velocity: list[_Rate]
+    acceleration: list[_Rate]
+    lower: list[_Angle]
+    upper: list[_Angle]
+
+
+class _Entry(BaseModel):
+    """One problem: a goal in one of three ways, and options."""
+
+    id: str
+    start: list[float]
+    accept_codes: list[int] = [int(MoveItErrorCode.SUCCESS)]
+    goal: list[float] | dict[str, Any] | None = None
+    position: Point | None = None
+    tolerance: float = 0.005
+    options: dict[str, Any] = {}
+
+
+class _File(SceneFields):
+    """A problem file."""
+
+    format: Literal["so101-plan-bench/1"]
+    name: str
+    frame: str | None = None
+    group: str | None = None
+    joint_names: list[str]
+    gripper: float | None = None
+    other_joints: dict[str, float] = Field(default_factory=dict)
+    limits: _Limits | None = None
+    joint_problems: tuple[_Entry, ...] = ()
+    position_problems: tuple[_Entry, ...] = ()
+    goal_problems: tuple[_Entry, ...] = ()
+    infeasible: tuple[_Entry, ...] = ()
+
+
+def read(path: Path, robot: RobotModel) -> ProblemFile:
+    """Read a file.
+
+    Args:
+        path: the file.
+        robot: the robot that it is about.
+
+    Raises:
+        ProblemFileError: it cannot be read, is not of the format, or is about another robot.
+    """
+    try:
+        text = path.read_bytes()
+        fields = _File.model_validate(_with_nan(json.loads(text)))
+    except OSError as error:
+        raise ProblemFileError(str(path), "", f"cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        raise _refused(path, "", error) from error
+    except (ValueError, RecursionError) as error:
+        raise ProblemFileError(str(path), "", f"is not JSON: {error}") from error
+    return _Reader(path, fields, robot).file(zlib.crc32(text))
+
+
+class _Reader:
+    """Gives the fields of one file their meaning for a robot."""
+
+    def __init__(self, path: Path, fields: _File, robot: RobotModel) -> None:
+        self._path = path
+        self._fields = fields
+        self._group = self._group_of(robot)
+        self._robot = self._with_limits(robot)
+
+    def file(self, version: int) -> ProblemFile:
+        """The file's meaning, with so numbered a scene."""
+        problems = tuple(self._problems())
+        ids = [problem.id for problem in problems]
+        twice = next((name for name in ids if ids.count(name) > 1), None)
+        if twice is not None:
+            raise self._wrong("id", f"two problems are called {twice!r}")
+        fields = self._fields
+        return ProblemFile(fields.name, self._robot, tuple(fields.joint_names), fields.scene(version), problems)
+
+    def _group_of(self, robot: RobotModel) -> str:
+        """The group that is named, whether there is one or not, or the one of just these joints."""
+        names, fields = self._fields.joint_names, self._fields
+        if fields.frame not in (None, robot.root_link):
+            raise self._wrong("frame", f"must be the robot's root link {robot.root_link!r}, not {fields.frame!r}")
+        for i, name in enumerate(names):
+            if name not in robot.joints:
+                raise self._wrong(f"joint_names.{i}", f"the robot has no joint {name!r}")
+        if fields.group is not None:
+            return fields.group
+        for group in robot.groups.values():
+            if sorted(group.joints) == sorted(names):
+                return group.name
+        raise self._wrong("joint_names", f"no planning group of the robot has just the joints {', '.join(names)}")
+
+    def _with_limits(self, robot: RobotModel) -> RobotModel:
+        limits = self._fields.limits
+        if limits is None:
+            return robot
+        joints = dict(robot.joints)
+        for i, name in enumerate(self._fields.joint_names):
+            values = [self._of_joint(f"limits.{key}", column)[i] for key, column in limits]
+            velocity, acceleration, lower, upper = values
+            if lower >= upper:
+                raise self._wrong(f"limits.lower.{i}", f"{lower:g} must be below the upper limit {upper:g} of {name!r}")
+            joints[name] = dataclasses.replace(
+                joints[name], lower=lower, upper=upper, max_velocity=velocity, max_acceleration=acceleration
+            )
+        return dataclasses.replace(robot, joints=joints)
+
+    def _problems(self) -> Iterator[FileProblem]:
+        for key in ("joint_problems", "position_problems", "goal_problems", "infeasible"):
+            entries: tuple[_Entry, ...] = getattr(self._fields, key)
+            for i, entry in enumerate(entries):
+                yield FileProblem(entry.id, self._problem(f"{key}.{i}", entry), tuple(entry.accept_codes))
+
+    def _problem(self, where: str, entry: _Entry) -> PlanningProblem:
+        start = self._of_joint(f"{where}.start", entry.start)
+        start_rad = {joint.name: 0.0 for joint in self._robot.movable_joints} | self._fields.other_joints
+        if self._fields.gripper is not None:
+            start_rad[GRIPPER_JOINT] = self._fields.gripper
+        start_rad |= dict(zip(self._fields.joint_names, start, strict=True))
+        asked = {"group": self._group, "start_rad": start_rad, "goal": self._goal(where, entry)}
+        problem: PlanningProblem = self._validated(f"{where}.options", PlanningProblem, {**entry.options, **asked})
+        return problem
+
+    def _goal(self, where: str, entry: _Entry) -> Goal:
+        if isinstance(entry.goal, list):
+            values = self._of_joint(f"{where}.goal", entry.goal)
+            return JointGoal(dict(zip(self._fields.joint_names, values, strict=True)))
+        if entry.position is not None:
+            return PositionGoal(self._tip_link(f"{where}.position"), entry.position, entry.tolerance)
+        return self._goal_of_kind(f"{where}.goal", entry.goal or {})
+
+    def _tip_link(self, where: str) -> str:
+        if self._group not in self._robot.groups:
+            raise self._wrong(where, f"is for the tip of group {self._group!r}, which the robot does not have")
+        return self._robot.groups[self._group].tip_link
+
+    def _goal_of_kind(self, where: str, said: Mapping[str, Any]) -> Goal:
+        if list(said) == [_ANY_OF] and isinstance(said[_ANY_OF], list):
+            each = (self._single_goal(f"{where}.{_ANY_OF}.{i}", one) for i, one in enumerate(said[_ANY_OF]))
+            return AnyOf(tuple(each))
+        goal: Goal = self._single_goal(where, said)
+        return goal
+
+    def _single_goal(self, where: str, said: Any) -> Any:
+        if not (isinstance(said, dict) and len(said) == 1 and set(said) <= set(_GOALS)):
+            raise self._wrong(where, f"must be one of {', '.join(_GOALS)} with its fields (or {_ANY_OF}), not {said!r}")
+        ((kind, fields),) = said.items()
+        return self._validated(f"{where}.{kind}", _GOALS[kind], fields)
+
+    def _validated(self, where: str, kind: type[Any], fields: Any) -> Any:
+        """An instance of a dataclass, made of fields of the file."""
+        known = [field.name for field in dataclasses.fields(kind)]
+        unknown = next((name for name in fields if name not in known), None) if isinstance(fields, dict) else None
+        if unknown is not None:
+            raise self._wrong(f"{where}.{unknown}", f"there is no such field, only {', '.join(known)}")
+        try:
+            return _ADAPTERS[kind].validate_python(fields)
+        except ValidationError as error:
+            raise _refused(self._path, where, error) from error
+
+    def _of_joint(self, where: str, values: list[float]) -> list[float]:
+        expected = len(self._fields.joint_names)
+        if len(values) != expected:
+            raise self._wrong(where, f"needs {expected} numbers, one for each of joint_names, not {len(values)}")
+        return values
+
+    def _wrong(self, field: str, reason: str) -> ProblemFileError:
+        return ProblemFileError(str(self._path), field, reason)
+
+
+def write(path: Path, problem: PlanningProblem, scene: Scene, robot: RobotModel, answer: PlanningFailure) -> None:
+    """Write one problem that failed, so that it can be planned again from the file.
+
+    Args:
+        path: the file, written anew.
+        problem: what was asked.
+        scene: what stood around.
+        robot: the robot, with the limits that were kept.
+        answer: what was answered; it is noted beside the problem.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    group = robot.groups.get(problem.group)
+    names = group.joints if group is not None else tuple(joint.name for joint in robot.movable_joints)
+    joints = [robot.joints[name] for name in names]
+    others = [joint.name for joint in robot.movable_joints if joint.name not in names]
+    fields = {
+        "format": FORMAT,
+        "name": path.stem,
+        "frame": robot.root_link,
+        "robot": robot.name,
+        "group": problem.group,
+        "joint_names": list(names),
+        "other_joints": {name: problem.start_rad.get(name, math.nan) for name in others},
+        "limits": {
+            "velocity": [joint.max_velocity for joint in joints],
+            "acceleration": [joint.max_acceleration for joint in joints],
+            "lower": [joint.lower for joint in joints],
+            "upper": [joint.upper for joint in joints],
+        },
+        **scene_fields(scene),
+    }
+    entry = {
+        "id": path.stem,
+        "start": [problem.start_rad.get(name, math.nan) for name in names],
+        "options": _ADAPTERS[PlanningProblem].dump_python(
+            problem, mode="json", exclude_none=True, exclude=_NOT_OPTIONS
+        ),
+        "error_code": int(answer.code),
+        "message": answer.message,
+    }
+    key, goal = _goal_fields(problem.goal, group)
+    path.write_text(json.dumps(_with_null({**fields, key: [{**entry, **goal}]}), allow_nan=False, indent=1) + "\n")
+
+
+def _goal_fields(goal: Goal, group: Group | None) -> tuple[str, dict[str, Any]]:
+    """The list that a goal belongs to, and its fields there."""
+    match goal:
+        case JointGoal(positions_rad) if goal == JointGoal(positions_rad) and group is not None:
+            if set(positions_rad) == set(group.joints):
+                return "joint_problems", {"goal": [positions_rad[name] for name in group.joints]}
+        case PositionGoal(link, position_m, tolerance_m) if goal == PositionGoal(link, position_m, tolerance_m):
+            if group is not None and link == group.tip_link:
+                return "position_problems", {"position": list(position_m), "tolerance": tolerance_m}
+    return "goal_problems", {"goal": _kind_and_fields(goal)}
+
+
+def _kind_and_fields(goal: Goal) -> dict[str, Any]:
+    if isinstance(goal, AnyOf):
+        return {_ANY_OF: [_kind_and_fields(one) for one in goal.goals]}
+    name = next(name for name, kind in _GOALS.items() if isinstance(goal, kind))
+    return {name: _ADAPTERS[_GOALS[name]].dump_python(goal, mode="json", exclude_none=True)}
+
+
+def _with_nan(value: Any) -> Any:
+    """JSON with NaN for null."""
+    return _replaced(value, lambda leaf: math.nan if leaf is None else leaf)
+
+
+def _with_null(value: Any) -> Any:
+    """Fields with null for what JSON has no number for."""
+    return _replaced(value, lambda leaf: None if isinstance(leaf, float) and not math.isfinite(leaf) else leaf)
+
+
+def _replaced(value: Any, leaf: Callable[[Any], Any]) -> Any:
+    """Nested lists and mappings with every leaf replaced."""
+    if isinstance(value, dict):
+        return {key: _replaced(item, leaf) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_replaced(item, leaf) for item in value]
+    return leaf(value)
+
+
+def _refused(path: Path, where: str, error: ValidationError) -> ProblemFileError:
+    """The first thing that is wrong, with the field's place in the file."""
+    first = error.errors(include_url=False)[0]
+    field = ".".join(part for part in (where, *map(str, first["loc"])) if part)
+    return ProblemFileError(str(path), field, f"{first['msg']}, not {str(first['input'])[:SHOWN_CHARACTERS]}")

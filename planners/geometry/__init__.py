@@ -1,0 +1,1 @@
+"""Where the robot and its surroundings are, and what touches what: pinocchio and coal."""

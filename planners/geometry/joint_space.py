@@ -1,0 +1,132 @@
+"""The joints that move, and which of their configurations and lines are free."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
+from planners.geometry.sweep import Cubics, first_contact, line_is_free
+from robot.model import Group
+
+Vector = NDArray[np.float64]
+
+# Finer than this a search need not look: its motions are certified afterwards.
+CHECK_STEP_M = 0.001
+
+# Conditions have no margin as contacts have, so they are asked this often, in travel of the fastest point.
+CONDITION_STEP_M = 0.01
+
+
+class JointSpace:
+    """The joints of a group, and which of their configurations and lines are free.
+
+    Args:
+        collision: the robot's collisions.
+        group: the joints that move; points of this space have them in this order, shape (n,) [rad].
+        start_q: configuration of all joints; those outside the group stay there.
+        allowed: pairs of links that may overlap, and how deep [m].
+        holds: a condition on configurations that free ones meet as well.
+        also_free: configurations beside the start, such as goals, that are known to touch nothing although hulls may
+            overlap there; with the start they say of which pairs the meshes are asked.
+
+    Attributes:
+        lower_rad: shape (n,), lower position limits.
+        upper_rad: shape (n,), upper position limits.
+        travel_m_per_rad: shape (n,), the most that any robot point moves per motion of each joint.
+    """
+
+    def __init__(
+        self,
+        collision: CollisionModel,
+        group: Group,
+        start_q: Vector,
+        allowed: Mapping[frozenset[str], float] = NO_CONTACT,
+        holds: Callable[[Vector], bool] | None = None,
+        also_free: Sequence[Vector] = (),
+    ) -> None:
+        self._collision = collision
+        self._columns = _columns(collision, group)
+        self._q = start_q.copy()
+        self._allowed = allowed
+        self._by_mesh = frozenset[frozenset[str]]().union(*(collision.tight_pairs(q) for q in (start_q, *also_free)))
+        self._holds = holds
+        self.lower_rad = collision.lower_rad[self._columns]
+        self.upper_rad = collision.upper_rad[self._columns]
+        self.travel_m_per_rad = collision.travel_m_per_rad[self._columns]
+
+    def point(self, q: Vector) -> Vector:
+        """The group's part of a configuration."""
+        part: Vector = q[self._columns]
+        return part
+
+    def free(self, point: Vector | Sequence[float]) -> bool:
+        """Whether the robot touches nothing there, and the condition holds."""
+        self._q[self._columns] = point
+        if self._collision.in_collision(self._q, self._allowed, self._by_mesh):
+            return False
+        return self._holds is None or self._holds(self._q)
+
+    def free_around(self, points: Vector, joint_travel: Vector) -> list[bool]:
+        """Around which points the robot touches nothing, wherever the joints are in a range around each.
+
+        Args:
+            points: shape (m, n) [rad].
+            joint_travel: how far each joint may be from each point, shape (n,) [rad].
+        """
+        if self._holds is not None and joint_travel @ self.travel_m_per_rad > CONDITION_STEP_M:
+            return [False] * len(points)
+        configurations = np.empty((len(points), len(self._q)))
+        configurations[:] = self._q
+        configurations[:, self._columns] = points
+        travel = np.zeros(len(self._q))
+        travel[self._columns] = joint_travel
+        clear = self._collision.free_around(configurations, travel, self._allowed, self._by_mesh)
+        if self._holds is None:
+            return clear
+        return [free and self._holds(q) for free, q in zip(clear, configurations, strict=True)]
+
+    def line_free(self, start: Vector, end: Vector, step_m: float = CHECK_STEP_M) -> bool:
+        """Whether the robot touches nothing on a straight line.
+
+        Args:
+            start: first point, taken to be free.
+            end: last point, checked as well.
+            step_m: nothing more is asked between two free points along which nothing moves further than this [m].
+        """
+        return line_is_free(self, start, end, step_m)
+
+    def curve_free(self, points: Vector, step_m: float = CHECK_STEP_M) -> bool:
+        """Whether the robot touches nothing along a polyline.
+
+        Args:
+            points: shape (m, n); the first is taken to be free, the last is checked.
+            step_m: as for :meth:`line_free`.
+        """
+        shares = np.array([0.0, 1.0, 2.0, 3.0])[:, np.newaxis] / 3.0
+        start, end = points[:-1, np.newaxis], points[1:, np.newaxis]
+        lines = Cubics(start + shares * (end - start))
+        return self.free(points[-1]) and first_contact(self, lines, step_m, earliest=False) is None
+
+    def look_closer(self, point: Vector) -> bool:
+        """Ask the meshes from now on of pairs of which only the hulls touch at a point; whether there are new ones."""
+        self._q[self._columns] = point
+        known = self._by_mesh
+        self._by_mesh = known | self._collision.tight_pairs(self._q)
+        return self._by_mesh != known
+
+    def contacts(self, point: Vector) -> tuple[CollidingPair, ...]:
+        """What touches at a point and may not, deepest first."""
+        self._q[self._columns] = point
+        pairs = self._collision.colliding_pairs(self._q, self._by_mesh)
+        return tuple(p for p in pairs if p.depth_m > self._allowed.get(p.links, -1.0) + DEPTH_ACCURACY_M)
+
+
+def _columns(collision: CollisionModel, group: Group) -> slice | NDArray[np.int64]:
+    """Where the group's joints are in a configuration; a slice, which is quicker, where they stand in a row."""
+    columns = np.array([collision.joint_names.index(name) for name in group.joints])
+    if np.all(np.diff(columns) == 1):
+        return slice(int(columns[0]), int(columns[-1]) + 1)
+    return columns

@@ -1,0 +1,101 @@
+"""How far points of the robot can move when its joints move: the yardstick of every collision check between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planners.geometry.shapes import outline
+
+Vector = NDArray[np.float64]
+
+
+class Reach:
+    """How far from each joint's axis the points of a robot can be, whatever the joints do.
+
+    A point is at most as far from the axis of the joint that carries it as it lies there, and from the axis of a
+    joint further up as the origins between them are apart, plus all that can swing around the last of them.
+
+    Args:
+        model: the robot's joints.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        self._model = model
+        self._axes = [_axis(model, joint) if joint else (np.zeros(3), True) for joint in range(model.njoints)]
+        self._slides_m = np.zeros(model.njoints)
+        for joint in range(1, model.njoints):
+            if not self._axes[joint][1]:
+                index = model.joints[joint].idx_v
+                limits = model.lowerPositionLimit[index], model.upperPositionLimit[index]
+                self._slides_m[joint] = max(abs(limits[0]), abs(limits[1]))
+
+    def about_joints(self, joint: int, points: Vector) -> Vector:
+        """Upper bound of the travel of points for each joint's motion.
+
+        Args:
+            joint: index of the joint that carries the points.
+            points: shape (n, 3), in that joint's frame [m].
+
+        Returns:
+            Shape (nv,) [m/rad], 1 for a prismatic joint [m/m], 0 for joints that do not carry them.
+        """
+        reach = np.zeros(self._model.nv)
+        swing_m = 0.0
+        while joint:
+            axis, angular = self._axes[joint]
+            across_m = float(np.linalg.norm(np.cross(points, axis), axis=1).max(initial=0.0))
+            reach[self._model.joints[joint].idx_v] = across_m + swing_m if angular else 1.0
+            swing_m += float(np.linalg.norm(points, axis=1).max(initial=0.0)) + self._slides_m[joint]
+            points = self._model.jointPlacements[joint].translation.reshape(1, 3)
+            joint = self._model.parents[joint]
+        return reach
+
+    def farthest_m(self, shape: pin.GeometryObject) -> float:
+        """Upper bound of the distance of a shape's points from the root link's origin [m]."""
+        joint, far_m = shape.parentJoint, float(np.linalg.norm(outline(shape), axis=1).max())
+        while joint:
+            far_m += self._slides_m[joint] + float(np.linalg.norm(self._model.jointPlacements[joint].translation))
+            joint = self._model.parents[joint]
+        return far_m
+
+    def of_shapes(self, shapes: Sequence[pin.GeometryObject]) -> Vector:
+        """Upper bound of the travel of each shape's points, shape (shapes, nv) [m/rad]."""
+        resting = np.zeros(self._model.nv)
+        reaches = [self.about_joints(s.parentJoint, outline(s)) if s.parentJoint else resting for s in shapes]
+        return np.array(reaches).reshape(-1, self._model.nv)
+
+    def of_frames(self) -> Vector:
+        """Upper bound of the travel of each frame's origin, shape (frames, nv) [m/rad]."""
+        return np.array(
+            [self.about_joints(f.parentJoint, f.placement.translation.reshape(1, 3)) for f in self._model.frames]
+        )
+
+
+def approach(reach_m: Vector, pairs: NDArray[np.int64]) -> Vector:
+    """Upper bound of how much nearer the shapes of each pair come for each joint's motion.
+
+    Joints that carry both shapes of a pair change nothing between them.
+
+    Args:
+        reach_m: travel of each shape's points, shape (shapes, nv) [m/rad].
+        pairs: indices of shapes, shape (pairs, 2).
+
+    Returns:
+        Shape (pairs, nv) [m/rad].
+    """
+    first, second = reach_m[pairs[:, 0]], reach_m[pairs[:, 1]]
+    return np.where((first > 0.0) & (second > 0.0), 0.0, first + second)
+
+
+def _axis(model: pin.Model, joint: int) -> tuple[Vector, bool]:
+    """Axis of a joint in its own frame, and whether the joint turns about it rather than slides along it."""
+    kinematics = model.joints[joint]
+    data = kinematics.createData()
+    kinematics.calc(data, pin.neutral(model))
+    subspace = np.asarray(data.S).reshape(6)
+    angular = bool(np.linalg.norm(subspace[3:]) > 0.0)
+    return (subspace[3:] if angular else subspace[:3]), angular

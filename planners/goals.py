@@ -1,0 +1,167 @@
+"""Where a motion is to end, and what must hold on its way: plain data in the robot's root link, SI units.
+
+Orientations are unit quaternions x, y, z, w. This module imports none of the planning libraries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from planners.scene import Pose
+
+Point = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+ZERO: Point = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class JointGoal:
+    """Bring joints to positions [rad]; joints of the group that are not named keep their start position.
+
+    Attributes:
+        positions_rad: joint name -> position, met exactly where the limits allow it.
+        tolerance_rad: by so much a position may lie beyond its limit; the joint then goes to the limit.
+    """
+
+    positions_rad: Mapping[str, float]
+    tolerance_rad: float = 1e-4
+
+
+@dataclass(frozen=True)
+class PositionGoal:
+    """Bring a point of ``link`` to a point of the planning frame, whatever the orientation.
+
+    Attributes:
+        position_m: x, y, z in the robot's root link [m].
+        tolerance_m: radius of the sphere around the point that counts as there [m].
+        offset_m: the point of the link, in the link's frame [m].
+    """
+
+    link: str
+    position_m: Point
+    tolerance_m: float
+    offset_m: Point = ZERO
+
+
+@dataclass(frozen=True)
+class AxisGoal:
+    """Bring the origin of ``link`` to a point with one axis of the link in a direction: what five joints can do.
+
+    Attributes:
+        position_m: x, y, z in the robot's root link [m].
+        tolerance_m: radius of the sphere around the point that counts as there [m].
+        axis: unit vector in the link's frame.
+        direction: unit vector in the robot's root link that the axis shall have.
+        axis_tolerance_rad: greatest angle between them [rad].
+    """
+
+    link: str
+    position_m: Point
+    tolerance_m: float
+    axis: Point
+    direction: Point
+    axis_tolerance_rad: float
+
+
+@dataclass(frozen=True)
+class PoseGoal:
+    """Bring ``link`` to a pose.
+
+    Attributes:
+        pose: in the robot's root link.
+        position_tolerance_m: radius of the sphere around the position that counts as there [m].
+        orientation_tolerance_rad: greatest rotation about the link's x, y, z from the asked orientation [rad].
+        strict: whether an orientation outside its tolerance is a failure; else the position is met and the
+            nearest orientation taken, with its deviation told.
+    """
+
+    link: str
+    pose: Pose
+    position_tolerance_m: float
+    orientation_tolerance_rad: Point
+    strict: bool = False
+
+
+@dataclass(frozen=True)
+class JointConstraint:
+    """A joint stays within ``below_rad`` and ``above_rad`` of a position [rad], as moveit_msgs/JointConstraint."""
+
+    joint: str
+    position_rad: float
+    above_rad: float
+    below_rad: float
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class PositionConstraint:
+    """A point of a link stays inside a box or sphere, as moveit_msgs/PositionConstraint with one region.
+
+    Attributes:
+        link: the link.
+        region: where the region is, in the robot's root link.
+        half_size_m: half the box's edges [m], or None for a sphere.
+        radius_m: radius of the sphere [m], or None for a box.
+        offset_m: the point of the link, in the link's frame [m].
+        weight: its share where not all can hold.
+    """
+
+    link: str
+    region: Pose
+    half_size_m: Point | None = None
+    radius_m: float | None = None
+    offset_m: Point = ZERO
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class OrientationConstraint:
+    """A link keeps an orientation, as moveit_msgs/OrientationConstraint with ROTATION_VECTOR tolerances.
+
+    Attributes:
+        link: the link.
+        orientation: in the robot's root link.
+        tolerance_rad: greatest rotation about the link's x, y, z from it [rad]; pi or more leaves an axis free.
+        weight: its share where not all can hold.
+    """
+
+    link: str
+    orientation: Quaternion
+    tolerance_rad: Point
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Conditions that hold together."""
+
+    joints: tuple[JointConstraint, ...] = ()
+    positions: tuple[PositionConstraint, ...] = ()
+    orientations: tuple[OrientationConstraint, ...] = ()
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is demanded."""
+        return not (self.joints or self.positions or self.orientations)
+
+
+@dataclass(frozen=True)
+class ConstraintGoal:
+    """Any configuration in which all constraints hold, as near to their middles as it can be had."""
+
+    constraints: Constraints
+
+
+SingleGoal = JointGoal | PositionGoal | AxisGoal | PoseGoal | ConstraintGoal
+
+
+@dataclass(frozen=True)
+class AnyOf:
+    """Any one of several goals: the one that is reached soonest."""
+
+    goals: tuple[SingleGoal, ...]
+
+
+Goal = SingleGoal | AnyOf

@@ -1,0 +1,1 @@
+"""From a goal to configurations in which it holds: placo."""

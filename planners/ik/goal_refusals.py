@@ -1,0 +1,84 @@
+"""Why a goal cannot be had, said with the figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from planners.checks import contact_failure
+from planners.geometry.collision import CollidingPair
+from planners.goals import AxisGoal, ConstraintGoal, PoseGoal, PositionGoal
+from planners.ik.constraints import Violation
+from planners.ik.goal_checks import in_words
+from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
+
+TaskGoal = PositionGoal | AxisGoal | PoseGoal | ConstraintGoal
+
+
+def goal_in_collision(pairs: Sequence[CollidingPair]) -> PlanningFailure:
+    """The goal can only be had with something touching."""
+    return contact_failure(MoveItErrorCode.GOAL_IN_COLLISION, "in the goal these would touch", pairs)
+
+
+def goal_violates(violations: Sequence[Violation]) -> PlanningFailure:
+    """The goal cannot be had within the constraints."""
+    return _violated(MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS, "the goal violates the constraints", violations)
+
+
+def start_violates(violations: Sequence[Violation]) -> PlanningFailure:
+    """The start is not within the constraints."""
+    return _violated(
+        MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, "the start violates the path constraints", violations
+    )
+
+
+def none_of(failures: Sequence[PlanningFailure]) -> PlanningFailure:
+    """None of several alternatives can be had: the first refusal speaks for all, the others are in the details."""
+    first = failures[0]
+    others = [{"code": int(failure.code), "message": failure.message} for failure in failures]
+    message = f"none of {len(failures)} alternatives can be had; the first: {first.message}"
+    return PlanningFailure(first.code, message, {**first.details, "alternatives": others})
+
+
+def out_of_reach(
+    goal: TaskGoal, nearest_m: Sequence[float], nearest: Deviation, violations: Sequence[Violation]
+) -> PlanningFailure:
+    """No configuration meets the goal.
+
+    Args:
+        goal: the goal.
+        nearest_m: where the link is in the configuration that comes nearest [m].
+        nearest: the deviation there.
+        violations: what does not hold there.
+    """
+    if isinstance(goal, ConstraintGoal):
+        return _violated(
+            MoveItErrorCode.NO_IK_SOLUTION,
+            "no configuration meets all constraints; in the one that comes nearest",
+            violations,
+        )
+    point = [round(float(value), 4) for value in nearest_m]
+    details = {"nearest_m": point, "distance_m": nearest.position_m, "orientation_rad": nearest.orientation_rad}
+    position_m, tolerance_m = _asked(goal)
+    degrees = math.degrees(nearest.orientation_rad)
+    if isinstance(goal, PositionGoal) or nearest.position_m > tolerance_m:
+        orientation = "whatever its orientation" if isinstance(goal, PositionGoal) else "in the orientation asked for"
+        said = f"cannot reach {in_words(position_m)} m, {orientation}: the nearest point it can reach is"
+        said += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
+    else:
+        said = f"reaches {in_words(position_m)} m, but not in the orientation asked for:"
+        said += f" the nearest one that it can have there is {degrees:.1f}° off"
+    return PlanningFailure(
+        MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {said}", {**details, "tolerance_m": tolerance_m}
+    )
+
+
+def _asked(goal: PositionGoal | AxisGoal | PoseGoal) -> tuple[Sequence[float], float]:
+    if isinstance(goal, PoseGoal):
+        return goal.pose.position_m, goal.position_tolerance_m
+    return goal.position_m, goal.tolerance_m
+
+
+def _violated(code: MoveItErrorCode, what: str, violations: Sequence[Violation]) -> PlanningFailure:
+    said = "; ".join(violation.sentence for violation in violations)
+    return PlanningFailure(code, f"{what}: {said}", {"violations": [dict(v.details) for v in violations]})

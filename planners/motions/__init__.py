@@ -1,0 +1,1 @@
+"""From configurations to one timed motion: searches, smoothing and timing laws."""

@@ -1,0 +1,117 @@
+"""Curves of the joints over time, each joint accelerating uniformly between knots.
+
+Knots lie on a grid of whole ticks, so two of them are never so near each other that differences lose their digits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot.trajectory import Trajectory
+
+Vector = NDArray[np.float64]
+Ticks = NDArray[np.int64]
+
+# Rounding switches up to a tick costs at most three of them a piece, which is nothing beside motions of a second;
+# accelerations over a tick still have seven digits.
+TICK_S = 1e-4
+
+# The servo loop runs at 100 Hz.
+SAMPLE_TICKS = 100
+
+# Samples of the 100 Hz grid this close to a knot would tell nothing more than the knot.
+NEAR_KNOT_TICKS = 10
+
+
+def seconds(ticks: Ticks) -> Vector:
+    """Times in seconds, of the same shape."""
+    return np.asarray(TICK_S * ticks, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Where the joints are over time.
+
+    Attributes:
+        ticks: shape (k,), k >= 2, increasing from 0 [:data:`TICK_S`].
+        positions_rad: shape (k, n), at the knots [rad].
+        velocities_rad_s: shape (k, n), there [rad/s].
+    """
+
+    ticks: Ticks
+    positions_rad: Vector
+    velocities_rad_s: Vector
+
+    @property
+    def duration_ticks(self) -> int:
+        """Length in time [ticks]."""
+        return int(self.ticks[-1])
+
+    def at(self, ticks: Ticks | Vector) -> tuple[Vector, Vector, Vector]:
+        """Positions, velocities and accelerations, shape (m, n) each, at times from 0 to the end [ticks]."""
+        i = np.searchsorted(self.ticks[1:-1], ticks, side="right")
+        span_s = (TICK_S * np.diff(self.ticks))[i, np.newaxis]
+        since_s = (TICK_S * (ticks - self.ticks[i]))[:, np.newaxis]
+        velocity = self.velocities_rad_s[i]
+        acceleration = (self.velocities_rad_s[i + 1] - velocity) / span_s
+        position = self.positions_rad[i] + since_s * (velocity + 0.5 * since_s * acceleration)
+        return position, velocity + since_s * acceleration, acceleration
+
+    def stays_within(self, lower_rad: Vector, upper_rad: Vector) -> bool:
+        """Whether no joint leaves its range, turning points between the knots included."""
+        v0, v1 = self.velocities_rad_s[:-1], self.velocities_rad_s[1:]
+        turns = v0 * v1 < 0.0
+        span_s = TICK_S * np.diff(self.ticks)[:, np.newaxis]
+        to_turn = np.divide(0.5 * span_s * v0**2, v0 - v1, out=np.zeros_like(v0), where=turns)
+        reached = np.concatenate((self.positions_rad, self.positions_rad[:-1] + to_turn))
+        return bool(np.all((reached >= lower_rad) & (reached <= upper_rad)))
+
+    def sampled(self, joint_names: tuple[str, ...]) -> Trajectory:
+        """The same motion as samples at the knots and every 10 ms; a cubic between samples repeats it exactly."""
+        ticks = self.sample_ticks()
+        positions, velocities, accelerations = self.at(ticks)
+        positions[[0, -1]] = self.positions_rad[[0, -1]]
+        velocities[[0, -1]] = self.velocities_rad_s[[0, -1]]
+        # Arrived, the arm stays: the last braking belongs to the samples before.
+        accelerations[-1] = 0.0
+        return Trajectory(joint_names, seconds(ticks), positions, velocities, accelerations)
+
+    def sample_ticks(self) -> Ticks:
+        """Times of the knots and of a 100 Hz grid between them [ticks]."""
+        grid = np.arange(SAMPLE_TICKS, self.duration_ticks, SAMPLE_TICKS)
+        after = np.searchsorted(self.ticks, grid)
+        apart = np.minimum(grid - self.ticks[after - 1], self.ticks[after] - grid) >= NEAR_KNOT_TICKS
+        return np.sort(np.concatenate((self.ticks, grid[apart])))
+
+    def then(self, following: Curve) -> Curve:
+        """This curve and one that starts where and as fast as it ends."""
+        return Curve(
+            np.concatenate((self.ticks, self.duration_ticks + following.ticks[1:])),
+            np.concatenate((self.positions_rad, following.positions_rad[1:])),
+            np.concatenate((self.velocities_rad_s, following.velocities_rad_s[1:])),
+        )
+
+    def part(self, first: int, last: int) -> Curve:
+        """The curve from one time to a later one [ticks]."""
+        inside = self.ticks[(self.ticks > first) & (self.ticks < last)]
+        ticks = np.concatenate(([first], inside, [last]))
+        positions, velocities, _ = self.at(ticks)
+        return Curve(ticks - first, positions, velocities)
+
+    def replaced(self, first: int, last: int, piece: Curve) -> Curve:
+        """This curve with another piece from one time to a later one [ticks]; the piece has the same end states."""
+        whole = piece if first == 0 else self.part(0, first).then(piece)
+        whole = whole if last == self.duration_ticks else whole.then(self.part(last, self.duration_ticks))
+        # Neither rounding errors nor the piece's own may move the ends.
+        whole.positions_rad[[0, -1]] = self.positions_rad[[0, -1]]
+        whole.velocities_rad_s[[0, -1]] = self.velocities_rad_s[[0, -1]]
+        return whole
+
+
+def standing(point: Vector, ticks: int) -> Curve:
+    """A curve that stays in a point, shape (n,) [rad]."""
+    points = np.array([point, point])
+    return Curve(np.array([0, ticks]), points, np.zeros_like(points))

@@ -1,0 +1,247 @@
+"""From a start and goal configurations to one timed motion that was certified as it will be driven."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.budget import Budget
+from planners.geometry.certificate import certify
+from planners.geometry.joint_space import JointSpace
+from planners.motions import jerk
+from planners.motions.curve import Curve
+from planners.motions.effort import CountedSpace, checks_in
+from planners.motions.path import Query, search, without_detours
+from planners.motions.projected_path import PROJECTED_SEARCH, Project, projected_search
+from planners.motions.smoothing import smooth
+from planners.motions.timing import brake, from_moving, line, polyline, same_point
+from planners.problem import MoveItErrorCode, PlanningFailure, planner_name
+from planners.rates import RateLimits
+from robot.trajectory import Trajectory
+
+Vector = NDArray[np.float64]
+
+STRAIGHT_LINE = "straight line"
+
+# A glance at a straight line before it is timed: most blocked ones are found out here [m].
+GLANCE_STEP_M = 0.2
+
+# Trees grow fastest when edges are looked at coarsely, and curves are shortened soonest when they are; where the
+# certificate then finds a contact, everything is looked at more finely [m].
+SEARCH_STEPS_M = (0.04, 0.02, 0.01, 0.005)
+CURVE_STEPS_M = (0.01, 0.005, 0.0025, 0.001)
+
+# Some trees take ten times as long as most, so a search is given up for another after this many checks, and the next
+# ones after twice, three times as many and so on.
+CHECKS_A_SEARCH = 1500
+
+
+@dataclass(frozen=True)
+class MotionTask:
+    """Move from a point of the joint space to any one of the goals.
+
+    Attributes:
+        space: the joints that move.
+        joint_names: their names.
+        limits: how fast they may.
+        start: shape (n,) [rad].
+        start_velocity: shape (n,), within the limits [rad/s].
+        goals: free points, the soonest first.
+        seed: same task and seed, same motion.
+        attempts: of how many searched motions at most the shortest is taken.
+        planner_id: which search to use, as planners.problem.planner_name knows it.
+        optimization_time_s: how long to look for shorter motions, in work that takes about so long [s].
+        project: brings points to ones nearby where the space's condition holds, or gives None; with it the search is
+            one of its own, since others hardly ever draw a point that meets a condition.
+    """
+
+    space: JointSpace
+    joint_names: tuple[str, ...]
+    limits: RateLimits
+    start: Vector
+    start_velocity: Vector
+    goals: Sequence[Vector]
+    seed: int = 0
+    attempts: int = 5
+    planner_id: str = ""
+    optimization_time_s: float = 0.0
+    project: Project | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A certified motion.
+
+    Attributes:
+        trajectory: from the start to a goal.
+        method: "straight line", or the search that found its path.
+        goal: index of the goal that it reaches.
+    """
+
+    trajectory: Trajectory
+    method: str
+    goal: int
+
+
+def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
+    """Move straight where that is free, else search.
+
+    Args:
+        task: what is asked.
+        budget: asked all the time; once it is used up the best motion found by then is the answer.
+
+    Returns:
+        Why there is no motion: the budget was used up, or a moving arm cannot stop before it touches something.
+
+    Raises:
+        ValueError: there is no such planner.
+    """
+    motion = _straight(task, budget)
+    if motion is not None:
+        return motion
+    lead = _braking(task) if task.start_velocity.any() else None
+    refusal = None if lead is None else _cannot_stop(task, lead)
+    return refusal or _Searching(task, budget, lead).best() or budget.failure()
+
+
+def _straight(task: MotionTask, budget: Budget) -> Motion | None:
+    """The motion to the first goal that can be reached without a search."""
+    moving = bool(task.start_velocity.any())
+    window = jerk.window_ticks(task.limits)
+    ahead = jerk.ahead(task.start, task.start_velocity, window)
+    for index, goal in enumerate(task.goals):
+        if budget.used_up():
+            return None
+        if moving:
+            curve = from_moving(ahead, task.start_velocity, goal, task.limits)
+        elif same_point(task.start, goal):
+            return Motion(_standing(task), STRAIGHT_LINE, index)
+        else:
+            free = task.space.line_free(task.start, goal, GLANCE_STEP_M)
+            curve = line(task.start, goal, task.limits) if free else None
+        trajectory = None if curve is None else _certified(task, curve, window)
+        if trajectory is not None:
+            return Motion(trajectory, STRAIGHT_LINE, index)
+    return None
+
+
+def _standing(task: MotionTask) -> Trajectory:
+    rest = np.zeros((1, len(task.start)))
+    return Trajectory(task.joint_names, np.zeros(1), task.start[np.newaxis], rest, rest)
+
+
+def _certified(task: MotionTask, curve: Curve, window: int) -> Trajectory | None:
+    """The curve's samples, their jerk limited, if nothing touches on them."""
+    if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
+        return None
+    trajectory = jerk.averaged(curve, window, task.joint_names) if window else curve.sampled(task.joint_names)
+    return None if certify(task.space, trajectory) else trajectory
+
+
+def _braking(task: MotionTask) -> Curve:
+    ahead = jerk.ahead(task.start, task.start_velocity, jerk.window_ticks(task.limits))
+    return brake(ahead, task.start_velocity, task.limits)
+
+
+def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
+    """Why a search from where the arm stops is of no use, if that is so."""
+    stop = lead.positions_rad[-1]
+    if np.any((stop < task.space.lower_rad) | (stop > task.space.upper_rad)):
+        return PlanningFailure(
+            MoveItErrorCode.START_STATE_INVALID, "the arm moves too fast to stop within its joint limits"
+        )
+    contact = certify(task.space, lead.sampled(task.joint_names))
+    if contact is None:
+        return None
+    pairs = [[pair.first, pair.second] for pair in contact.pairs]
+    return PlanningFailure(
+        MoveItErrorCode.START_STATE_INVALID,
+        f"the arm moves too fast to stop before it touches something after {contact.time_s:.2f} s",
+        {"time_s": contact.time_s, "colliding_pairs": pairs},
+    )
+
+
+class _Searching:
+    """Several searches for one task, and what they found."""
+
+    def __init__(self, task: MotionTask, budget: Budget, lead: Curve | None) -> None:
+        self._task = task
+        self._budget = budget
+        self._name = _search_of(task) if task.project is None else PROJECTED_SEARCH
+        self._space = CountedSpace(task.space, budget.used_up)
+        self._rng = np.random.default_rng(task.seed)
+        self._searches = count()
+        self._finer = 0
+        self._window = jerk.window_ticks(task.limits)
+        self._lead = lead
+        self._enough_checks: int | None = None
+
+    def best(self) -> Motion | None:
+        """The shortest in time of the motions found while there is work to be done."""
+        while not self._budget.used_up():
+            curves = sorted(self._curves(), key=_duration)
+            for curve in curves:
+                # With the time used up the best is still of use, with nobody waiting for it none is.
+                trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window)
+                if trajectory is not None:
+                    return Motion(trajectory, self._name, self._goal_at_end_of(curve))
+            if curves:
+                self._finer = min(self._finer + 1, len(SEARCH_STEPS_M) - 1)
+        return None
+
+    def _curves(self) -> list[Curve]:
+        """What is found, and shortened as long as the optimisation lasts; it starts with the first path."""
+        found: list[Curve] = []
+        self._enough_checks = None
+        while len(found) < 2 * self._task.attempts and not self._enough():
+            path = self._path(next(self._searches))
+            if path is None:
+                continue
+            curve = polyline(path, self._task.limits, self._window)
+            found.append(curve if self._lead is None else self._lead.then(curve))
+            if self._enough_checks is None:
+                self._enough_checks = self._space.checks + checks_in(self._task.optimization_time_s)
+            found.append(smooth(found[-1], self._task.limits, self._free, self._rng, self._enough))
+        return found
+
+    def _path(self, number: int) -> Vector | None:
+        """What one search finds, without its detours."""
+        most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
+        start = self._task.start if self._lead is None else self._lead.positions_rad[-1]
+        query = Query(self._space, start, self._task.goals, SEARCH_STEPS_M[self._finer])
+        seed, project = self._task.seed + number, self._task.project
+
+        def should_stop() -> bool:
+            return self._space.checks >= most or self._budget.used_up()
+
+        if project is None:
+            path = search(query, self._name, seed, should_stop)
+        else:
+            path = projected_search(query, project, seed, should_stop)
+        return None if path is None else without_detours(self._space, path, CURVE_STEPS_M[self._finer])
+
+    def _free(self, curve: Curve) -> bool:
+        return self._space.curve_free(curve, CURVE_STEPS_M[self._finer])
+
+    def _enough(self) -> bool:
+        """Whether as much was done as the optimisation time is worth, or the budget is used up."""
+        return self._budget.used_up() or (self._enough_checks is not None and self._space.checks >= self._enough_checks)
+
+    def _goal_at_end_of(self, curve: Curve) -> int:
+        end = curve.positions_rad[-1]
+        return next(i for i, goal in enumerate(self._task.goals) if np.array_equal(goal, end))
+
+
+def _search_of(task: MotionTask) -> str:
+    name = planner_name(task.planner_id)
+    if name is None:
+        raise ValueError(f"there is no planner {task.planner_id!r}")
+    return name
+
+
+def _duration(curve: Curve) -> int:
+    return curve.duration_ticks

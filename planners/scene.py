@@ -1,0 +1,132 @@
+"""What stands around the robot and what it holds: plain data that crosses process boundaries.
+
+Poses are in the robot's root link unless said otherwise, in metres, orientations as unit quaternions x, y, z, w.
+This module imports none of the planning libraries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A place and an orientation."""
+
+    position_m: Point = (0.0, 0.0, 0.0)
+    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box around its origin, its whole edges along x, y, z [m]."""
+
+    size_m: Point
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A sphere around its origin."""
+
+    radius_m: float
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along z, its origin in the middle."""
+
+    radius_m: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A cone along z, its tip up, its origin half-way up."""
+
+    radius_m: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The half-space ``normal . x <= offset_m``: solid below, free above; the normal is a unit vector."""
+
+    normal: Point
+    offset_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A surface of triangles; its inside is not solid.
+
+    Attributes:
+        vertices_m: shape (n, 3) [m].
+        triangles: shape (m, 3), indices into ``vertices_m``.
+    """
+
+    vertices_m: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+
+
+Shape = Box | Sphere | Cylinder | Cone | Plane | Mesh
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """A thing of one or several shapes.
+
+    Attributes:
+        name: unlike any link's and any other object's.
+        shapes: each with its pose in the object's frame.
+        pose: the object's frame in the robot's root link, or in the link that holds it.
+    """
+
+    name: str
+    shapes: tuple[tuple[Shape, Pose], ...]
+    pose: Pose = Pose()
+
+
+@dataclass(frozen=True)
+class AttachedObject:
+    """A thing that moves with a link.
+
+    Attributes:
+        object: the thing, its pose in the link's frame.
+        link: the link that holds it.
+        touch_links: further links that may touch it.
+    """
+
+    object: SceneObject
+    link: str
+    touch_links: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that the robot must not touch, and what it may.
+
+    Attributes:
+        version: a number that no other scene has; workers tell scenes apart by it.
+        objects: what stands around, each checked against every link that can move.
+        attached: what the robot holds.
+        allowed: pair of names (links or objects) -> True: they may touch; False: they are checked though the
+            SRDF disables them. Pairs not named follow the SRDF.
+        link_padding_m: by how much links are thicker than their shapes [m].
+        link_scale: factor by which links are larger than their shapes.
+    """
+
+    version: int = 0
+    objects: tuple[SceneObject, ...] = ()
+    attached: tuple[AttachedObject, ...] = ()
+    allowed: Mapping[frozenset[str], bool] = field(default_factory=dict)
+    link_padding_m: Mapping[str, float] = field(default_factory=dict)
+    link_scale: Mapping[str, float] = field(default_factory=dict)
+
+
+EMPTY_SCENE = Scene()

@@ -1,0 +1,54 @@
+"""Requests to planner processes, for the built-in arm."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from planners.goals import JointGoal
+from planners.problem import (
+    Answer,
+    CartesianPlan,
+    CartesianProblem,
+    IkAnswer,
+    IkQuestion,
+    Line,
+    Plan,
+    PlanningProblem,
+    RecheckAnswer,
+    RecheckQuestion,
+    Request,
+    StateAnswer,
+    StateQuestion,
+)
+from planners.scene import Pose
+from robot.trajectory import Trajectory
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+START = {**dict.fromkeys(NAMES, 0.0), "gripper": 0.0}
+EASY = PlanningProblem("arm", START, JointGoal({"shoulder_pan": 0.5}))
+STATE = StateQuestion("arm", START)
+# Through the arm itself: there is no end of searching for a motion shorter than the last.
+LONG = PlanningProblem(
+    "arm",
+    {**dict(zip(NAMES, (1.0899, -1.4202, 1.3815, 1.3879, -1.704), strict=True)), "gripper": 0.0},
+    JointGoal(dict(zip(NAMES, (-1.1337, -1.2821, 1.4034, 1.2004, 1.2428), strict=True))),
+    allowed_time_s=60.0,
+    optimization_time_s=60.0,
+    attempts=1000,
+)
+STILL = Trajectory(NAMES, np.zeros(1), np.zeros((1, 5)), np.zeros((1, 5)), np.zeros((1, 5)))
+# Each kind of request, and the kind of its answer.
+REQUESTS: list[tuple[Request, type[Answer]]] = [
+    (EASY, Plan),
+    (CartesianProblem("arm", START, "gripper_frame_link", (Line(Pose((0.3, 0.0, 0.2))),)), CartesianPlan),
+    (IkQuestion("arm", START, JointGoal({"shoulder_pan": 0.5})), IkAnswer),
+    (STATE, StateAnswer),
+    (RecheckQuestion("arm", STILL, START, 0.0), RecheckAnswer),
+]
+
+
+def broken(fault: str, allowed_time_s: float = 10.0) -> PlanningProblem:
+    """A problem that the planner of :mod:`tests.helpers.broken_planner` meets with a fault."""
+    return dataclasses.replace(EASY, group=fault, allowed_time_s=allowed_time_s)

@@ -1,0 +1,48 @@
+"""An arm unlike the SO-101, as texts: seven joints, so that it reaches full poses in many ways, and simple shapes."""
+
+URDF = """
+<robot name="seven">
+  <link name="pedestal"><collision>
+    <origin xyz="0 0 0.05"/><geometry><cylinder radius="0.06" length="0.1"/></geometry></collision></link>
+  <link name="turret"/>
+  <link name="upper"><collision>
+    <origin xyz="0 0 0.125"/><geometry><cylinder radius="0.03" length="0.2"/></geometry></collision></link>
+  <link name="upper_roll"/>
+  <link name="fore"><collision>
+    <origin xyz="0 0 0.115"/><geometry><cylinder radius="0.025" length="0.18"/></geometry></collision></link>
+  <link name="fore_roll"/>
+  <link name="wrist"><collision><geometry><sphere radius="0.03"/></geometry></collision></link>
+  <link name="hand"><collision>
+    <origin xyz="0 0 0.06"/><geometry><box size="0.06 0.03 0.08"/></geometry></collision></link>
+  <link name="tool"/>
+  <joint name="a1" type="revolute"><parent link="pedestal"/><child link="turret"/>
+    <origin xyz="0 0 0.15"/><axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="2" effort="9"/></joint>
+  <joint name="a2" type="revolute"><parent link="turret"/><child link="upper"/>
+    <axis xyz="0 1 0"/><limit lower="-1.9" upper="1.9" velocity="2" effort="9"/></joint>
+  <joint name="a3" type="revolute"><parent link="upper"/><child link="upper_roll"/>
+    <origin xyz="0 0 0.25"/><axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="2" effort="9"/></joint>
+  <joint name="a4" type="revolute"><parent link="upper_roll"/><child link="fore"/>
+    <axis xyz="0 1 0"/><limit lower="-2.3" upper="2.3" velocity="2.5" effort="9"/></joint>
+  <joint name="a5" type="revolute"><parent link="fore"/><child link="fore_roll"/>
+    <origin xyz="0 0 0.23"/><axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="3" effort="9"/></joint>
+  <joint name="a6" type="revolute"><parent link="fore_roll"/><child link="wrist"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="3" effort="9"/></joint>
+  <joint name="a7" type="revolute"><parent link="wrist"/><child link="hand"/>
+    <axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="4" effort="9"/></joint>
+  <joint name="mount" type="fixed"><parent link="hand"/><child link="tool"/><origin xyz="0 0 0.12"/></joint>
+</robot>
+"""
+
+SRDF = """
+<robot name="seven">
+  <group name="arm"><chain base_link="pedestal" tip_link="tool"/></group>
+  <group_state name="bent" group="arm">
+    <joint name="a1" value="0"/><joint name="a2" value="0.5"/><joint name="a3" value="0"/>
+    <joint name="a4" value="1.2"/><joint name="a5" value="0"/><joint name="a6" value="0.8"/><joint name="a7" value="0"/>
+  </group_state>
+  <disable_collisions link1="pedestal" link2="upper"/>
+  <disable_collisions link1="upper" link2="fore"/>
+  <disable_collisions link1="fore" link2="wrist"/>
+  <disable_collisions link1="fore" link2="hand"/>
+</robot>
+"""

@@ -1,0 +1,278 @@
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planners.cartesian.tip_path import arc_flaw
+from planners.goals import Constraints, JointConstraint, OrientationConstraint
+from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure
+from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from tests.planners.following import TIP, Follower, arc, as_pose, line, shares
+from tests.planners.invariants import (
+    assert_from_rest_to_rest,
+    assert_keeps_positions,
+    assert_keeps_rates,
+    assert_touches_nothing,
+    assert_well_formed,
+    fine_samples,
+)
+
+START = np.array([0.0, -0.5, 0.7, 0.4, 0.0])
+FOLDED_INTO_ITSELF = np.array([0.0, -1.74, 1.69, 1.2, 0.0])
+
+# Between the points that are measured the tip may be off by a little more than at them.
+BOUND_M = 3e-4
+
+
+@pytest.fixture(scope="module")
+def follower(robot, collision):
+    return Follower(robot, collision)
+
+
+@pytest.fixture
+def scene(collision):
+    """Sets scenes one after the other."""
+    versions = iter(range(9000, 9999))
+
+    def put(*objects):
+        assert collision.set_scene(Scene(next(versions), tuple(objects))) is None
+
+    yield put
+    collision.set_scene(EMPTY_SCENE)
+
+
+def box(name, position_m, size_m):
+    return SceneObject(name, ((Box(size_m), Pose()),), Pose(position_m))
+
+
+def shifted(follower, *offset_m):
+    placement = follower.pose(START)
+    return line(pin.SE3(placement.rotation, placement.translation + np.array(offset_m)))
+
+
+def tips_m(follower, plan):
+    positions, _, _ = fine_samples(plan.trajectory, per_interval=2)
+    return np.array([follower.pose(position).translation for position in positions])
+
+
+def distance_to_line_m(places_m, start_m, end_m):
+    edge = end_m - start_m
+    share = np.clip((places_m - start_m) @ edge / (edge @ edge), 0.0, 1.0)
+    return np.linalg.norm(places_m - start_m - share[:, np.newaxis] * edge, axis=1)
+
+
+@given(share=shares, near=shares)
+@settings(max_examples=25, deadline=None)
+def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower, rate_limits, share, near):
+    start = follower.point(share)
+    end = follower.pose(follower.near(start, near))
+    plan = follower.plan(follower.problem(start, line(end)))
+    if isinstance(plan, PlanningFailure):
+        assert plan.code == MoveItErrorCode.START_STATE_IN_COLLISION
+        return
+    assert_well_formed(plan.trajectory)
+    assert (plan.fraction == 1.0) == (plan.stopped_by is None)
+    if len(plan.trajectory.time_s) == 1:
+        return
+    assert_keeps_rates(plan.trajectory, rate_limits)
+    assert_keeps_positions(plan.trajectory, follower.lower_rad, follower.upper_rad)
+    start_m = follower.pose(start).translation
+    off_m = distance_to_line_m(tips_m(follower, plan), start_m, end.translation).max()
+    assert off_m <= BOUND_M
+    assert off_m <= 1.5 * plan.deviation.position_m + 2e-5
+
+
+@given(share=shares, near=shares, bulge_m=st.floats(0.005, 0.03))
+@settings(max_examples=15, deadline=None)
+def test_on_any_arc_the_tip_stays_on_the_circle(follower, rate_limits, share, near, bulge_m):
+    start = follower.point(0.8 * share)
+    begin, end = follower.pose(start), follower.pose(follower.near(start, near))
+    segment = arc(begin, end, bulge_m)
+    if arc_flaw(begin.translation, segment) is not None:
+        return
+    plan = follower.plan(follower.problem(start, segment))
+    if isinstance(plan, PlanningFailure) or len(plan.trajectory.time_s) == 1:
+        return
+    assert_keeps_rates(plan.trajectory, rate_limits)
+    places_m = tips_m(follower, plan)
+    a, b = begin.translation - end.translation, np.array(segment.via_m) - end.translation
+    normal = np.cross(a, b)
+    center_m = end.translation + np.cross(a @ a * b - b @ b * a, normal) / (2.0 * normal @ normal)
+    radius_m = np.linalg.norm(begin.translation - center_m)
+    assert np.abs((places_m - center_m) @ normal).max() / np.linalg.norm(normal) <= BOUND_M
+    assert np.abs(np.linalg.norm(places_m - center_m, axis=1) - radius_m).max() <= BOUND_M
+
+
+@given(share=shares, near=shares)
+@settings(max_examples=10, deadline=None)
+def test_a_motion_touches_nothing_on_its_way(follower, collision, share, near):
+    problem = follower.problem(start := follower.point(share), line(follower.pose(follower.near(start, near))))
+    plan = follower.plan(problem)
+    if isinstance(plan, CartesianPlan) and not collision.in_collision(np.array([*start, 0.0])):
+        assert_touches_nothing(plan.trajectory, collision, problem.start_rad)
+
+
+def test_a_motion_starts_and_ends_at_rest_and_in_its_points(follower):
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.05, 0.02)))
+    assert plan.fraction == 1.0
+    assert_from_rest_to_rest(plan.trajectory, START, plan.trajectory.positions_rad[-1])
+    end_m = follower.pose(plan.trajectory.positions_rad[-1]).translation
+    np.testing.assert_allclose(end_m, follower.pose(START).translation + np.array([0.0, 0.05, 0.02]), atol=3e-5)
+
+
+def test_the_same_problem_has_the_same_plan(follower):
+    problem = follower.problem(START, shifted(follower, 0.03, 0.05, 0.02))
+    first, second = follower.plan(problem), follower.plan(problem)
+    np.testing.assert_array_equal(first.trajectory.positions_rad, second.trajectory.positions_rad)
+    np.testing.assert_array_equal(first.trajectory.time_s, second.trajectory.time_s)
+
+
+def test_a_line_there_and_back_turns_at_its_end_and_comes_home(follower):
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.05, 0.0), shifted(follower, 0.0, 0.0, 0.0)))
+    places_m = tips_m(follower, plan) - follower.pose(START).translation
+    assert plan.fraction == 1.0
+    assert places_m[:, 1].max() == pytest.approx(0.05, abs=BOUND_M)
+    np.testing.assert_allclose(places_m[-1], 0.0, atol=BOUND_M)
+
+
+def test_corners_of_waypoints_are_passed_without_a_stop(follower):
+    corners = [(0.0, 0.03, 0.0), (0.0, 0.03, -0.03), (0.0, 0.0, -0.03)]
+    plan = follower.plan(follower.problem(START, *(shifted(follower, *corner) for corner in corners)))
+    speeds = np.abs(plan.trajectory.velocities_rad_s).max(axis=1)
+    assert plan.fraction == 1.0
+    assert speeds[3:-3].min() > 0.02
+    for corner in corners:
+        away_m = np.linalg.norm(tips_m(follower, plan) - follower.pose(START).translation - corner, axis=1)
+        assert away_m.min() < 1e-3
+
+
+def test_repeated_and_near_waypoints_are_harmless(follower, rate_limits):
+    there, near = shifted(follower, 0.0, 0.03, 0.0), shifted(follower, 0.0, 0.030001, 0.0)
+    plan = follower.plan(follower.problem(START, there, there, near, near))
+    assert plan.fraction == 1.0
+    assert_keeps_rates(plan.trajectory, rate_limits)
+
+
+@pytest.mark.parametrize("distance_m", [0.0, 1e-6, 1e-4])
+def test_paths_of_hardly_any_length_are_planned(follower, distance_m):
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, distance_m, 0.0)))
+    assert_well_formed(plan.trajectory)
+    assert plan.fraction == 1.0
+    assert plan.trajectory.duration_s < 0.2
+
+
+@pytest.mark.parametrize("tip_speed_m_s", [0.01, 0.05, 0.2])
+def test_the_tip_moves_as_fast_as_it_may_and_no_faster(follower, tip_speed_m_s):
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.06, 0.02), tip_speed_m_s=tip_speed_m_s))
+    positions, velocities, _ = fine_samples(plan.trajectory)
+    tracker = follower.tracker(START)
+    speeds = [tracker.speed_m(point, velocity) for point, velocity in zip(positions, velocities, strict=True)]
+    assert max(speeds) <= tip_speed_m_s * 1.001
+    assert max(speeds) >= 0.9 * tip_speed_m_s or tip_speed_m_s > 0.1
+
+
+def test_scaling_slows_the_motion_down(follower):
+    segment = shifted(follower, 0.0, 0.08, 0.0)
+    fast, slow = (
+        follower.plan(follower.problem(START, segment, velocity_scaling=share, acceleration_scaling=share))
+        for share in (1.0, 0.1)
+    )
+    assert slow.trajectory.duration_s > 3.0 * fast.trajectory.duration_s
+
+
+def test_the_nearest_orientation_is_taken_unless_it_must_be_kept(follower):
+    segment = shifted(follower, 0.0, 0.1, 0.0)
+    loose = follower.plan(follower.problem(START, segment))
+    strict = follower.plan(follower.problem(START, segment, keep_orientation=True, orientation_tolerance_rad=0.1))
+    assert loose.fraction == 1.0
+    assert loose.deviation.orientation_rad > 0.1
+    assert 0.0 < strict.fraction < 1.0
+    assert strict.deviation.orientation_rad <= 0.101
+    assert strict.stopped_by.details["reason"] == "orientation"
+    assert strict.stopped_by.code == MoveItErrorCode.NO_IK_SOLUTION
+
+
+def test_five_joints_keep_the_orientation_in_the_plane_of_the_arm(follower):
+    problem = follower.problem(START, shifted(follower, 0.0, 0.0, -0.05), keep_orientation=True)
+    plan = follower.plan(problem)
+    assert plan.fraction == 1.0
+    assert plan.deviation.orientation_rad < 0.02
+
+
+@settings(max_examples=8, deadline=None)
+@given(places=st.lists(st.floats(0.03, 0.12), min_size=2, max_size=3, unique=True).map(sorted))
+def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, collision, places):
+    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))
+    fractions = []
+    for version, place in enumerate(places):
+        tip_m = follower.pose(START).translation
+        wall = box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.05 + place, 0.3), (0.4, 0.01, 0.6))
+        assert collision.set_scene(Scene(8000 + version, (wall,))) is None
+        fractions.append(follower.plan(problem).fraction)
+        collision.set_scene(EMPTY_SCENE)
+    assert all(first <= second + 0.02 for first, second in pairwise(fractions))
+
+
+def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, collision, scene):
+    tip_m = follower.pose(START).translation
+    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.11, 0.3), (0.4, 0.01, 0.6)))
+    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))
+    plan = follower.plan(problem)
+    assert 0.1 < plan.fraction < 0.9
+    assert plan.stopped_by.code == MoveItErrorCode.INVALID_MOTION_PLAN
+    assert plan.stopped_by.details["reason"] == "collision"
+    pair = plan.stopped_by.details["pairs"][0]
+    assert "wall" in (pair["first"], pair["second"])
+    assert "wall" in plan.stopped_by.message
+    assert_touches_nothing(plan.trajectory, collision, problem.start_rad)
+
+
+def test_contacts_do_not_end_the_path_when_they_are_not_to_be_avoided(follower, scene):
+    tip_m = follower.pose(START).translation
+    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.11, 0.3), (0.4, 0.01, 0.6)))
+    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0), avoid_collisions=False)
+    assert follower.plan(problem).fraction == 1.0
+
+
+def test_out_of_reach_is_told_with_how_far(follower):
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.5, 0.0, 0.0)))
+    assert 0.0 < plan.fraction < 1.0
+    assert plan.stopped_by.code == MoveItErrorCode.NO_IK_SOLUTION
+    assert plan.stopped_by.details["reason"] == "reach"
+    assert plan.stopped_by.details["distance_m"] > 0.1
+
+
+def test_a_jump_is_told_with_its_joint(follower):
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.05, 0.0), max_joint_step_rad=1e-4))
+    assert plan.fraction < 0.01
+    assert plan.stopped_by.code == MoveItErrorCode.PLANNING_FAILED
+    assert plan.stopped_by.details["joint"] in follower.robot.groups["arm"].joints
+
+
+def test_path_constraints_end_the_path_where_they_no_longer_hold(follower):
+    constraints = Constraints(joints=(JointConstraint("shoulder_pan", 0.0, 0.1, 0.1),))
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.1, 0.0), path_constraints=constraints))
+    assert 0.0 < plan.fraction < 1.0
+    assert plan.stopped_by.details["reason"] == "constraint"
+    assert "shoulder_pan" in plan.stopped_by.message
+    assert np.abs(plan.trajectory.positions_rad[:, 0]).max() <= 0.1 + 1e-6
+
+
+def test_a_start_that_violates_the_path_constraints_is_refused(follower):
+    upside_down = as_pose(pin.SE3(follower.pose(START).rotation @ np.diag([1.0, -1.0, -1.0]), np.zeros(3)))
+    constraints = Constraints(orientations=(OrientationConstraint(TIP, upside_down.orientation, (0.1, 0.1, 0.1)),))
+    answer = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.1, 0.0), path_constraints=constraints))
+    assert answer.code == MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
+
+
+def test_a_start_in_collision_is_refused(follower):
+    answer = follower.plan(follower.problem(FOLDED_INTO_ITSELF, shifted(follower, 0.0, 0.0, 0.0)))
+    assert answer.code == MoveItErrorCode.START_STATE_IN_COLLISION
+
+
+def test_planning_ends_when_nobody_wants_it_any_more(follower):
+    problem = follower.problem(START, shifted(follower, 0.0, 0.1, 0.0))
+    assert follower.plan(problem, should_stop=lambda: True).code == MoveItErrorCode.PREEMPTED

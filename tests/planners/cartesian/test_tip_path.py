@@ -1,0 +1,89 @@
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planners.cartesian.tip_path import TipPath, apart_rad, arc_flaw
+from planners.problem import Arc, Line
+from planners.scene import Pose
+
+START = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.1]))
+QUARTER_ABOUT_Z = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+
+coordinates = st.floats(-0.3, 0.3).map(lambda value: round(value, 3))
+points = st.tuples(*[coordinates] * 3)
+
+
+def places(path, count=200):
+    return np.array([path.at(along_m).translation for along_m in np.linspace(0.0, path.length_m, count)])
+
+
+def tame(arc):
+    return arc_flaw(START.translation, arc) is None
+
+
+arcs = st.builds(lambda via, end: Arc(via, Pose(end)), points, points).filter(tame)
+
+
+@given(points)
+def test_a_line_is_straight_and_ends_in_its_end(end):
+    path = TipPath(START, [Line(Pose(end))])
+    expected = np.linspace(0.0, 1.0, 200)[:, np.newaxis] * (np.array(end) - START.translation) + START.translation
+    if path.length_m > 0.0:
+        np.testing.assert_allclose(places(path), expected, atol=1e-9)
+
+
+@given(arcs)
+@settings(max_examples=30, deadline=None)
+def test_an_arc_goes_through_its_points(arc):
+    path = TipPath(START, [arc])
+    way = places(path, 500)
+    np.testing.assert_allclose(way[0], START.translation, atol=1e-9)
+    np.testing.assert_allclose(way[-1], arc.end.position_m, atol=1e-6)
+    step_m = np.linalg.norm(np.diff(way, axis=0), axis=1).max()
+    assert np.linalg.norm(way - np.array(arc.via_m), axis=1).min() <= step_m + 1e-6
+
+
+@given(arcs)
+@settings(max_examples=30, deadline=None)
+def test_an_arc_is_run_through_evenly_and_its_length_is_the_path_s(arc):
+    path = TipPath(START, [arc])
+    steps_m = np.linalg.norm(np.diff(places(path, 300), axis=0), axis=1)
+    np.testing.assert_allclose(steps_m, steps_m.mean(), rtol=1e-3)
+    assert steps_m.sum() == pytest.approx(path.length_m, rel=1e-3)
+
+
+def test_a_turn_on_the_spot_has_a_length_and_turns_evenly():
+    path = TipPath(START, [Line(Pose((0.2, 0.0, 0.1), QUARTER_ABOUT_Z))])
+    assert path.length_m == pytest.approx(0.1 * np.pi / 2.0)
+    half = path.at(0.5 * path.length_m)
+    assert apart_rad(START, half) == pytest.approx(np.pi / 4.0)
+    np.testing.assert_allclose(half.translation, START.translation)
+
+
+def test_repeated_points_add_nothing():
+    there = Line(Pose((0.25, 0.0, 0.1)))
+    path = TipPath(START, [Line(Pose((0.2, 0.0, 0.1))), there, there])
+    assert path.length_m == pytest.approx(0.05)
+    assert path.corners_m == [path.length_m]
+    assert TipPath(START, [Line(Pose((0.2, 0.0, 0.1)))]).length_m == 0.0
+
+
+@pytest.mark.parametrize(("second", "corners"), [((0.3, 0.0, 0.1), 1), ((0.25, 0.05, 0.1), 2), ((0.2, 0.0, 0.1), 2)])
+def test_corners_are_where_the_direction_changes(second, corners):
+    path = TipPath(START, [Line(Pose((0.25, 0.0, 0.1))), Line(Pose(second))])
+    assert len(path.corners_m) == corners
+    assert path.corners_m[0] == pytest.approx(0.05 if corners == 2 else 0.1)
+
+
+@pytest.mark.parametrize(
+    ("via", "end", "flaw"),
+    [
+        ((0.2, 0.0, 0.1), (0.3, 0.0, 0.1), "the same"),
+        ((0.25, 0.0, 0.1), (0.2, 0.0, 0.1), "the same"),
+        ((0.25, 0.0, 0.1), (0.3, 0.0, 0.1), "on a line"),
+    ],
+)
+def test_points_that_make_no_arc_are_told(via, end, flaw):
+    assert flaw in arc_flaw(START.translation, Arc(via, Pose(end)))

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+
+from planners.files import plan_command, problem_file
+from planners.files.plan_command import EXIT_EXPECTED, EXIT_UNEXPECTED, EXIT_USAGE, Options
+from planners.problem import MoveItErrorCode
+from robot import model
+
+ROBOT = model.builtin()
+ARM = ROBOT.groups["arm"].joints
+REVERSED = tuple(reversed(ARM))
+HOME, NEAR = [0.0] * 5, [0.1, 0.2, 0.3, 0.4, 0.5]
+LIMITS = {"velocity": [1.0] * 5, "acceleration": [2.0] * 5, "lower": [-1.5] * 5, "upper": [1.5] * 5}
+
+
+@pytest.fixture
+def path(tmp_path):
+    fields = {
+        "format": problem_file.FORMAT,
+        "name": "made",
+        "joint_names": REVERSED,
+        "limits": LIMITS,
+        "joint_problems": [{"id": "near", "start": HOME, "goal": NEAR}],
+        "position_problems": [{"id": "tip", "start": HOME, "position": [0.3, 0.1, 0.2], "tolerance": 0.005}],
+        "infeasible": [{"id": "far", "start": HOME, "goal": [2.0] * 5, "accept_codes": [-16]}],
+    }
+    path = tmp_path / "problems.json"
+    path.write_text(json.dumps(fields))
+    return path
+
+
+class Run:
+    """The command, run."""
+
+    def __init__(self, options: Options) -> None:
+        output, errors = io.StringIO(), io.StringIO()
+        self.code = plan_command.run(options, ROBOT, output, errors)
+        self.lines, self.errors = output.getvalue().splitlines(), errors.getvalue().splitlines()
+
+
+def answers(path, **options):
+    out = path.with_name("out.json")
+    run = Run(Options(path, json_path=out, **options))
+    return run, json.loads(out.read_text())
+
+
+def test_the_feasible_problems_are_planned(path) -> None:
+    run, written = answers(path)
+    assert [answer["problem"] for answer in written] == ["near", "tip"]
+    assert run.code == EXIT_EXPECTED
+    assert not run.errors
+
+
+def test_every_problem_is_planned_when_asked_for(path) -> None:
+    run, written = answers(path, every=True)
+    assert [answer["problem"] for answer in written] == ["near", "tip", "far"]
+    assert run.code == EXIT_EXPECTED
+
+
+def test_a_problem_can_be_named_whatever_list_it_is_in(path) -> None:
+    _, written = answers(path, ids=("far",))
+    assert [answer["problem"] for answer in written] == ["far"]
+
+
+def test_a_plan_is_written_in_the_order_of_the_files_joints(path) -> None:
+    _, (answer,) = answers(path, ids=("near",))
+    assert set(answer) == {"problem", "time_from_start", "positions", "velocities", "accelerations"}
+    assert answer["positions"][0] == HOME
+    assert answer["positions"][-1] == NEAR
+    shape = (len(answer["time_from_start"]), 5)
+    assert all(np.shape(answer[key]) == shape for key in ("positions", "velocities", "accelerations"))
+
+
+def test_a_refusal_is_written_with_code_and_sentence(path) -> None:
+    _, (answer,) = answers(path, ids=("far",))
+    assert set(answer) == {"problem", "error_code", "message"}
+    assert answer["error_code"] == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert "1.5 rad" in answer["message"]
+
+
+def test_the_limits_of_the_file_are_kept(path) -> None:
+    _, (answer,) = answers(path, ids=("near",))
+    assert np.max(np.abs(answer["velocities"])) <= 1.0 + 1e-9
+    assert np.max(np.abs(answer["accelerations"])) <= 2.0 + 1e-9
+
+
+def test_the_table_has_a_line_for_each_problem(path) -> None:
+    run, _ = answers(path, every=True)
+    assert run.lines[0].split() == ["problem", "code", "CPU", "[ms]", "duration", "[s]", "length", "[rad]"]
+    name, code, word, cpu, duration, length = run.lines[1].split()
+    assert (name, code, word) == ("near", "1", "SUCCESS")
+    assert float(cpu) > 0.0
+    assert float(duration) > 0.5
+    assert float(length) == pytest.approx(np.linalg.norm(NEAR), abs=0.001)
+    assert run.lines[-1] == "3 of 3 answered as the file expects"
+
+
+def test_settings_hold_for_every_problem(path) -> None:
+    options = Options(path, settings={"seed": 9})
+    chosen = plan_command.chosen(problem_file.read(path, ROBOT), options)
+    assert [one.problem.seed for one in chosen] == [9, 9]
+
+
+def test_an_unexpected_answer_is_exit_1(path) -> None:
+    path.write_text(path.read_text().replace("-16", "-12"))
+    assert Run(Options(path, every=True)).code == EXIT_UNEXPECTED
+
+
+def test_a_scene_that_cannot_be_used_is_the_answer_to_every_problem(path) -> None:
+    fields = json.loads(path.read_text())
+    fields["objects"] = [{"id": "flat", "type": "box", "dimensions": [0.1, 0.1, 0.0]}]
+    path.write_text(json.dumps(fields))
+    run, written = answers(path)
+    assert run.code == EXIT_UNEXPECTED
+    assert all("flat" in answer["message"] for answer in written)
+
+
+UNUSABLE = {
+    "no such file": (lambda path: Options(path.with_name("none.json")), "cannot be read"),
+    "no such problem": (lambda path: Options(path, ids=("lost",)), "'lost'"),
+    "no such folder": (lambda path: Options(path, json_path=path.parent / "none" / "out.json"), "none"),
+    "no such kind of picture": (lambda path: Options(path, plot_path=path.with_name("a.teapot")), "teapot"),
+}
+
+
+@pytest.mark.parametrize(("options", "words"), UNUSABLE.values(), ids=UNUSABLE)
+def test_what_cannot_be_done_is_one_line_and_exit_2(path, options, words) -> None:
+    run = Run(options(path))
+    assert run.code == EXIT_USAGE
+    (line,) = run.errors
+    assert words in line
+
+
+def test_a_plot_is_drawn(path) -> None:
+    picture = path.with_name("out.png")
+    Run(Options(path, plot_path=picture))
+    assert picture.read_bytes().startswith(b"\x89PNG")

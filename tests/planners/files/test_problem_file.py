@@ -1,0 +1,233 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.errors import ProblemFileError
+from planners.files import problem_file
+from planners.goals import (
+    AnyOf,
+    AxisGoal,
+    ConstraintGoal,
+    Constraints,
+    JointConstraint,
+    JointGoal,
+    OrientationConstraint,
+    PoseGoal,
+    PositionConstraint,
+    PositionGoal,
+)
+from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from robot import model
+
+ROBOT = model.builtin()
+ARM = ROBOT.groups["arm"].joints
+TIP = "gripper_frame_link"
+FAILED = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "no way")
+REST = {joint.name: 0.0 for joint in ROBOT.movable_joints}
+
+CONSTRAINTS = Constraints(
+    (JointConstraint("elbow_flex", 0.1, 0.2, 0.3, 0.5),),
+    (PositionConstraint(TIP, Pose((0.1, 0.2, 0.3)), half_size_m=(1.0, 1.0, 0.1)),),
+    (OrientationConstraint(TIP, (0.0, 0.0, 0.0, 1.0), (0.1, 0.1, 4.0)),),
+)
+GOALS = {
+    "all joints": JointGoal(dict.fromkeys(ARM, 0.25)),
+    "some joints": JointGoal({"elbow_flex": 0.25}),
+    "joints in tolerance": JointGoal(dict.fromkeys(ARM, 0.25), 0.1),
+    "tip": PositionGoal(TIP, (0.3, 0.1, 0.2), 0.01),
+    "point of a link": PositionGoal("wrist_link", (0.3, 0.1, 0.2), 0.01, (0.0, 0.0, 0.1)),
+    "axis": AxisGoal(TIP, (0.3, 0.1, 0.2), 0.01, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.1),
+    "pose": PoseGoal(TIP, Pose((0.3, 0.1, 0.2), (1.0, 0.0, 0.0, 0.0)), 0.01, (0.1, 0.2, 0.3), strict=True),
+    "constraints": ConstraintGoal(CONSTRAINTS),
+    "any of": AnyOf((JointGoal({"elbow_flex": 0.25}), PositionGoal(TIP, (0.3, 0.1, 0.2), 0.01))),
+}
+
+
+def written(path: Path, problem: PlanningProblem, scene: Scene = EMPTY_SCENE, robot: model.RobotModel = ROBOT):
+    problem_file.write(path, problem, scene, robot, FAILED)
+    return problem_file.read(path, ROBOT)
+
+
+def minimal(**changes):
+    fields = {
+        "format": problem_file.FORMAT,
+        "name": "made",
+        "joint_names": list(ARM),
+        "joint_problems": [{"id": "a", "start": [0.0] * 5, "goal": [0.1] * 5}],
+    }
+    return {**fields, **changes}
+
+
+def refusal(path: Path, fields) -> ProblemFileError:
+    path.write_text(fields if isinstance(fields, str) else json.dumps(fields))
+    with pytest.raises(ProblemFileError) as caught:
+        problem_file.read(path, ROBOT)
+    assert str(path) in str(caught.value)
+    return caught.value
+
+
+@pytest.mark.parametrize("goal", GOALS.values(), ids=GOALS)
+def test_a_problem_that_failed_is_the_same_when_it_is_read_again(tmp_path, goal) -> None:
+    problem = PlanningProblem(
+        "arm",
+        REST | {"gripper": 0.7},
+        goal,
+        0.3,
+        0.4,
+        allowed_time_s=2.5,
+        attempts=7,
+        seed=11,
+        start_velocity_rad_s={"elbow_flex": 0.1},
+        path_constraints=CONSTRAINTS,
+        planner_id="RRTConnect",
+        optimization_time_s=0.1,
+        max_jerk_rad_s3={"elbow_flex": 50.0},
+    )
+    file = written(tmp_path / "goal-7.json", problem)
+    (one,) = file.problems
+    assert one.problem == problem
+    assert one.id == "goal-7"
+
+
+def test_limits_of_the_robot_that_failed_are_those_of_the_robot_that_is_read(tmp_path) -> None:
+    elbow = ROBOT.joints["elbow_flex"]
+    slow = model.RobotModel(
+        **{
+            **vars(ROBOT),
+            "joints": {
+                **ROBOT.joints,
+                "elbow_flex": model.Joint(
+                    **{**vars(elbow), "lower": -1.0, "upper": 0.5, "max_velocity": 0.2, "max_acceleration": 0.3}
+                ),
+            },
+        }
+    )
+    file = written(tmp_path / "a.json", PlanningProblem("arm", REST, GOALS["tip"]), robot=slow)
+    assert file.robot == slow
+
+
+def test_numbers_that_are_not_finite_survive(tmp_path) -> None:
+    pose = PoseGoal(TIP, Pose((math.nan, 0.0, 0.0)), 0.01, (0.1, 0.1, 0.1))
+    file = written(tmp_path / "a.json", PlanningProblem("arm", REST | {"elbow_flex": math.inf}, pose))
+    problem = file.problems[0].problem
+    assert math.isnan(problem.goal.pose.position_m[0])
+    assert not math.isfinite(problem.start_rad["elbow_flex"])
+    assert "NaN" not in (tmp_path / "a.json").read_text()
+
+
+def test_joints_without_a_start_stay_without_one(tmp_path) -> None:
+    file = written(tmp_path / "a.json", PlanningProblem("arm", {"elbow_flex": 0.1}, GOALS["tip"]))
+    start_rad = file.problems[0].problem.start_rad
+    assert start_rad["elbow_flex"] == 0.1
+    assert math.isnan(start_rad["shoulder_pan"])
+    assert math.isnan(start_rad["gripper"])
+
+
+def test_a_group_that_does_not_exist_is_kept(tmp_path) -> None:
+    file = written(tmp_path / "a.json", PlanningProblem("leg", REST, GOALS["tip"]))
+    assert file.problems[0].problem.group == "leg"
+
+
+def test_files_with_different_scenes_have_different_versions(tmp_path) -> None:
+    problem = PlanningProblem("arm", REST, GOALS["tip"])
+    box = SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),))
+    versions = {written(tmp_path / "a.json", problem, scene).scene.version for scene in (EMPTY_SCENE, Scene(1, (box,)))}
+    assert len(versions) == 2
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5))
+def test_joint_values_are_kept_to_the_last_bit(tmp_path_factory, values) -> None:
+    goal = JointGoal(dict(zip(ARM, values, strict=True)))
+    path = tmp_path_factory.getbasetemp() / "bits.json"
+    assert written(path, PlanningProblem("arm", REST, goal)).problems[0].problem.goal == goal
+
+
+def test_the_gripper_and_the_limits_of_a_file_hold(tmp_path) -> None:
+    limits = {"velocity": [1.0] * 5, "acceleration": [2.0] * 5, "lower": [-0.5] * 5, "upper": [0.5] * 5}
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(minimal(gripper=0.4, limits=limits, joint_names=list(reversed(ARM)))))
+    file = problem_file.read(path, ROBOT)
+    assert file.joint_names == tuple(reversed(ARM))
+    assert file.problems[0].problem.start_rad["gripper"] == 0.4
+    for name in ARM:
+        joint = file.robot.joints[name]
+        assert (joint.lower, joint.upper, joint.max_velocity, joint.max_acceleration) == (-0.5, 0.5, 1.0, 2.0)
+
+
+def test_null_is_a_number_that_is_not_finite(tmp_path) -> None:
+    path = tmp_path / "a.json"
+    entry = {"id": "x", "start": [0.0] * 5, "goal": [0.0, None, 0.0, 0.0, 0.0], "accept_codes": [-16]}
+    path.write_text(json.dumps(minimal(infeasible=[entry])))
+    feasible, refused = problem_file.read(path, ROBOT).problems
+    assert math.isnan(refused.problem.goal.positions_rad["shoulder_lift"])
+    assert (feasible.feasible, refused.feasible) == (True, False)
+    assert refused.accept_codes == (-16,)
+
+
+LIMITS = {"velocity": [1.0] * 5, "acceleration": [2.0] * 5, "lower": [-0.5] * 5, "upper": [0.5] * 5}
+PROBLEM = {"id": "a", "start": [0.0] * 5}
+WRONG = {
+    "no JSON": ("{", "", "is not JSON"),
+    "too deep": ("[" * 100_000, "", "is not JSON"),
+    "other format": (minimal(format="urdf"), "format", "so101-plan-bench/1"),
+    "no joints": (minimal(joint_names=["knee"]), "joint_names.0", "'knee'"),
+    "other joints": (minimal(joint_names=["elbow_flex"]), "joint_names", "no planning group"),
+    "other frame": (minimal(frame="camera"), "frame", "'base_link'"),
+    "short start": (minimal(joint_problems=[{**PROBLEM, "start": [0.0]}]), "joint_problems.0.start", "5 numbers"),
+    "text for a number": (minimal(gripper="wide"), "gripper", "wide"),
+    "no goal": (minimal(goal_problems=[PROBLEM]), "goal_problems.0.goal", "pose"),
+    "unknown goal": (minimal(goal_problems=[{**PROBLEM, "goal": {"dance": {}}}]), "goal_problems.0.goal", "dance"),
+    "unknown goal field": (
+        minimal(goal_problems=[{**PROBLEM, "goal": {"joints": {"positions": {}}}}]),
+        "goal_problems.0.goal.joints.positions",
+        "positions_rad",
+    ),
+    "incomplete goal": (
+        minimal(goal_problems=[{**PROBLEM, "goal": {"any_of": [{"position": {"link": TIP, "tolerance_m": 1}}]}}]),
+        "goal_problems.0.goal.any_of.0.position.position_m",
+        "required",
+    ),
+    "unknown option": (
+        minimal(position_problems=[{**PROBLEM, "position": [0, 0, 0], "options": {"velocity": 1}}]),
+        "position_problems.0.options.velocity",
+        "velocity_scaling",
+    ),
+    "same id twice": (minimal(infeasible=[{**PROBLEM, "goal": [0.0] * 5}]), "id", "'a'"),
+    "limits reversed": (minimal(limits={**LIMITS, "lower": [0.6] * 5}), "limits.lower.0", "0.6"),
+    "velocity of zero": (minimal(limits={**LIMITS, "velocity": [0] * 5}), "limits.velocity.0", "greater than 0"),
+    "limit not finite": (minimal(limits={**LIMITS, "upper": [None] * 5}), "limits.upper.0", "finite"),
+    "unknown shape": (minimal(objects=[{"id": "a", "type": "teapot"}]), "objects.0.shapes.0.type", "teapot"),
+}
+
+
+@pytest.mark.parametrize(("fields", "field", "words"), WRONG.values(), ids=WRONG)
+def test_a_wrong_file_is_refused_with_its_field(tmp_path, fields, field, words) -> None:
+    error = refusal(tmp_path / "a.json", fields)
+    assert error.field == field
+    assert words in error.reason
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path) -> None:
+    with pytest.raises(ProblemFileError, match="cannot be read"):
+        problem_file.read(tmp_path / "none.json", ROBOT)
+
+
+def test_the_shared_files_are_read_whole(shared_data) -> None:
+    for path in sorted((shared_data / "planning_problems").glob("*.json")):
+        fields = json.loads(path.read_text())
+        file = problem_file.read(path, ROBOT)
+        lists = ("joint_problems", "position_problems", "infeasible")
+        assert [one.id for one in file.problems] == [entry["id"] for key in lists for entry in fields[key]]
+        assert len(file.scene.objects) == len(fields["objects"])
+        np.testing.assert_array_equal(
+            [file.problems[0].problem.start_rad[name] for name in fields["joint_names"]],
+            fields["joint_problems"][0]["start"],
+        )

@@ -1,0 +1,72 @@
+"""Paths of the tip for the SO-101, from anywhere to nearby."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pinocchio as pin
+from hypothesis import strategies as st
+
+from planners.budget import Budget
+from planners.cartesian.planning import plan_cartesian
+from planners.cartesian.tip_tracking import TipTracker
+from planners.geometry.forward import ForwardKinematics
+from planners.problem import Arc, CartesianProblem, Line
+from planners.scene import Pose
+from tests.planners.invariants import never
+
+TIP = "gripper_frame_link"
+ARM = [0, 1, 2, 3, 4]
+
+shares = st.tuples(*[st.floats(-1.0, 1.0).map(lambda value: round(value, 2))] * 5).map(np.array)
+
+
+class Follower:
+    """Plans paths of the SO-101's tip, and tells where the tip is."""
+
+    def __init__(self, robot, collision):
+        self.robot, self.collision = robot, collision
+        self.forward = ForwardKinematics(robot, collision.joint_names)
+        self.lower_rad, self.upper_rad = collision.lower_rad[ARM], collision.upper_rad[ARM]
+
+    def tracker(self, point):
+        limits = self.collision.lower_rad, self.collision.upper_rad
+        return TipTracker(self.forward, limits, ARM, np.array([*point, 0.0]), TIP)
+
+    def pose(self, point):
+        return self.tracker(point).pose(point)
+
+    def point(self, share):
+        """Shares -1 to 1 of the joints' ranges as positions."""
+        return 0.5 * (self.lower_rad + self.upper_rad) + 0.45 * share * (self.upper_rad - self.lower_rad)
+
+    def near(self, point, share):
+        """A point up to 0.4 rad away in each joint, within the limits."""
+        return np.clip(point + 0.4 * share, self.lower_rad, self.upper_rad)
+
+    def problem(self, start, *segments, **asked):
+        names = self.collision.joint_names
+        start_rad = dict(zip(names, [*map(float, start), 0.0], strict=True))
+        return CartesianProblem("arm", start_rad, TIP, segments, **asked)
+
+    def plan(self, problem, should_stop=never):
+        budget = Budget(time.monotonic, problem.allowed_time_s, should_stop)
+        return plan_cartesian(problem, self.robot, self.collision, self.forward, budget)
+
+
+def as_pose(placement):
+    x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
+    return Pose(tuple(map(float, placement.translation)), (float(x), float(y), float(z), float(w)))
+
+
+def line(placement):
+    return Line(as_pose(placement))
+
+
+def arc(start, end, bulge_m):
+    """An arc that leaves the line between two poses by ``bulge_m`` to a side."""
+    middle, along = 0.5 * (start.translation + end.translation), end.translation - start.translation
+    across = np.cross(along, [0.3, 0.5, 0.8])
+    via = middle + bulge_m * across / max(np.linalg.norm(across), 1e-9)
+    return Arc(tuple(map(float, via)), as_pose(end))

@@ -1,0 +1,175 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planners.geometry.collision import DEPTH_ACCURACY_M, CollidingPair, CollisionModel
+from planners.problem import MoveItErrorCode
+from planners.scene import AttachedObject, Box, Mesh, Plane, Sphere
+from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, scene, thing
+
+FOLDED_TOO_FAR = {"shoulder_lift": -1.745, "elbow_flex": 1.69, "wrist_flex": 1.0}
+JAW_POSITIONS_RAD = (-0.17, 0.0, 1.7)
+
+
+def state(collision, **positions_rad):
+    return np.array([positions_rad.get(name, 0.0) for name in collision.joint_names])
+
+
+@pytest.fixture(scope="module")
+def collision(robot):
+    """One that knows the hulls only, so that every way to ask has the same answer."""
+    return CollisionModel(replace(robot, parts={}))
+
+
+@pytest.fixture
+def changing(robot):
+    """One whose scene may change."""
+    return CollisionModel(robot)
+
+
+@pytest.fixture
+def random_states(collision):
+    return np.random.default_rng(4).uniform(collision.lower_rad, collision.upper_rad, (300, 6))
+
+
+@pytest.mark.parametrize("jaw_rad", JAW_POSITIONS_RAD)
+@pytest.mark.parametrize("name", ["home", "ready", "rest", "extended"])
+def test_named_states_touch_nothing(robot, collision, name, jaw_rad):
+    q = state(collision, **robot.named_states["arm"][name], gripper=jaw_rad)
+    assert not collision.in_collision(q)
+
+
+def test_limits_and_names_are_those_of_the_robot(robot, collision):
+    assert set(collision.joint_names) == {joint.name for joint in robot.movable_joints}
+    for name, lower, upper in zip(collision.joint_names, collision.lower_rad, collision.upper_rad, strict=True):
+        assert (lower, upper) == (robot.joints[name].lower, robot.joints[name].upper)
+
+
+def test_colliding_pairs_name_the_links_deepest_first(collision):
+    pairs = collision.colliding_pairs(state(collision, **FOLDED_TOO_FAR))
+    assert {"shoulder_link", "lower_arm_link"} in [pair.links for pair in pairs]
+    depths_m = [pair.depth_m for pair in pairs]
+    assert depths_m == sorted(depths_m, reverse=True)
+    assert 0.0 < depths_m[0] < 0.03
+
+
+def test_no_verdict_depends_on_what_was_asked_before(robot, collision):
+    # The search for a common point starts from hints that earlier questions left behind. With coal's default accuracy
+    # these states get different verdicts.
+    rng = np.random.default_rng(3)
+    other = CollisionModel(replace(robot, parts={}))
+    for q, asked_before in rng.uniform(collision.lower_rad, collision.upper_rad, (20_000, 2, 6)):
+        other.colliding_pairs(asked_before)
+        assert bool(collision.colliding_pairs(q)) == bool(other.colliding_pairs(q))
+
+
+def test_both_ways_to_ask_for_collisions_agree(collision, random_states):
+    for q in random_states:
+        assert collision.in_collision(q) == bool(collision.colliding_pairs(q))
+
+
+def test_an_allowed_contact_is_none_until_it_gets_deeper(collision):
+    q = state(collision, **FOLDED_TOO_FAR)
+    allowed = {pair.links: pair.depth_m for pair in collision.colliding_pairs(q)}
+    assert not collision.in_collision(q, allowed)
+    shallower = {links: depth_m - 2.0 * DEPTH_ACCURACY_M for links, depth_m in allowed.items()}
+    assert collision.in_collision(q, shallower)
+
+
+def test_a_contact_that_is_not_allowed_counts_beside_allowed_ones(collision):
+    q = state(collision, **FOLDED_TOO_FAR)
+    first, *others = collision.colliding_pairs(q)
+    assert others
+    assert collision.in_collision(q, {first.links: 1.0})
+
+
+def test_links_of_a_pair_have_no_order():
+    assert CollidingPair("a", "b", 0.0).links == CollidingPair("b", "a", 0.0).links
+
+
+def test_tip_of_the_stretched_arm_is_where_it_was_measured(collision):
+    # Figures of the official description at all joints zero.
+    tip_m = collision.tip_position(np.zeros(6), "gripper_frame_link")
+    np.testing.assert_allclose(tip_m, (0.391, 0.0, 0.226), atol=1e-3)
+
+
+def test_links_that_do_not_move_stay(collision, random_states):
+    np.testing.assert_array_equal(collision.tip_positions(random_states[:5], "base_link"), np.zeros((5, 3)))
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+def test_things_of_every_shape_are_touched_by_name(changing, shape):
+    # The gripper is there at home, but for the plane, which is below.
+    place_m = (0.0, 0.0, 1.0) if isinstance(shape, Plane) else (0.35, 0.0, 0.2)
+    assert changing.set_scene(scene(thing(shape, *place_m))) is None
+    pairs = [pair for pair in changing.colliding_pairs(np.zeros(6)) if "thing" in pair.links]
+    assert "gripper_link" in {name for pair in pairs for name in pair.links}
+    assert changing.in_collision(np.zeros(6))
+
+
+def test_every_object_can_be_taken_away_again(changing, random_states):
+    before = [changing.in_collision(q) for q in random_states]
+    changing.set_scene(around_the_arm(1))
+    assert [changing.in_collision(q) for q in random_states] != before
+    changing.set_scene(scene())
+    assert [changing.in_collision(q) for q in random_states] == before
+
+
+def test_a_refused_scene_leaves_the_one_before(changing):
+    changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.35, 0.0, 0.2)))
+    refusal = changing.set_scene(scene(thing(Sphere(-1.0))))
+    assert refusal.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert changing.in_collision(np.zeros(6))
+
+
+def test_a_table_in_the_plane_of_the_base_is_no_contact_with_the_base(changing):
+    changing.set_scene(scene(thing(Plane((0.0, 0.0, 1.0), 0.0))))
+    assert not changing.colliding_pairs(np.zeros(6))
+    assert changing.in_collision(state(changing, shoulder_lift=1.7))
+
+
+def test_a_box_around_the_whole_arm_touches_every_link_that_moves(robot, changing):
+    changing.set_scene(scene(thing(Box((3.0, 3.0, 3.0)))))
+    touching = {name for pair in changing.colliding_pairs(np.zeros(6)) for name in pair.links}
+    assert touching == {"thing", *robot.hulls} - {robot.root_link}
+
+
+def test_a_room_of_triangles_around_the_whole_arm_is_free_inside(changing):
+    corners_m = 30.0 * (CORNERS_M - 0.02)
+    changing.set_scene(scene(thing(Mesh(corners_m, FACES))))
+    assert not changing.colliding_pairs(np.zeros(6))
+
+
+def test_what_is_held_goes_with_its_link_and_reaches_further(changing):
+    bar = AttachedObject(
+        thing(Box((0.02, 0.02, 0.3)), 0.0, 0.0, 0.2), "gripper_frame_link", frozenset({"gripper_link"})
+    )
+    empty_handed = changing.travel_m_per_rad
+    post = thing(Box((0.05, 0.05, 0.05)), 0.65, 0.0, 0.226, name="post")
+    changing.set_scene(scene(post))
+    assert not changing.in_collision(np.zeros(6))
+    changing.set_scene(scene(post, attached=(bar,)))
+    assert {"thing", "post"} in [pair.links for pair in changing.colliding_pairs(np.zeros(6))]
+    assert np.all(changing.travel_m_per_rad >= empty_handed)
+    assert changing.travel_m_per_rad[0] > empty_handed[0] + 0.1
+
+
+def test_padding_makes_a_contact_and_its_depth(changing):
+    box = thing(Box((0.1, 0.1, 0.1)), 0.5, 0.0, 0.2)
+    changing.set_scene(scene(box))
+    assert not changing.in_collision(np.zeros(6))
+    changing.set_scene(scene(box, link_padding_m={"gripper_link": 0.1}))
+    (pair,) = changing.colliding_pairs(np.zeros(6))
+    assert pair.links == {"gripper_link", "thing"}
+    assert 0.0 < pair.depth_m < 0.1
+
+
+def test_contacts_by_parts_are_contacts_by_hulls(changing, random_states):
+    changing.set_scene(around_the_arm(2))
+    dropped = 0
+    for q in random_states:
+        by_parts, by_hulls = bool(changing.colliding_pairs(q)), changing.in_collision(q)
+        assert by_hulls or not by_parts
+        dropped += by_hulls and not by_parts
+    assert dropped

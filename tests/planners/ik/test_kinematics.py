@@ -1,0 +1,155 @@
+import numpy as np
+import pytest
+from tests.planners.test_constraints import pose_of
+
+from planners.geometry.collision import CollisionModel
+from planners.geometry.forward import ForwardKinematics
+from planners.goals import (
+    AxisGoal,
+    Constraints,
+    JointConstraint,
+    OrientationConstraint,
+    PoseGoal,
+    PositionConstraint,
+    PositionGoal,
+)
+from planners.ik.constraints import ConditionSet, Joints, conditions, wish
+from planners.ik.kinematics import Kinematics, Wish
+from planners.scene import Pose
+from robot import model
+from tests.helpers import seven_joint_arm
+
+TIP = "gripper_frame_link"
+HOME = np.zeros(6)
+
+
+class Bench:
+    """A robot whose descents are looked at."""
+
+    def __init__(self, robot, tip):
+        self.tip = tip
+        self.arm = robot.groups["arm"]
+        collision = CollisionModel(robot)
+        self.joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
+        self.forward = ForwardKinematics(robot, collision.joint_names)
+        self.kinematics = Kinematics(robot, self.forward, collision.joint_names)
+
+    def states(self, count, seed=1):
+        return np.random.default_rng(seed).uniform(
+            self.joints.lower_rad, self.joints.upper_rad, (count, len(self.joints.names))
+        )
+
+    def descend(self, goal, q):
+        return self.kinematics.descent(self.arm, wish(goal, self.joints))(q)
+
+    def holds(self, goal, q):
+        return ConditionSet(self.forward, wish(goal, self.joints).required).holds(q)
+
+
+@pytest.fixture(scope="module")
+def so101(robot):
+    return Bench(robot, TIP)
+
+
+@pytest.fixture(scope="module")
+def seven():
+    return Bench(model.parse(seven_joint_arm.URDF, seven_joint_arm.SRDF), "tool")
+
+
+def goals_at(bench, q):
+    pose = pose_of(bench.forward, q, bench.tip)
+    bench.forward.place(q)
+    placement = bench.forward.placement(bench.tip)
+    offset_m = np.array([0.02, -0.01, 0.03])
+    direction = placement.rotation[:, 0]
+    return {
+        "point": PositionGoal(bench.tip, pose.position_m, 0.001),
+        "offset": PositionGoal(
+            bench.tip, tuple(placement.translation + placement.rotation @ offset_m), 0.001, tuple(offset_m)
+        ),
+        "axis": AxisGoal(bench.tip, pose.position_m, 0.001, (1.0, 0.0, 0.0), tuple(direction), 0.02),
+        "pose": PoseGoal(bench.tip, pose, 0.001, (0.02, 0.02, 0.02), strict=True),
+    }
+
+
+@pytest.mark.parametrize("kind", ["point", "offset", "axis", "pose"])
+@pytest.mark.parametrize("arm_name", ["so101", "seven"])
+def test_what_a_nearby_configuration_has_is_reached(arm_name, kind, request):
+    bench = request.getfixturevalue(arm_name)
+    inner = 0.8 * bench.states(25)
+    reached = 0
+    for q in inner:
+        goal = goals_at(bench, q)[kind]
+        end = bench.descend(goal, q + np.random.default_rng(3).uniform(-0.2, 0.2, len(q)))
+        reached += bench.holds(goal, end)
+        assert np.all((end >= bench.joints.lower_rad) & (end <= bench.joints.upper_rad))
+    assert reached >= 23
+
+
+def test_joints_outside_the_group_stay(so101):
+    gripper = so101.joints.names.index("gripper")
+    q = 0.4 * np.eye(6)[gripper]
+    assert so101.descend(PositionGoal(TIP, (0.2, 0.2, 0.2), 0.001), q)[gripper] == 0.4
+
+
+def test_base_does_not_fly_to_a_target_out_of_reach(so101):
+    end = so101.descend(PositionGoal(TIP, (2.0, 0.0, 0.2), 0.001), HOME)
+    so101.forward.place(end)
+    assert 0.4 < so101.forward.placement(TIP).translation[0] < 0.5
+
+
+def test_preferred_orientation_does_not_cost_the_point(so101):
+    rng = np.random.default_rng(4)
+    for q in 0.8 * so101.states(20):
+        orientation = rng.normal(size=4)
+        pose = Pose(pose_of(so101.forward, q).position_m, tuple(orientation / np.linalg.norm(orientation)))
+        goal = PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02))
+        end = so101.descend(goal, q)
+        wanted = ConditionSet(so101.forward, wish(goal, so101.joints).required)
+        assert wanted.deviation(end).position_m < 2e-4
+
+
+def test_preferred_orientation_is_as_near_as_small_motions_can_make_it(so101):
+    rng = np.random.default_rng(5)
+    for q in 0.6 * so101.states(5):
+        pose = Pose(pose_of(so101.forward, q).position_m, (0.0, 0.0, 0.0, 1.0))
+        wanted = wish(PoseGoal(TIP, pose, 0.002, (0.02, 0.02, 0.02)), so101.joints)
+        required, preferred = (ConditionSet(so101.forward, part) for part in (wanted.required, wanted.preferred))
+        end = so101.kinematics.descent(so101.arm, wanted)(q)
+        around = end + rng.uniform(-0.02, 0.02, (4000, 6))
+        around = np.clip(around, so101.joints.lower_rad, so101.joints.upper_rad)
+        best = min((preferred.deviation(near).orientation_rad for near in around if required.holds(near)), default=9.0)
+        assert preferred.deviation(end).orientation_rad <= best + 0.03
+
+
+def test_tolerances_are_used_where_the_middle_cannot_be_had(so101):
+    # To the middle of the region the arm would have to turn the other way than its joint may.
+    region = PositionConstraint(TIP, Pose((0.3, -0.4, 0.2)), half_size_m=(0.5, 0.7, 0.5))
+    joint = JointConstraint("shoulder_pan", -0.8, 0.3, 0.3)
+    wanted = Wish(conditions(Constraints(joints=(joint,), positions=(region,)), so101.joints))
+    end = so101.kinematics.descent(so101.arm, wanted)(HOME)
+    assert ConditionSet(so101.forward, wanted.required).holds(end)
+
+
+def test_weights_decide_between_what_cannot_both_hold(so101):
+    def heights(weight):
+        high = PositionConstraint(TIP, Pose((0.3, 0.0, 0.3)), radius_m=0.01, weight=weight)
+        low = PositionConstraint(TIP, Pose((0.3, 0.0, 0.2)), radius_m=0.01)
+        wanted = Wish(conditions(Constraints(positions=(high, low)), so101.joints))
+        so101.forward.place(so101.kinematics.descent(so101.arm, wanted)(HOME))
+        return so101.forward.placement(TIP).translation[2]
+
+    assert heights(0.2) < heights(1.0) - 0.02 < heights(5.0) - 0.04
+
+
+def test_inside_is_near_and_none_where_there_is_none(so101):
+    down = OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 3.2))
+    wanted = Wish(conditions(Constraints(orientations=(down,)), so101.joints))
+    descent = so101.kinematics.descent(so101.arm, wanted)
+    near = np.array([0.0, -0.2, 0.3, 1.3, 0.2, 0.0])
+    inside = descent.inside(near)
+    assert ConditionSet(so101.forward, wanted.required).holds(inside)
+    assert np.max(np.abs(inside - near)) < 0.5
+    far = PositionConstraint(TIP, Pose((2.0, 0.0, 0.0)), radius_m=0.1)
+    impossible = Wish(conditions(Constraints(positions=(far,)), so101.joints))
+    assert so101.kinematics.descent(so101.arm, impossible).inside(near) is None

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.motions.curve import TICK_S, Curve, standing
+from planners.motions.timing import polyline
+from planners.rates import RateLimits
+from tests.planners.invariants import assert_well_formed
+
+LIMITS = RateLimits(np.array([2.0, 1.2]), np.array([6.0, 3.0]))
+ZIGZAG = np.array([[0.0, 0.0], [1.0, 0.5], [0.2, 0.9]])
+NAMES = ("a", "b")
+
+
+@pytest.fixture
+def curve():
+    return polyline(ZIGZAG, LIMITS)
+
+
+def test_samples_repeat_the_curve_everywhere(curve):
+    trajectory = curve.sampled(NAMES)
+    assert_well_formed(trajectory)
+    ticks = np.arange(1, curve.duration_ticks, 37)
+    positions, velocities, _ = curve.at(ticks)
+    for i, tick in enumerate(ticks):
+        position, velocity, _ = trajectory.sample(TICK_S * tick)
+        np.testing.assert_allclose(position, positions[i], atol=1e-10)
+        np.testing.assert_allclose(velocity, velocities[i], atol=1e-8)
+
+
+def test_samples_are_ten_milliseconds_apart_at_most(curve):
+    spacing_s = np.diff(curve.sampled(NAMES).time_s)
+    assert spacing_s.min() > 0.9 * TICK_S
+    assert spacing_s.max() < 0.0112
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_part_is_the_curve_between_two_times(first_share, last_share):
+    curve = polyline(ZIGZAG, LIMITS)
+    first, last = sorted(int(share * curve.duration_ticks) for share in (first_share, last_share))
+    if first == last:
+        return
+    part = curve.part(first, last)
+    ticks = np.linspace(0, last - first, 7).astype(int)
+    for expected, got in zip(curve.at(first + ticks)[:2], part.at(ticks)[:2], strict=True):
+        np.testing.assert_allclose(got, expected, atol=1e-9)
+
+
+def test_replacing_a_part_by_itself_changes_nothing(curve):
+    same = curve.replaced(1000, 5000, curve.part(1000, 5000))
+    ticks = np.arange(0, curve.duration_ticks, 91)
+    np.testing.assert_allclose(same.at(ticks)[0], curve.at(ticks)[0], atol=1e-12)
+    assert same.duration_ticks == curve.duration_ticks
+
+
+def test_replacing_keeps_the_ends_exactly(curve):
+    last = curve.duration_ticks
+    moved = curve.part(100, last)
+    moved.positions_rad[-1] += 1e-13
+    np.testing.assert_array_equal(curve.replaced(100, last, moved).positions_rad[[0, -1]], ZIGZAG[[0, -1]])
+
+
+def test_turning_points_between_knots_count_for_the_range():
+    # Thrown up at 1 rad/s and braked at 2 rad/s^2 it turns 0.25 rad higher, where no knot is.
+    thrown = Curve(np.array([0, 10000]), np.zeros((2, 1)), np.array([[1.0], [-1.0]]))
+    assert thrown.stays_within(np.array([-0.01]), np.array([0.2501]))
+    assert not thrown.stays_within(np.array([-0.01]), np.array([0.2499]))
+    assert not thrown.stays_within(np.array([0.01]), np.array([1.0]))
+
+
+def test_standing_stays_in_its_point():
+    curve = standing(np.array([0.3, -0.2]), 500)
+    np.testing.assert_array_equal(curve.at(np.array([0, 250, 500]))[0], [[0.3, -0.2]] * 3)

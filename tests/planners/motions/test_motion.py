@@ -1,0 +1,166 @@
+import numpy as np
+import pytest
+
+from planners.budget import Budget
+from planners.geometry.certificate import certify
+from planners.motions.motion import STRAIGHT_LINE, Motion, MotionTask, find_motion
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.rates import RateLimits
+from tests.planners.invariants import (
+    BLOCKED_LINES,
+    assert_from_rest_to_rest,
+    assert_keeps_positions,
+    assert_keeps_rates,
+    assert_touches_nothing,
+    never,
+)
+
+HOME = np.zeros(5)
+READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
+
+
+def unlimited():
+    return Budget(lambda: 0.0, 1.0, never)
+
+
+@pytest.fixture
+def task_between(joint_space, arm, rate_limits):
+    def task(start, *goals, velocity=HOME, limits=rate_limits, **options):
+        goals = [np.array(goal) for goal in goals]
+        return MotionTask(joint_space, arm.joints, limits, np.array(start), np.array(velocity), goals, **options)
+
+    return task
+
+
+@pytest.fixture
+def at_home(collision):
+    return dict.fromkeys(collision.joint_names, 0.0)
+
+
+def test_straight_motion_follows_the_line(task_between):
+    motion = find_motion(task_between(HOME, READY), unlimited())
+    assert motion.method == STRAIGHT_LINE
+    assert_from_rest_to_rest(motion.trajectory, HOME, READY)
+    np.testing.assert_allclose(
+        motion.trajectory.positions_rad[:, 1], -motion.trajectory.positions_rad[:, 2], atol=1e-12
+    )
+
+
+def test_the_first_goal_with_a_free_line_is_taken(task_between):
+    start, behind = BLOCKED_LINES[0]
+    motion = find_motion(task_between(start, behind, HOME, READY), unlimited())
+    assert motion.goal == 1
+    np.testing.assert_array_equal(motion.trajectory.positions_rad[-1], HOME)
+
+
+def test_no_move_is_one_sample_at_time_zero(task_between):
+    motion = find_motion(task_between(READY, READY), unlimited())
+    np.testing.assert_array_equal(motion.trajectory.positions_rad, [READY])
+    assert motion.trajectory.duration_s == 0.0
+
+
+@pytest.mark.parametrize("blocked", BLOCKED_LINES)
+@pytest.mark.parametrize("optimization_time_s", [0.0, 0.012])
+def test_a_searched_motion_goes_around_within_the_limits(
+    task_between, collision, rate_limits, joint_space, at_home, blocked, optimization_time_s
+):
+    motion = find_motion(task_between(*blocked, optimization_time_s=optimization_time_s), unlimited())
+    assert motion.method == "RRTConnect"
+    assert_from_rest_to_rest(motion.trajectory, *blocked)
+    assert_keeps_rates(motion.trajectory, rate_limits)
+    assert_keeps_positions(motion.trajectory, joint_space.lower_rad, joint_space.upper_rad)
+    assert_touches_nothing(motion.trajectory, collision, at_home)
+    assert certify(joint_space, motion.trajectory) is None
+
+
+def test_optimisation_makes_motions_shorter(task_between):
+    times_s = (0.0, 0.012, 0.06)
+    durations_s = [
+        np.mean(
+            [
+                find_motion(
+                    task_between(*blocked, optimization_time_s=time_s, seed=seed), unlimited()
+                ).trajectory.duration_s
+                for blocked in BLOCKED_LINES
+                for seed in (0, 100, 200)
+            ]
+        )
+        for time_s in times_s
+    ]
+    assert durations_s == sorted(durations_s, reverse=True)
+    assert durations_s[1] < 0.9 * durations_s[0]
+
+
+def test_same_seed_gives_the_same_motion_whatever_the_clock_says(task_between):
+    ticking = iter(np.arange(0.0, 100.0, 1e-4))
+    budgets = unlimited(), Budget(lambda: float(next(ticking)), 50.0, never)
+    first, again = (
+        find_motion(task_between(*BLOCKED_LINES[1], optimization_time_s=0.02, seed=7), budget).trajectory
+        for budget in budgets
+    )
+    np.testing.assert_array_equal(first.positions_rad, again.positions_rad)
+    np.testing.assert_array_equal(first.time_s, again.time_s)
+
+
+def test_a_search_is_named_as_moveit_spells_it(task_between):
+    motion = find_motion(task_between(*BLOCKED_LINES[1], planner_id="RRTstarkConfigDefault"), unlimited())
+    assert motion.method == "RRTstar"
+
+
+def test_an_unknown_search_is_a_bug_of_the_caller(task_between):
+    with pytest.raises(ValueError, match="AORRTC"):
+        find_motion(task_between(*BLOCKED_LINES[1], planner_id="AORRTC"), unlimited())
+
+
+@pytest.mark.parametrize("line", [(HOME, READY), *BLOCKED_LINES])
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_a_moving_start_is_taken_over_smoothly(task_between, collision, rate_limits, at_home, line, share):
+    velocity = share * np.array([1.0, -1.0, 0.5, 1.0, -1.0]) * rate_limits.velocity_rad_s
+    motion = find_motion(task_between(*line, velocity=velocity, optimization_time_s=0.012), unlimited())
+    assert isinstance(motion, Motion)
+    np.testing.assert_array_equal(motion.trajectory.positions_rad[[0, -1]], np.array(line))
+    np.testing.assert_array_equal(motion.trajectory.velocities_rad_s[[0, -1]], [velocity, HOME])
+    assert_keeps_rates(motion.trajectory, rate_limits)
+    assert_touches_nothing(motion.trajectory, collision, at_home)
+
+
+def test_an_arm_too_fast_to_stop_is_refused_at_once(task_between, joint_space, rate_limits):
+    start = READY.copy()
+    start[0] = joint_space.upper_rad[0] - 0.01
+    velocity = np.array([rate_limits.velocity_rad_s[0], 0.0, 0.0, 0.0, 0.0])
+    failure = find_motion(task_between(start, READY, velocity=velocity), unlimited())
+    assert isinstance(failure, PlanningFailure)
+    assert failure.code is MoveItErrorCode.START_STATE_INVALID
+    assert "joint limits" in failure.message
+
+
+@pytest.mark.parametrize("line", [(HOME, READY), *BLOCKED_LINES])
+def test_jerk_limits_are_kept(task_between, collision, rate_limits, at_home, line):
+    limits = RateLimits(rate_limits.velocity_rad_s, rate_limits.acceleration_rad_s2, np.full(5, 40.0))
+    trajectory = find_motion(task_between(*line, limits=limits, optimization_time_s=0.012), unlimited()).trajectory
+    assert_from_rest_to_rest(trajectory, *line)
+    assert_keeps_rates(trajectory, limits)
+    accelerations = np.array([trajectory.sample(t)[2] for t in np.arange(0.0, trajectory.duration_s, 0.001)])
+    assert np.abs(np.diff(accelerations, axis=0)).max() <= 0.001 * 40.0 * 1.001
+    assert_touches_nothing(trajectory, collision, at_home)
+
+
+def test_a_moving_start_with_jerk_limits_is_left_without_a_step(task_between, rate_limits):
+    limits = RateLimits(rate_limits.velocity_rad_s, rate_limits.acceleration_rad_s2, np.full(5, 60.0))
+    velocity = 0.3 * rate_limits.velocity_rad_s
+    trajectory = find_motion(task_between(HOME, READY, velocity=velocity, limits=limits), unlimited()).trajectory
+    np.testing.assert_allclose(trajectory.positions_rad[0], HOME, atol=1e-12)
+    np.testing.assert_array_equal(trajectory.velocities_rad_s[0], velocity)
+    np.testing.assert_allclose(trajectory.sample(1e-6)[2], np.zeros(5), atol=1e-2)
+    assert_keeps_rates(trajectory, limits)
+
+
+def test_time_that_is_up_is_said(task_between):
+    clock = iter(np.arange(0.0, 10.0, 0.5))
+    failure = find_motion(task_between(*BLOCKED_LINES[0]), Budget(lambda: float(next(clock)), 1.0, never))
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+
+
+def test_a_stopped_search_is_preempted(task_between):
+    failure = find_motion(task_between(*BLOCKED_LINES[0]), Budget(lambda: 0.0, 1.0, lambda: True))
+    assert failure.code is MoveItErrorCode.PREEMPTED

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from planners.motions.effort import CountedSpace
+from planners.motions.path import TREES, Query, _ompl_space, search, without_detours
+from planners.problem import PLANNER_IDS
+from tests.planners.invariants import BLOCKED_LINES, never
+
+HOME = np.zeros(5)
+READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
+STEP_M = 0.005
+RRT_CONNECT = "RRTConnect"
+
+
+@pytest.fixture(params=BLOCKED_LINES)
+def blocked(request):
+    return tuple(np.array(point) for point in request.param)
+
+
+@pytest.fixture
+def space(joint_space):
+    return CountedSpace(joint_space)
+
+
+def after(space, checks):
+    """Stop after so many checks."""
+    return lambda: space.checks >= checks
+
+
+def length(path):
+    return np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+
+
+@pytest.mark.parametrize("name", PLANNER_IDS)
+def test_every_planner_finds_a_free_path_from_start_to_goal(space, joint_space, name):
+    start, goal = (np.array(point) for point in BLOCKED_LINES[1])
+    paths = (
+        search(Query(space, start, [goal], STEP_M), name, seed, after(space, space.checks + 6000)) for seed in range(5)
+    )
+    path = next(path for path in paths if path is not None)
+    np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+    assert joint_space.curve_free(path, STEP_M)
+    assert np.all((path >= joint_space.lower_rad) & (path <= joint_space.upper_rad))
+
+
+def test_each_name_is_that_of_its_planner():
+    assert {*TREES, "BITstar"} == set(PLANNER_IDS)
+    assert all(tree.__name__ == name for name, tree in TREES.items())
+
+
+@pytest.mark.parametrize("step_m", [0.04, 0.005])
+def test_edges_are_looked_at_as_finely_as_asked(space, step_m):
+    seen = _ompl_space(Query(space, HOME, [READY], step_m))
+    step_rad = seen.getLongestValidSegmentFraction() * seen.getMaximumExtent()
+    assert step_rad * np.linalg.norm(space.travel_m_per_rad) <= step_m + 1e-12
+
+
+def test_search_ends_at_one_of_several_goals(space, blocked):
+    start, goal = blocked
+    goals = [goal, goal + 0.01]
+    path = search(Query(space, start, goals, STEP_M), RRT_CONNECT, 3, never)
+    assert any(np.array_equal(path[-1], each) for each in goals)
+
+
+@pytest.mark.parametrize("name", PLANNER_IDS)
+def test_same_seed_gives_the_same_path(joint_space, name):
+    start, goal = (np.array(point) for point in BLOCKED_LINES[0])
+    spaces = CountedSpace(joint_space), CountedSpace(joint_space)
+    first, again = (search(Query(each, start, [goal], 0.02), name, 5, after(each, 1500)) for each in spaces)
+    assert (first is None) == (again is None)
+    if first is not None:
+        np.testing.assert_array_equal(first, again)
+    assert spaces[0].checks == spaces[1].checks
+
+
+def test_another_seed_gives_another_path(space, blocked):
+    start, goal = blocked
+    first, other = (search(Query(space, start, [goal], STEP_M), RRT_CONNECT, seed, never) for seed in (5, 6))
+    assert first.shape != other.shape or not np.array_equal(first, other)
+
+
+def test_stopped_search_has_no_path(space, blocked):
+    start, goal = blocked
+    assert search(Query(space, start, [goal], STEP_M), RRT_CONNECT, 0, lambda: True) is None
+
+
+def test_search_stops_soon_after_it_is_asked_to(space):
+    # A goal in collision can never be reached.
+    inside = np.array([0.0, -1.745, 1.69, 1.0, 0.0])
+    asked = iter(range(20))
+    assert search(Query(space, HOME, [inside], STEP_M), RRT_CONNECT, 0, lambda: next(asked, None) is None) is None
+
+
+def test_detours_that_a_free_line_passes_by_are_left_out(space):
+    detour = np.array([HOME, [0.5, -0.2, 0.3, 0.1, 0.0], [-0.4, -0.6, 0.2, 0.0, 0.3], [0.3, 0.1, 0.4, 0.0, 0.0], READY])
+    np.testing.assert_array_equal(without_detours(space, detour, STEP_M), [HOME, READY])
+
+
+def test_detours_around_something_stay(space, joint_space, blocked):
+    start, goal = blocked
+    path = search(Query(space, start, [goal], STEP_M), RRT_CONNECT, 0, never)
+    shorter = without_detours(space, path, STEP_M)
+    np.testing.assert_array_equal(shorter[[0, -1]], path[[0, -1]])
+    assert 2 < len(shorter) <= len(path)
+    assert length(shorter) <= length(path) + 1e-9
+    assert joint_space.curve_free(shorter, STEP_M)

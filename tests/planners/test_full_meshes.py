@@ -1,0 +1,105 @@
+"""The plans of the shared problems before an independent judge with the official meshes, and the judge itself."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from planners.files import plan_command, problem_file
+from planners.files.plan_command import Options
+from robot import model
+from tests.helpers import shared
+from tests.helpers.full_meshes import Judge
+
+# Of each list of a file, every so manieth problem: all of them are the benchmark's.
+SHARE = 3
+SCENES = ("attached", "base_box", "empty", "pillars", "table")
+LISTS = ("joint_problems", "position_problems", "infeasible")
+
+
+def fields_of(name: str):
+    path = shared.shared_data() / "planning_problems" / f"{name}.json"
+    return path, json.loads(path.read_text())
+
+
+@cache
+def judged(name: str):
+    _, fields = fields_of(name)
+    return fields, Judge(shared.SHARED, fields)
+
+
+def straight(start, goal, duration_s: float):
+    """A motion on a line, from rest to rest, as the command writes it."""
+    s = np.linspace(0.0, 1.0, 101)[:, np.newaxis]
+    start, away = np.array(start), np.array(goal) - np.array(start)
+    return {
+        "time_from_start": (s[:, 0] * duration_s).tolist(),
+        "positions": (start + away * (3.0 * s**2 - 2.0 * s**3)).tolist(),
+        "velocities": (away * 6.0 * (s - s**2) / duration_s).tolist(),
+        "accelerations": (away * (6.0 - 12.0 * s) / duration_s**2).tolist(),
+    }
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_share_of_the_shared_problems_is_planned_and_valid(name: str) -> None:
+    path, fields = fields_of(name)
+    entries = {entry["id"]: entry for key in LISTS for entry in fields[key][::SHARE]}
+    file = problem_file.read(path, model.builtin())
+    outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options(path, ids=tuple(entries)))))
+    wrong = {outcome.asked.id: outcome.code.name for outcome in outcomes if not outcome.expected}
+    assert not wrong
+    answers = plan_command.as_json(outcomes, file.joint_names)
+    judge = judged(name)[1]
+    faults = {one["problem"]: judge.faults(entries[one["problem"]], one) for one in answers if "positions" in one}
+    assert not {name: found for name, found in faults.items() if found}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_judge_agrees_with_the_files_on_what_collides(name: str) -> None:
+    fields, judge = judged(name)
+    for entry in fields["joint_problems"]:
+        assert not judge.collides(np.array(entry["start"]))
+        assert not judge.collides(np.array(entry["goal"]))
+    for entry in fields["infeasible"]:
+        if entry["kind"] in ("start_in_collision", "goal_in_collision"):
+            assert judge.collides(np.array(entry[entry["kind"].split("_")[0]]))
+
+
+def test_the_judge_finds_nothing_wrong_with_a_slow_free_line() -> None:
+    fields, judge = judged("empty")
+    asked = fields["joint_problems"][0]
+    assert judge.faults(asked, straight(asked["start"], asked["goal"], 3.0)) == []
+
+
+FAULTS = {
+    "too fast": ({}, 0.8, "acceleration limit"),
+    "another goal": ({"goal": [0.0] * 5}, 3.0, "does not end in the goal"),
+    "another start": ({"start": [0.0] * 5}, 3.0, "does not start at the start"),
+}
+
+
+@pytest.mark.parametrize(("change", "duration_s", "words"), FAULTS.values(), ids=FAULTS)
+def test_the_judge_finds_what_is_wrong(change, duration_s: float, words: str) -> None:
+    fields, judge = judged("empty")
+    asked = fields["joint_problems"][0]
+    faults = judge.faults({**asked, **change}, straight(asked["start"], asked["goal"], duration_s))
+    assert any(words in fault for fault in faults)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_judge_finds_lines_that_are_not_free(name: str) -> None:
+    fields, judge = judged(name)
+    blocked = [entry for entry in fields["joint_problems"] if not entry["direct_valid"]]
+    for asked in blocked:
+        faults = judge.faults(asked, straight(asked["start"], asked["goal"], 3.0))
+        assert any(fault.startswith("touches") for fault in faults)
+
+
+def test_the_judge_sees_contact_between_two_samples() -> None:
+    fields, judge = judged("pillars")
+    asked = next(entry for entry in fields["joint_problems"] if not entry["direct_valid"])
+    motion = {key: values[::100] for key, values in straight(asked["start"], asked["goal"], 3.0).items()}
+    assert any(fault.startswith("touches") for fault in judge.faults(asked, motion))

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import math
+from collections.abc import AsyncIterator
+
+import numpy as np
+import pytest
+import pytest_asyncio
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.problem import PlanningFailure, StateAnswer
+from planners.scene import Box, Mesh, Pose, Scene, SceneObject
+from planners.worker_process import (
+    MAX_ALLOWED_TIME_S,
+    OBJECT_BYTES,
+    PART_BYTES,
+    WorkerProcess,
+    allowed_time_s,
+    parts,
+)
+from robot import model
+from robot.processes import MAX_MESSAGE_BYTES
+from tests.helpers.requests import EASY, REQUESTS, STATE
+
+TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def worker() -> AsyncIterator[WorkerProcess]:
+    loaded = asyncio.Event()
+    made = WorkerProcess(model.builtin(), 1 << 30, lambda _worker, _refusal: loaded.set(), lambda _worker: None)
+    await made.start()
+    await asyncio.wait_for(loaded.wait(), 20.0)
+    yield made
+    await made.kill()
+
+
+in_one_loop = pytest.mark.asyncio(loop_scope="module")
+
+
+def boxes(count: int) -> tuple[SceneObject, ...]:
+    return tuple(
+        SceneObject(f"box {i}", ((Box((0.01, 0.01, 0.01)), Pose()),), Pose((2.0 + 0.02 * i, 0.0, 0.0)))
+        for i in range(count)
+    )
+
+
+@in_one_loop
+async def test_a_scene_is_sent_again_only_when_its_version_is_another(worker: WorkerProcess) -> None:
+    assert isinstance(await worker.ask(STATE, Scene(1, TWINS)), PlanningFailure)
+    # The same version says that nothing has changed; the worker still holds what it refused.
+    assert isinstance(await worker.ask(STATE, Scene(1)), PlanningFailure)
+    assert isinstance(await worker.ask(STATE, Scene(2)), StateAnswer)
+    assert worker.has(Scene(2))
+    assert not worker.has(Scene(1))
+
+
+@in_one_loop
+async def test_a_scene_given_up_half_way_is_sent_anew(worker: WorkerProcess) -> None:
+    large = Scene(3, boxes(600))
+    asking = asyncio.create_task(worker.ask(STATE, large))
+    await asyncio.sleep(0)
+    asking.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await asking
+    await worker.cancel()
+    assert not worker.has(large)
+    # Objects that came twice would be refused as duplicates.
+    assert isinstance(await worker.ask(STATE, large), StateAnswer)
+
+
+@in_one_loop
+async def test_what_no_message_can_hold_is_refused_and_harms_nothing(worker: WorkerProcess) -> None:
+    huge = Mesh(np.zeros((MAX_MESSAGE_BYTES // 24 + 1, 3)), np.zeros((0, 3), dtype=np.int32))
+    answer = await worker.ask(STATE, Scene(4, (SceneObject("huge", ((huge, Pose()),)),)))
+    assert isinstance(answer, PlanningFailure)
+    assert str(MAX_MESSAGE_BYTES) in answer.message
+    assert isinstance(await worker.ask(STATE, Scene(5)), StateAnswer)
+
+
+meshes = st.integers(0, 3 * PART_BYTES // 24).map(
+    lambda vertices: Mesh(np.zeros((vertices, 3)), np.zeros((0, 3), dtype=np.int32))
+)
+
+
+@given(st.lists(st.one_of(meshes, st.just(Box((1.0, 1.0, 1.0)))), max_size=20))
+def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shapes: list[Mesh | Box]) -> None:
+    objects = tuple(SceneObject(str(i), ((shape, Pose()),)) for i, shape in enumerate(shapes))
+    divided = list(parts(objects))
+    assert tuple(each for part in divided for each in part) == objects
+    for part in divided:
+        sizes = [
+            OBJECT_BYTES + (shape.vertices_m.nbytes if isinstance(shape, Mesh) else 0)
+            for each in part
+            for shape, _ in each.shapes
+        ]
+        assert sum(sizes[:-1]) < PART_BYTES
+
+
+def test_ten_thousand_objects_come_in_many_parts() -> None:
+    assert max(len(part) for part in parts(boxes(10_000))) <= 128
+
+
+@pytest.mark.parametrize("allowed_s", [math.nan, math.inf, -1.0, 1e9])
+def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever(allowed_s: float) -> None:
+    assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=allowed_s)) == MAX_ALLOWED_TIME_S
+
+
+def test_every_kind_of_request_has_an_allowed_time() -> None:
+    assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=0.7)) == 0.7
+    assert all(0.0 < allowed_time_s(request) < 10.0 for request, _ in REQUESTS)

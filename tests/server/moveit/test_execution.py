@@ -22,7 +22,7 @@ from robot.messages import ArmConfig, ArmState, Mode
 from server.config import EmulatorSettings
 from server.emulated_bus import EmulatedBus
 from server.goal_queue import GoalState, Progress
-from server.moveit.execution import GoalExecutor
+from server.moveit.execution import STATE_MAX_AGE_S, GoalExecutor
 from server.moveit.failed_goals import FailedGoals
 from server.moveit.goals import MotionRequest
 from server.moveit.parameters import MoveItParameters
@@ -39,6 +39,8 @@ class Rig:
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
+        # While other tests' processes start, this one may not have been given its turn to read.
+        await self.until(lambda: self.arm.state_age_s < STATE_MAX_AGE_S)
         return await self.executor.run(MotionRequest(JointGoal(positions_rad)), self.news.append)
 
     async def until(self, condition: Callable[[], bool]) -> None:

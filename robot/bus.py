@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import cycle
 
 from scservo_sdk import (
@@ -28,6 +27,7 @@ from scservo_sdk import (
     PacketHandler,
 )
 
+from robot.counters import BusCounters
 from robot.errors import NoReply, PortLost
 from robot.packets import (
     StatusFrame,
@@ -64,25 +64,6 @@ CALM_S = 1.0
 MAX_BURST_BYTES = 2048
 
 LITTLE_ENDIAN = 0
-
-
-@dataclass
-class BusCounters:
-    """What happened on the bus since it was opened.
-
-    Attributes:
-        sent: instructions written.
-        replies: valid replies received.
-        timeouts: replies that were expected and did not come, or not soundly.
-        discarded_bytes: bytes that belonged to no valid reply.
-        retries: instructions repeated because the servo gave no valid reply.
-    """
-
-    sent: int = 0
-    replies: int = 0
-    timeouts: int = 0
-    discarded_bytes: int = 0
-    retries: int = 0
 
 
 class Bus:

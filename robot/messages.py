@@ -68,6 +68,7 @@ class ArmConfig:
         warn_temperature_c: servos above it are told of [degC].
         slow_temperature_c: motions slow down while a servo is above it [degC].
         stop_temperature_c: a servo above it is a fault [degC].
+        fault: one that an earlier arm process had latched and nobody has reset.
     """
 
     robot: RobotModel
@@ -82,6 +83,7 @@ class ArmConfig:
     warn_temperature_c: float = 55.0
     slow_temperature_c: float = 60.0
     stop_temperature_c: float = 65.0
+    fault: Fault | None = None
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,13 @@ class Execute:
 
 @dataclass(frozen=True)
 class Stop:
-    """Brake along the path of the motion in progress, if any."""
+    """Brake along the path.
+
+    Attributes:
+        motion_id: the motion to stop; None stops every motion in progress.
+    """
+
+    motion_id: int | None = None
 
 
 @dataclass(frozen=True)
@@ -156,15 +164,17 @@ class ArmState:
 
     Attributes:
         stamp_s: wall-clock time of the reading [s since the epoch].
-        reason: why the arm is disconnected; empty otherwise.
+        reason: why the arm is disconnected, or connected but refused by its checks; empty otherwise. A connected arm
+            without a reason is still being checked or switched on.
         fault: what must be reset before the arm moves again.
         joint_names: order of the arrays.
         position_rad: measured, shape (joints,).
         velocity_rad_s: measured, shape (joints,).
+        age_s: how long before ``stamp_s`` each joint was asked for its reading, shape (joints,) [s].
         load: share of full motor duty, signed, -1..1, shape (joints,).
         current_a: motor current, signed, shape (joints,) [A].
         goal_rad: commanded, shape (joints,).
-        motion_id: the motion in progress, or None.
+        motion_id: the motion in progress, of several the one with most joints; or None.
         fraction: share of the motion that is done, 0..1.
         remaining_s: time left to the end of the motion [s].
         lateness_s: by how much the latest ticks started late, one value each [s].
@@ -176,6 +186,7 @@ class ArmState:
     reason: str = ""
     position_rad: Vector | None = None
     velocity_rad_s: Vector | None = None
+    age_s: Vector | None = None
     load: Vector | None = None
     current_a: Vector | None = None
     goal_rad: Vector | None = None

@@ -8,14 +8,20 @@ import itertools
 import logging
 import time
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 from robot.messages import (
     ArmConfig,
+    ArmHealth,
     ArmState,
+    Command,
+    CommandDone,
     Execute,
+    Heartbeat,
     Mode,
     MotionEnded,
+    Order,
     Outcome,
     Shutdown,
     Stop,
@@ -25,31 +31,57 @@ from robot.trajectory import Trajectory
 
 log = logging.getLogger("armbridge.arm")
 
-# Longer than the arm process itself takes to brake and end.
-CLOSE_TIMEOUT_S = 2.5
+Answer = TypeVar("Answer", MotionEnded, CommandDone)
+
+# Ends of motions that come with a latched fault.
+FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)
+
+# Longer than the arm process itself takes to brake, relax and end.
+CLOSE_TIMEOUT_S = 4.5
+
+# A fifth of the shortest silence that the arm process takes for the server's death.
+HEARTBEAT_S = 0.1
+
+# Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
+ORDER_TIMEOUT_S = 6.0
 
 # A process that dies at once must not be restarted in a tight loop.
 RESTART_DELAY_S = 0.5
 
 
 class Arm:
-    """The running arm process; restarted when it dies, with the motion in progress answered.
+    """The running arm process; restarted when it dies, with motions and orders in progress answered.
 
     Args:
         config: the arm.
         on_state: called in the event loop with every state of the arm.
+        on_health: called in the event loop with its condition, once a second.
+
+    Attributes:
+        state: the latest state.
+        stops: how often all motion was stopped; a motion that was asked for before must not begin after it.
     """
 
-    def __init__(self, config: ArmConfig, on_state: Callable[[ArmState], None]) -> None:
+    def __init__(
+        self,
+        config: ArmConfig,
+        on_state: Callable[[ArmState], None],
+        on_health: Callable[[ArmHealth], None] = lambda _health: None,
+    ) -> None:
         self._config = config
         self._on_state = on_state
+        self._on_health = on_health
         self._child: Child | None = None
         self._motions: dict[int, asyncio.Future[MotionEnded]] = {}
+        self._orders: dict[int, asyncio.Future[CommandDone]] = {}
+        self._held: list[MotionEnded | CommandDone] = []
         self._ids = itertools.count(1)
         self._closing = False
         self._restart: asyncio.Task[None] | None = None
+        self._heartbeat: asyncio.Task[None] | None = None
         self._first_state = asyncio.Event()
         self._state_at_s = time.monotonic()
+        self.stops = 0
         self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason="the arm process is starting")
 
     async def start(self, timeout_s: float) -> None:
@@ -59,6 +91,7 @@ class Arm:
             TimeoutError: no state came within ``timeout_s``.
         """
         await self._start_child()
+        self._heartbeat = asyncio.create_task(self._beat(), name="heartbeat of the arm process")
         await asyncio.wait_for(self._first_state.wait(), timeout_s)
 
     @property
@@ -71,8 +104,16 @@ class Arm:
         """Time since the last state came [s]."""
         return time.monotonic() - self._state_at_s
 
-    def execute(self, trajectory: Trajectory) -> asyncio.Future[MotionEnded]:
-        """Send a trajectory to the arm, at once and in order with :meth:`stop`; the future is its one end."""
+    def execute(
+        self, trajectory: Trajectory, *, gripping: bool = False, torque_share: float = 1.0
+    ) -> asyncio.Future[MotionEnded]:
+        """Send a trajectory to the arm, at once and in order with :meth:`stop`; the future is its one end.
+
+        Args:
+            trajectory: of some joints, the others hold.
+            gripping: whether to stall means to have gripped something.
+            torque_share: share of its torque limit that each joint may use, in (0, 1].
+        """
         motion_id = next(self._ids)
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
         if self._child is None or not self._child.running:
@@ -80,13 +121,41 @@ class Arm:
             return ended
         self._motions[motion_id] = ended
         ended.add_done_callback(lambda _: self._motions.pop(motion_id, None))
-        self._child.send(Execute(motion_id, trajectory))
+        self._child.send(Execute(motion_id, trajectory, gripping, torque_share))
         return ended
 
-    def stop(self) -> None:
-        """Brake along the path of the motion in progress, if any."""
-        if self._child is not None:
-            self._child.send(Stop())
+    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
+        """Brake along the path: one motion in progress, or all of them."""
+        numbers: list[int | None] = [number for number, each in self._motions.items() if each is motion]
+        if motion is None:
+            self.stops += 1
+            numbers = [None]
+        for number in numbers:
+            if self._child is not None:
+                self._child.send(Stop(number))
+
+    async def rest(self, timeout_s: float) -> bool:
+        """Wait until every motion in progress has ended; returns whether they have within ``timeout_s``."""
+        motions = list(self._motions.values())
+        if motions:
+            await asyncio.wait(motions, timeout=timeout_s)
+        return all(motion.done() for motion in motions)
+
+    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+        """Send an order to the arm, before this returns; the future is its one answer, in time."""
+        number = next(self._ids)
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[CommandDone] = loop.create_future()
+        if self._child is None or not self._child.running:
+            answered.set_result(CommandDone(number, done=False, message="the arm process is not running"))
+            return answered
+        self._child.send(Command(number, order))
+        self._orders[number] = answered
+        late = CommandDone(number, done=False, message=f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s")
+        timer = loop.call_later(ORDER_TIMEOUT_S, _settle, answered, late)
+        answered.add_done_callback(lambda _: timer.cancel())
+        answered.add_done_callback(lambda _: self._orders.pop(number, None))
+        return answered
 
     async def close(self) -> None:
         """Brake the arm and end the process."""
@@ -95,6 +164,8 @@ class Arm:
             self._restart.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._restart
+        if self._heartbeat is not None:
+            self._heartbeat.cancel()
         if self._child is not None:
             self._child.send(Shutdown())
             await self._child.wait(CLOSE_TIMEOUT_S)
@@ -104,31 +175,78 @@ class Arm:
         await self._child.connect()
         self._child.send(self._config)
 
+    async def _beat(self) -> None:
+        while True:
+            await asyncio.sleep(HEARTBEAT_S)
+            if self._child is not None:
+                self._child.send(Heartbeat())
+
     def _received(self, message: Any) -> None:
         if isinstance(message, ArmState):
-            self.state = message
-            self._state_at_s = time.monotonic()
+            self._take_state(message)
+        elif isinstance(message, ArmHealth):
+            self._on_health(message)
+        elif isinstance(message, MotionEnded | CommandDone):
+            # Told with the next state: who hears of a fault, or that the arm is enabled, must find it so.
+            if self._shows_in_state(message):
+                self._held.append(message)
+            else:
+                self._answer(message)
+
+    def _shows_in_state(self, message: MotionEnded | CommandDone) -> bool:
+        """Whether a state that tells of the message is still to come."""
+        if isinstance(message, CommandDone):
+            return message.done
+        return message.outcome in FAULTS and self.state.mode is not Mode.DISCONNECTED
+
+    def _answer(self, message: MotionEnded | CommandDone) -> None:
+        if isinstance(message, MotionEnded):
+            _settle(self._motions.get(message.motion_id), message)
+        else:
+            _settle(self._orders.get(message.number), message)
+
+    def _answer_held(self) -> None:
+        held, self._held = self._held, []
+        for message in held:
+            self._answer(message)
+
+    def _take_state(self, state: ArmState) -> None:
+        self.state = state
+        self._state_at_s = time.monotonic()
+        # An arm that is still being checked or switched on is not worth being told of yet.
+        if state.mode is not Mode.CONNECTED or state.reason:
             self._first_state.set()
-            self._on_state(message)
-        elif isinstance(message, MotionEnded):
-            waiting = self._motions.get(message.motion_id)
-            if waiting is not None and not waiting.done():
-                waiting.set_result(message)
+        self._answer_held()
+        self._on_state(state)
 
     def _exited(self) -> None:
+        self._answer_held()
+        for motion_id, motion in list(self._motions.items()):
+            _settle(motion, MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process ended during the motion"))
+        for number, answered in list(self._orders.items()):
+            _settle(answered, CommandDone(number, done=False, message="the arm process ended before it had answered"))
         if self._closing:
             return
         log.error("the arm process ended; starting it again")
-        self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason="the arm process ended and is starting again")
-        for motion_id, waiting in list(self._motions.items()):
-            if not waiting.done():
-                waiting.set_result(
-                    MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process ended during the motion")
-                )
+        reason = "the arm process ended and is starting again"
+        self._take_state(
+            ArmState(time.time(), Mode.DISCONNECTED, self.state.joint_names, reason=reason, fault=self.state.fault)
+        )
         self._restart = asyncio.create_task(self._start_again(), name="restart arm process")
 
     async def _start_again(self) -> None:
         if self._child is not None:
             await self._child.kill()
         await asyncio.sleep(RESTART_DELAY_S)
+        if self._closing:
+            # Python 3.11's wait_for may swallow the cancellation (bpo-37658).
+            return
+        # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
+        # not be switched on.
+        self._config = replace(self._config, start_enabled=False, fault=self.state.fault)
         await self._start_child()
+
+
+def _settle(waiting: asyncio.Future[Answer] | None, answer: Answer) -> None:
+    if waiting is not None and not waiting.done():
+        waiting.set_result(answer)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import cycle
 
 from scservo_sdk import (
@@ -28,6 +27,7 @@ from scservo_sdk import (
     PacketHandler,
 )
 
+from robot.counters import BusCounters
 from robot.errors import NoReply, PortLost
 from robot.packets import (
     StatusFrame,
@@ -52,37 +52,28 @@ QUIET_LIMIT_S = 0.03
 # Lengths of single reads, all longer than any register and shorter than any sync read.
 READ_LENGTHS = range(3, 15)
 
-# Sync reads ask for this many bytes at least, and for up to SYNC_READ_PADDINGS - 1 more while the line is
-# disturbed: a reply would have to come sixteen failed reads (over 70 ms) late to be taken for a new one.
+# Sync reads ask for this many bytes at least, and for up to SYNC_READ_PADDINGS - 1 steps more while the line
+# is disturbed: a reply would have to come sixteen failed reads (over 70 ms) late to be taken for a new one.
 SYNC_READ_MIN_LENGTH = 15
 SYNC_READ_PADDINGS = 16
 
+# The telemetry block has 15 bytes and the control block 16: even paddings keep their lengths apart, always.
+SYNC_READ_PADDING_STEP = 2
+
 # No reply is this late: a line undisturbed for as long is safe to use without padding again.
 CALM_S = 1.0
+
+# Ids that a servo can have; 254 is the broadcast.
+SERVO_IDS = range(254)
+
+# All servos hear a broadcast ping, and each replies when those with lower ids have had their time. How long that is no
+# document says; lerobot waits 3 ms for each of 252 ids.
+PING_SLOT_S = 0.003
 
 # More than 20 ms of wire time; who sends that much in answer to one question is no servo.
 MAX_BURST_BYTES = 2048
 
 LITTLE_ENDIAN = 0
-
-
-@dataclass
-class BusCounters:
-    """What happened on the bus since it was opened.
-
-    Attributes:
-        sent: instructions written.
-        replies: valid replies received.
-        timeouts: replies that were expected and did not come, or not soundly.
-        discarded_bytes: bytes that belonged to no valid reply.
-        retries: instructions repeated because the servo gave no valid reply.
-    """
-
-    sent: int = 0
-    replies: int = 0
-    timeouts: int = 0
-    discarded_bytes: int = 0
-    retries: int = 0
 
 
 class Bus:
@@ -112,7 +103,7 @@ class Bus:
         """Close the port; the servos keep doing what they were told."""
         self._port.closePort()
 
-    def ping(self, servo_id: int) -> int:
+    def ping(self, servo_id: int, attempts: int = ATTEMPTS) -> int:
         """Find out whether a servo is there.
 
         Returns:
@@ -122,27 +113,55 @@ class Bus:
             NoReply: it is not, or not soundly connected.
             PortLost: the port is gone.
         """
-        self._ask_one(servo_id, INST_PING, ())
-        return self.read(servo_id, Register.MODEL_NUMBER)
+        self._ask_one(servo_id, INST_PING, (), attempts)
+        return self.read(servo_id, Register.MODEL_NUMBER, attempts)
 
-    def read(self, servo_id: int, register: Register) -> int:
+    def broadcast_ping(self) -> dict[int, int]:
+        """Ask who is there; takes 0.8 s.
+
+        Two servos with the same id speak at once: what they say counts as ``discarded_bytes``.
+
+        Returns:
+            The error byte of each servo whose reply was sound, by its id.
+
+        Raises:
+            PortLost: the port is gone.
+        """
+        self._await_quiet()
+        self._send(instruction_packet(BROADCAST_ID, INST_PING))
+        until_s = self._line_free_s + len(SERVO_IDS) * PING_SLOT_S + self._port.latency_s
+        received = b""
+        while (remaining_s := until_s - time.monotonic()) > 0.0 and len(received) < MAX_BURST_BYTES:
+            received += self._port.receive(remaining_s)
+        frames = parse_status_frames(received, SERVO_IDS, 0)
+        self.counters.replies += len(frames)
+        self.counters.discarded_bytes += len(received) - status_bytes(0, len(frames))
+        self._note_disturbance()
+        return {servo_id: frame.error for servo_id, frame in sorted(frames.items())}
+
+    def read(self, servo_id: int, register: Register, attempts: int = ATTEMPTS) -> int:
         """Read one register.
+
+        Args:
+            servo_id: the servo to ask.
+            register: what to read.
+            attempts: how often to ask; a silent servo costs up to 9 ms each time.
 
         Raises:
             NoReply: the servo gave no valid reply.
             PortLost: the port is gone.
         """
-        for attempt in range(ATTEMPTS):
+        for attempt in range(attempts):
             self._await_quiet()
             length = next(self._read_lengths)
             packet = instruction_packet(servo_id, INST_READ, (register, length))
             frame = self._exchange(packet, (servo_id,), length).get(servo_id)
             if frame is not None:
                 return decode(register, frame.data[: LAYOUT[register].size])
-            self._count_retry(attempt)
-        raise NoReply(servo_id, ATTEMPTS)
+            self._count_retry(attempt, attempts)
+        raise NoReply(servo_id, attempts)
 
-    def write(self, servo_id: int, register: Register, value: int) -> None:
+    def write(self, servo_id: int, register: Register, value: int, attempts: int = ATTEMPTS) -> None:
         """Write one register and wait for the acknowledgement.
 
         An acknowledgement has no content to check: what matters for safety must be read back.
@@ -152,7 +171,7 @@ class Bus:
             PortLost: the port is gone.
             ValueError: the register cannot hold the value.
         """
-        self._ask_one(servo_id, INST_WRITE, (register, *encode(register, value)))
+        self._ask_one(servo_id, INST_WRITE, (register, *encode(register, value)), attempts)
 
     def sync_read(self, ids: Sequence[int], address: int, length: int) -> dict[int, StatusFrame]:
         """Read the same block of several servos in one transaction.
@@ -197,18 +216,18 @@ class Bus:
         """
         self._send(instruction_packet(BROADCAST_ID, INST_WRITE, (Register.TORQUE_ENABLE, 0)))
 
-    def _ask_one(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> None:
+    def _ask_one(self, servo_id: int, instruction: int, parameters: Sequence[int], attempts: int) -> None:
         """Send an instruction whose reply carries no data, until the servo replies."""
         packet = instruction_packet(servo_id, instruction, parameters)
-        for attempt in range(ATTEMPTS):
+        for attempt in range(attempts):
             self._await_quiet()
             if self._exchange(packet, (servo_id,), 0):
                 return
-            self._count_retry(attempt)
-        raise NoReply(servo_id, ATTEMPTS)
+            self._count_retry(attempt, attempts)
+        raise NoReply(servo_id, attempts)
 
-    def _count_retry(self, attempt: int) -> None:
-        if attempt + 1 < ATTEMPTS:
+    def _count_retry(self, attempt: int, attempts: int) -> None:
+        if attempt + 1 < attempts:
             self.counters.retries += 1
 
     def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
@@ -267,7 +286,7 @@ class Bus:
         elif not self._padding_is_safe:
             self._padding = (self._padding + 1) % SYNC_READ_PADDINGS
         self._padding_is_safe = True
-        return self._padding
+        return self._padding * SYNC_READ_PADDING_STEP
 
     def _await_quiet(self) -> None:
         """Discard what nobody asked for, and after a disturbance wait until no more comes."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot.errors import CalibrationError
@@ -25,6 +25,13 @@ MAX_HOMING_OFFSET = 2047
 # By so much the end stops of an ideal arm lie beyond the URDF's limits, which it so can reach. The gripper's range is
 # the URDF's by definition.
 NOMINAL_OVERTRAVEL_RAD = 0.05
+
+# A zero trim corrects an arm whose range is a little off the URDF's (20 deg at most on measured arms); a larger one
+# hides a wrong calibration.
+MAX_ZERO_OFFSET_RAD = 0.5
+
+# Wider ranges come near the seam between tick 4095 and 0, where positions jump by a turn.
+WIDEST_RANGE_TICKS = 4000
 
 # 254 is the broadcast id.
 MAX_SERVO_ID = 253
@@ -165,6 +172,39 @@ class Calibration:
         joints = tuple(_joint(str(path), name, table[name]) for name in names)
         _check_ids(str(path), joints)
         return cls(joints)
+
+    def with_zero_offsets(self, zero_offset_rad: Mapping[str, float]) -> Calibration:
+        """The calibration with a trim of some joints' zero.
+
+        Args:
+            zero_offset_rad: by joint, what is added to its position [rad]; joints not named keep theirs.
+
+        Raises:
+            CalibrationError: there is no such joint, it is the gripper, or the trim is too large.
+        """
+        names = [joint.joint for joint in self.joints if not joint.is_gripper]
+        for name, offset_rad in zero_offset_rad.items():
+            if name not in names:
+                raise CalibrationError("zero_offset_rad", name, f"must be one of the arm's joints, {', '.join(names)}")
+            if not abs(offset_rad) <= MAX_ZERO_OFFSET_RAD:
+                raise CalibrationError(
+                    "zero_offset_rad", name, f"must be within +-{MAX_ZERO_OFFSET_RAD} rad, not {offset_rad}"
+                )
+        return Calibration(
+            tuple(
+                replace(joint, zero_offset_rad=zero_offset_rad.get(joint.joint, joint.zero_offset_rad))
+                for joint in self.joints
+            )
+        )
+
+    def warnings(self) -> tuple[str, ...]:
+        """What looks wrong in it, a sentence each, though it can be used."""
+        return tuple(
+            f"{joint.joint} has a range of {joint.range_max - joint.range_min} ticks, more than {WIDEST_RANGE_TICKS}: "
+            "its sweep went across the seam between 4095 and 0; calibrate anew from the middle of the joint's range"
+            for joint in self.joints
+            if joint.joint != FREE_TURNING_JOINT and joint.range_max - joint.range_min > WIDEST_RANGE_TICKS
+        )
 
 
 def _nominal(spec: JointSpec) -> JointCalibration:

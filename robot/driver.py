@@ -1,31 +1,22 @@
 """Decides, tick by tick, which goals the servos get: pure, time passed in, the last line of defence.
 
 It trusts no command. A trajectory is refused when it is malformed, too fast, outside the soft limits or does not
-start where the arm holds; whatever then comes out is clamped to the soft limits and to a bounded step a tick.
+start where the arm holds; whatever then comes out is clamped to the soft limits and to a bounded step a tick. It
+trusts no reading either: the guards look at each, and what they find ends every motion and stays until it is reset.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from robot.acceptance import refusal
+from robot.faults import Fault, FaultCode
+from robot.guards import Flags, Guards, Temperatures
+from robot.limits import JointBounds
 from robot.messages import Execute, Mode, MotionEnded, Outcome
-from robot.model import RobotModel
-from robot.playback import Playback
-from robot.trajectory import Trajectory, Vector
-
-# A trajectory may start this far from where the arm holds [rad]; the step bound levels the difference.
-START_TOLERANCE_RAD = 0.05
-
-# Backlash (0.9-1.0 deg) plus droop under load (1.8-2.6 deg) of real arms.
-GOAL_TOLERANCE_RAD = 0.06
-
-# Goals within this much of a limit count as on it: rounding to ticks is 0.0015 rad.
-LIMIT_TOLERANCE_RAD = 0.002
-
-# Timing laws meet velocity limits only to a few per cent between their grid points.
-VELOCITY_TOLERANCE = 1.05
+from robot.motion import GOAL_TOLERANCE_RAD, Motion
+from robot.telemetry import Measured
+from robot.trajectory import Vector
 
 # Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
 STEP_MARGIN = 1.5
@@ -33,250 +24,257 @@ STEP_MARGIN = 1.5
 # Longer gaps between two ticks are not made up for: the motion goes on from where it was.
 MAX_TICK_GAP_S = 0.02
 
-TRACKING_ERROR_RAD = 0.35
-TRACKING_TIME_S = 0.2
+# Rate of motions while a servo is hot.
+SLOW_RATE = 0.5
 
-# Ten missed cycles. The arm still follows its last goal meanwhile.
-STALE_AFTER_S = 0.1
+# How a gripper goes on holding: its goal so far beyond the object, at a share of its torque that it can give for long.
+SQUEEZE_RAD = 0.05
+GRIP_TORQUE_SHARE = 0.5
 
-SETTLE_TIMEOUT_S = 1.0
-SETTLED_TICKS = 3
+# How motions end that a fault ended; any other code is Outcome.FAULT.
+_OUTCOMES = {
+    FaultCode.BUS_LOST: Outcome.BUS_LOST,
+    FaultCode.SERVO_SILENT: Outcome.BUS_LOST,
+    FaultCode.TRACKING_LOST: Outcome.TRACKING_LOST,
+}
 
-# 100 Hz for half an hour.
-MAX_SAMPLES = 180_000
+# Pushing on against an obstacle heats the servo: after these the goal goes back to where the joint is.
+_YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
 
-
-@dataclass(frozen=True)
-class JointBounds:
-    """Limits the driver keeps, each of shape (joints,): soft limits [rad], [rad/s], [rad/s^2]."""
-
-    lower_rad: Vector
-    upper_rad: Vector
-    max_velocity: Vector
-    max_acceleration: Vector
-
-    @classmethod
-    def of(cls, robot: RobotModel, joint_names: tuple[str, ...]) -> JointBounds:
-        """The limits of the robot's joints, in the order of the names."""
-        joints = [robot.joints[name] for name in joint_names]
-        return cls(
-            lower_rad=np.array([joint.lower for joint in joints]),
-            upper_rad=np.array([joint.upper for joint in joints]),
-            max_velocity=np.array([joint.max_velocity for joint in joints]),
-            max_acceleration=np.array([joint.max_acceleration for joint in joints]),
-        )
-
-
-@dataclass(frozen=True)
-class Measured:
-    """The last good reading of every joint, shape (joints,), and how old it is [s]."""
-
-    position_rad: Vector
-    age_s: Vector
+# A servo that goes on holding after one of these is damaged: torque is taken off, gently.
+RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCURRENT})
 
 
 class Driver:
     """The arm's motion state.
 
+    A new driver does not drive: the arm is relaxed until :meth:`hold`.
+
     Args:
         joint_names: order of every array.
         bounds: limits of the joints.
-        hold_rad: goals the servos have now, shape (joints,) [rad].
-        now_s: monotonic time [s].
+        guards: look at every reading.
+        full_torque: share of full duty that each joint may use at most, shape (joints,).
+        temperatures: when motions slow down.
+        fault: one that was found before and not reset.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], bounds: JointBounds, hold_rad: Vector, now_s: float) -> None:
+    def __init__(
+        self,
+        joint_names: tuple[str, ...],
+        bounds: JointBounds,
+        guards: Guards,
+        full_torque: Vector,
+        temperatures: Temperatures,
+        fault: Fault | None = None,
+    ) -> None:
         self._names = joint_names
-        self._bounds = bounds
-        self._goal_rad = hold_rad.copy()
-        self._hold_rad = self._goal_rad
-        self._last_step_s = now_s
-        self._motion: _Motion | None = None
+        self.bounds = bounds
+        self.guards = guards
+        self._full_torque = full_torque
+        self._slow_c = temperatures.slow_c
+        self._share = np.ones(len(joint_names))
+        self._goal_rad = self._hold_rad = np.zeros(len(joint_names))
+        self._last_step_s: float | None = None
+        self._motions: list[Motion] = []
+        self._pending: Fault | None = None
+        self.driven = False
+        self.fault = fault
 
     @property
     def mode(self) -> Mode:
+        """RELAXED, HOLDING, MOVING or FAULT."""
+        if self.fault is not None:
+            return Mode.FAULT
+        if not self.driven:
+            return Mode.RELAXED
+        return Mode.MOVING if self._motions else Mode.HOLDING
+
+    @property
+    def moving(self) -> bool:
         """Whether a motion is in progress."""
-        return Mode.HOLDING if self._motion is None else Mode.MOVING
+        return bool(self._motions)
 
     @property
     def goal_rad(self) -> Vector:
-        """The goals given last, shape (joints,) [rad]."""
+        """The goals given last, or where the arm is while it is relaxed, shape (joints,) [rad]."""
         return self._goal_rad
 
     @property
-    def motion_id(self) -> int | None:
-        """The motion in progress."""
-        return None if self._motion is None else self._motion.motion_id
+    def torque_limit(self) -> Vector:
+        """Share of full duty that each joint may use now, shape (joints,)."""
+        return self._full_torque * self._share
 
     @property
-    def fraction(self) -> float:
-        """Share of the motion in progress that is done."""
-        return 0.0 if self._motion is None else self._motion.playback.fraction
+    def motion(self) -> Motion | None:
+        """The motion in progress; of several the one with most joints."""
+        return max(self._motions, key=lambda motion: len(motion.columns), default=None)
 
-    @property
-    def remaining_s(self) -> float:
-        """Time left of the motion in progress [s]."""
-        return 0.0 if self._motion is None else self._motion.playback.remaining_s
+    def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
+        """Take note that the servos have these goals, and hold there, or where they are if that is far away.
+
+        Args:
+            goal_rad: the goals, shape (joints,) [rad].
+            measured: where the joints are; None if they are at their goals.
+        """
+        self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
+        if measured is not None:
+            self._yield_to(measured)
+        self._share = np.ones(len(self._names))
+        self.guards.restart()
+        self.driven = True
+
+    def release(self) -> None:
+        """Take note that torque is off, or going off."""
+        self.driven = False
 
     def execute(self, command: Execute) -> MotionEnded | None:
         """Begin a motion; returns the refusal, or None when it began."""
-        reason = self._refusal(command.trajectory)
+        reason = self._refusal(command)
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
-        columns = np.array([self._names.index(name) for name in command.trajectory.joint_names])
-        playback = Playback(command.trajectory, self._bounds.max_acceleration[columns])
-        self._motion = _Motion(command.motion_id, playback, columns)
+        motion = Motion(command, self._names, self.bounds)
+        self._motions.append(motion)
+        self._share[motion.columns] = command.torque_share
         return None
 
-    def stop(self) -> None:
-        """Brake along the path of the motion in progress."""
-        if self._motion is not None:
-            self._motion.playback.stop()
+    def _refusal(self, command: Execute) -> str:
+        """Why a motion may not begin, or an empty text."""
+        if self.fault is not None or self._pending is not None:
+            return f"the arm has a fault: {self.fault or self._pending}"
+        if not self.driven:
+            return "the arm is relaxed: enable it first"
+        if not 0.0 < command.torque_share <= 1.0:
+            return f"torque_share is {command.torque_share}; it must be above 0 and at most 1"
+        for motion in self._motions:
+            both = set(motion.command.trajectory.joint_names) & set(command.trajectory.joint_names)
+            if both:
+                return f"motion {motion.motion_id} of joint {min(both)} is in progress"
+        return refusal(command.trajectory, self._names, self.bounds, self._goal_rad)
 
-    def step(self, measured: Measured, now_s: float) -> MotionEnded | None:
-        """Advance one tick: sets :attr:`goal_rad`, and returns the end of the motion when this tick ends it."""
-        elapsed_s = min(max(now_s - self._last_step_s, 0.0), MAX_TICK_GAP_S)
+    def stop(self, motion_id: int | None = None) -> None:
+        """Brake a motion along its path, or all of them."""
+        for motion in self._motions:
+            if motion_id in (None, motion.motion_id):
+                motion.playback.stop()
+
+    def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
+        """Advance one tick: sets :attr:`goal_rad`, and returns the motions that this tick ends."""
+        elapsed_s = 0.0 if self._last_step_s is None else min(max(now_s - self._last_step_s, 0.0), MAX_TICK_GAP_S)
         self._last_step_s = now_s
-        motion = self._motion
-        if motion is None:
-            self._goal_rad = self._guarded(self._hold_rad, elapsed_s)
-            return None
-        goal_rad = self._goal_rad.copy()
-        goal_rad[motion.columns] = motion.playback.advance(elapsed_s)
-        self._goal_rad = self._hold_rad = self._guarded(goal_rad, elapsed_s)
-        ended = self._fault(motion, measured, now_s) or self._end(motion, measured, now_s)
-        if ended is not None:
-            self._motion = None
-        return ended
+        if not self.driven:
+            self._goal_rad = self._hold_rad = measured.position_rad
+            return []
+        self._advance(measured, elapsed_s)
+        yielding = self._yielding()
+        found = self.guards.check(self._goal_rad, measured, self.torque_limit, now_s, yielding)
+        ended = self._end_gripped(measured, yielding) if yielding.any() else []
+        if found is not None:
+            ended += self.react(found, measured)
+        return ended + self._end_finished(measured, now_s)
 
-    def abandon(self, outcome: Outcome, message: str) -> MotionEnded | None:
-        """End the motion in progress without moving on, because the servos cannot be reached."""
-        if self._motion is None:
-            return None
-        ended = MotionEnded(self._motion.motion_id, outcome, message)
-        self._motion = None
-        return ended
-
-    def _refusal(self, trajectory: Trajectory) -> str:
-        """Why a trajectory may not be played, or an empty text."""
-        if self._motion is not None:
-            return f"motion {self._motion.motion_id} is in progress"
-        malformed = _malformed(trajectory, self._names)
-        if malformed:
-            return malformed
-        columns = [self._names.index(name) for name in trajectory.joint_names]
-        for column, name in enumerate(trajectory.joint_names):
-            reason = self._joint_refusal(trajectory, column, columns[column], name)
-            if reason:
-                return reason
-        return ""
-
-    def _joint_refusal(self, trajectory: Trajectory, column: int, joint: int, name: str) -> str:
-        positions = trajectory.positions_rad[:, column]
-        held = self._goal_rad[joint]
-        # An arm that was switched on outside its soft limits may be brought back inside.
-        lower = min(self._bounds.lower_rad[joint], held) - LIMIT_TOLERANCE_RAD
-        upper = max(self._bounds.upper_rad[joint], held) + LIMIT_TOLERANCE_RAD
-        outside = positions[(positions < lower) | (positions > upper)]
-        if outside.size:
-            return f"joint {name} would go to {outside[0]:.3f} rad, beyond its limits {lower:.3f} to {upper:.3f} rad"
-        if abs(positions[0] - held) > START_TOLERANCE_RAD:
-            return (
-                f"the motion starts with joint {name} at {positions[0]:.3f} rad, but the arm holds it at "
-                f"{held:.3f} rad (tolerance {START_TOLERANCE_RAD} rad)"
-            )
-        speeds = np.abs(np.diff(positions)) / np.diff(trajectory.time_s)
-        limit = self._bounds.max_velocity[joint] * VELOCITY_TOLERANCE
-        if speeds.size and speeds.max() > limit:
-            return f"joint {name} would move at {speeds.max():.2f} rad/s, above its limit of {limit:.2f} rad/s"
-        return ""
+    def _advance(self, measured: Measured, elapsed_s: float) -> None:
+        hot = bool((measured.temperature_c >= self._slow_c).any())
+        wanted = self._hold_rad.copy()
+        for motion in self._motions:
+            motion.playback.ceiling = SLOW_RATE if hot else 1.0
+            wanted[motion.columns] = motion.playback.advance(elapsed_s)
+        self._goal_rad = self._guarded(wanted, elapsed_s)
+        for motion in self._motions:
+            self._hold_rad[motion.columns] = self._goal_rad[motion.columns]
 
     def _guarded(self, goal_rad: Vector, elapsed_s: float) -> Vector:
         """The goal within the step bound of the last one, and not further outside the soft limits than that."""
-        step = self._bounds.max_velocity * elapsed_s * STEP_MARGIN
-        bounded = np.clip(goal_rad, self._goal_rad - step, self._goal_rad + step)
-        lower = np.minimum(self._bounds.lower_rad, self._goal_rad)
-        upper = np.maximum(self._bounds.upper_rad, self._goal_rad)
+        finite = np.where(np.isfinite(goal_rad), goal_rad, self._goal_rad)
+        step = self.bounds.max_velocity * elapsed_s * STEP_MARGIN
+        bounded = np.clip(finite, self._goal_rad - step, self._goal_rad + step)
+        lower = np.minimum(self.bounds.lower_rad, self._goal_rad)
+        upper = np.maximum(self.bounds.upper_rad, self._goal_rad)
         return np.clip(bounded, lower, upper)
 
-    def _fault(self, motion: _Motion, measured: Measured, now_s: float) -> MotionEnded | None:
-        """What ends or stops the motion against its will."""
-        oldest = int(np.argmax(measured.age_s))
-        if measured.age_s[oldest] > STALE_AFTER_S and not motion.lost_bus:
-            motion.lost_bus = (
-                f"the servo of joint {self._names[oldest]} has not answered for {measured.age_s[oldest]:.2f} s"
-            )
-            motion.playback.stop()
-        error = np.abs(measured.position_rad - self._goal_rad)
-        worst = int(np.argmax(error))
-        if error[worst] <= TRACKING_ERROR_RAD:
-            motion.tracking_lost_since_s = None
-            return None
-        if motion.tracking_lost_since_s is None:
-            motion.tracking_lost_since_s = now_s
-        if now_s - motion.tracking_lost_since_s < TRACKING_TIME_S:
-            return None
-        # Pushing on against an obstacle heats the servo: go back, step by bounded step, to where the arm is.
-        self._hold_rad = np.clip(measured.position_rad, self._bounds.lower_rad, self._bounds.upper_rad)
-        message = (
-            f"joint {self._names[worst]} is {error[worst]:.2f} rad behind its goal: blocked, or too weak for the load"
-        )
-        return MotionEnded(motion.motion_id, Outcome.TRACKING_LOST, message)
+    def _yielding(self) -> Flags:
+        """Joints whose stall means that they have gripped something."""
+        yielding = np.zeros(len(self._names), dtype=bool)
+        for motion in self._motions:
+            if motion.command.gripping:
+                yielding[motion.columns] = True
+        return yielding
 
-    def _end(self, motion: _Motion, measured: Measured, now_s: float) -> MotionEnded | None:
-        """The regular end: stopped, or the goal reached and the arm settled there."""
-        playback = motion.playback
-        if not playback.finished:
-            return None
-        if motion.lost_bus:
-            return MotionEnded(motion.motion_id, Outcome.BUS_LOST, motion.lost_bus)
-        if not playback.completed:
-            return MotionEnded(
-                motion.motion_id, Outcome.STOPPED, f"stopped after {playback.fraction:.0%} of the motion"
-            )
-        if motion.end_reached_s is None:
-            motion.end_reached_s = now_s
-        error = np.abs(measured.position_rad - self._goal_rad)
-        motion.settled_ticks = motion.settled_ticks + 1 if error.max() <= GOAL_TOLERANCE_RAD else 0
-        if motion.settled_ticks >= SETTLED_TICKS:
-            return MotionEnded(motion.motion_id, Outcome.REACHED, "the arm is there")
-        if now_s - motion.end_reached_s < SETTLE_TIMEOUT_S:
-            return None
-        worst = int(np.argmax(error))
-        message = (
-            f"joint {self._names[worst]} is still {error[worst]:.3f} rad from its goal {SETTLE_TIMEOUT_S:g} s after "
-            f"the end of the motion (tolerance {GOAL_TOLERANCE_RAD} rad)"
-        )
-        return MotionEnded(motion.motion_id, Outcome.NOT_SETTLED, message)
+    def _end_gripped(self, measured: Measured, yielding: Flags) -> list[MotionEnded]:
+        caught = self.guards.stalled & yielding
+        ended = []
+        for motion in [motion for motion in self._motions if caught[motion.columns].any()]:
+            joint = int(motion.columns[np.argmax(caught[motion.columns])])
+            message = f"joint {self._names[joint]} holds something at {measured.position_rad[joint]:.3f} rad"
+            ended.append(motion.ended(Outcome.GRIPPED, message))
+            self._drop(motion, measured)
+        return ended
 
+    def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
+        ended = []
+        for motion in list(self._motions):
+            end = motion.end(self._goal_rad, measured.position_rad, now_s)
+            if end is not None and self._pending is None:
+                ended.append(end)
+                self._drop(motion, measured if end.outcome is Outcome.GRIPPED else None)
+        if self._pending is not None and all(motion.playback.finished for motion in self._motions):
+            fault, self._pending = self._pending, None
+            ended += self.latch(fault, measured)
+        return ended
 
-@dataclass
-class _Motion:
-    """A trajectory in progress; ``columns`` are the places of its joints in the driver's arrays."""
+    def _drop(self, motion: Motion, gripped: Measured | None) -> None:
+        """Forget a motion; its joints hold their goals, or squeeze what they have gripped."""
+        self._motions.remove(motion)
+        columns = motion.columns
+        if gripped is None:
+            self._share[columns] = 1.0
+            return
+        self._share[columns] = np.minimum(self._share[columns], GRIP_TORQUE_SHARE)
+        position = gripped.position_rad[columns]
+        squeeze = np.clip(self._goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
+        self._hold_rad[columns] = position + squeeze
+        # The goal takes some ticks to come back, during which the joint goes on pushing.
+        self.guards.restart()
 
-    motion_id: int
-    playback: Playback
-    columns: np.ndarray[tuple[int], np.dtype[np.intp]]
-    tracking_lost_since_s: float | None = None
-    end_reached_s: float | None = None
-    settled_ticks: int = 0
-    lost_bus: str = ""
+    def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
+        """Do what a fault asks for; one that is latched already gives way only to one that takes torque off."""
+        if self.fault is None:
+            if found.code is FaultCode.SERVO_SILENT and self._motions:
+                # The others are heard and can be braked along the path; the silent one follows its goals unseen.
+                self._pending = self._pending or found
+                self.stop()
+                return []
+            return self.latch(found, measured)
+        if found.code in RELAXING and self.fault.code not in RELAXING:
+            return self.latch(found, measured)
+        if found.code in _YIELDING:
+            self._yield_to(measured)
+        return []
 
+    def latch(self, fault: Fault, measured: Measured | None = None) -> list[MotionEnded]:
+        """Take note of a fault: every motion ends, and the arm holds where it is until the fault is reset."""
+        self.fault = fault
+        self._pending = None
+        ended = self.abandon(_OUTCOMES.get(fault.code, Outcome.FAULT), str(fault))
+        self._hold_rad = self._goal_rad.copy()
+        if measured is not None and fault.code in _YIELDING:
+            self._yield_to(measured)
+        return ended
 
-def _malformed(trajectory: Trajectory, known: tuple[str, ...]) -> str:
-    """What is wrong with the form of a trajectory, or an empty text."""
-    names = trajectory.joint_names
-    unknown = [name for name in names if name not in known]
-    if unknown or not names or len(set(names)) != len(names):
-        return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
-    samples = trajectory.time_s.shape[0]
-    if not 1 <= samples <= MAX_SAMPLES:
-        return f"the motion has {samples} samples; 1 to {MAX_SAMPLES} are allowed"
-    for array in (trajectory.positions_rad, trajectory.velocities_rad_s, trajectory.accelerations_rad_s2):
-        if array.shape != (samples, len(names)):
-            return f"the motion has an array of shape {array.shape} for {samples} samples of {len(names)} joints"
-        if not np.isfinite(array).all():
-            return "the motion holds a value that is not a finite number"
-    if trajectory.time_s[0] != 0.0 or not (np.diff(trajectory.time_s) > 0.0).all():
-        return "the times of the motion must increase from 0"
-    return ""
+    def _yield_to(self, measured: Measured) -> None:
+        """Give way, step by bounded step, where a joint is far from its goal."""
+        away = np.abs(measured.position_rad - self._goal_rad) > GOAL_TOLERANCE_RAD
+        inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
+        self._hold_rad = np.where(away, inside, self._hold_rad)
+
+    def reset(self) -> None:
+        """Forget the fault."""
+        self.fault = None
+        self.guards.restart()
+
+    def abandon(self, outcome: Outcome, message: str) -> list[MotionEnded]:
+        """End every motion in progress without moving on."""
+        ended = [motion.ended(outcome, message) for motion in self._motions]
+        self._motions = []
+        self._share = np.ones(len(self._names))
+        return ended

@@ -11,6 +11,7 @@
     - CalibrationError (file, field)
     - DescriptionError (source): a URDF or SRDF
     - StartupError: servos that cannot be taken over as they are
+    - OrderRefused: an order that cannot be carried out as things are
 """
 
 from __future__ import annotations
@@ -111,3 +112,7 @@ class DescriptionError(RobotError):
 
 class StartupError(RobotError):
     """Servos that cannot be taken over as they are; the text says what to do."""
+
+
+class OrderRefused(RobotError):  # noqa: N818 - named by the fact
+    """An order to the arm that cannot be carried out as things are; the text says why."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
-from robot.calibration import Calibration
+import numpy as np
+
+from robot.calibration import Calibration, JointCalibration
 from robot.errors import DescriptionError
 from robot.model import RobotModel
+from robot.trajectory import Vector
 
 # Distance of the soft limits from the calibrated end stops: covers backlash (1 deg) and rounding.
 END_STOP_MARGIN_RAD = 0.03
@@ -33,3 +37,54 @@ def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotMode
             )
         joints[joint.name] = replace(joint, lower=lower, upper=upper)
     return replace(robot, joints=joints)
+
+
+@dataclass(frozen=True)
+class JointBounds:
+    """Limits the driver keeps, each of shape (joints,): soft limits [rad], [rad/s], [rad/s^2]."""
+
+    lower_rad: Vector
+    upper_rad: Vector
+    max_velocity: Vector
+    max_acceleration: Vector
+
+    @classmethod
+    def of(cls, robot: RobotModel, joint_names: tuple[str, ...]) -> JointBounds:
+        """The limits of the robot's joints, in the order of the names."""
+        joints = [robot.joints[name] for name in joint_names]
+        return cls(
+            lower_rad=np.array([joint.lower for joint in joints]),
+            upper_rad=np.array([joint.upper for joint in joints]),
+            max_velocity=np.array([joint.max_velocity for joint in joints]),
+            max_acceleration=np.array([joint.max_acceleration for joint in joints]),
+        )
+
+    def within_servos(self, calibration: Calibration, angle_limits_ticks: Mapping[int, tuple[int, int]]) -> JointBounds:
+        """Narrow the soft limits to what the servos' own angle limits let them reach, less the margin.
+
+        Args:
+            calibration: joints in the order of the arrays.
+            angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT by servo id; (0, 0) means none.
+
+        Raises:
+            DescriptionError: nothing is left of a joint's range.
+        """
+        ranges = [_range_of_servo(joint, angle_limits_ticks[joint.servo_id]) for joint in calibration.joints]
+        lower = np.maximum(self.lower_rad, [low for low, _ in ranges])
+        upper = np.minimum(self.upper_rad, [high for _, high in ranges])
+        for joint, low, high in zip(calibration.joints, lower, upper, strict=True):
+            if low >= high:
+                raise DescriptionError(
+                    f"servo {joint.servo_id} ({joint.joint})",
+                    f"has the angle limits {angle_limits_ticks[joint.servo_id]} ticks, which leave nothing of the "
+                    "joint's range: write the calibration to the servos",
+                )
+        return replace(self, lower_rad=lower, upper_rad=upper)
+
+
+def _range_of_servo(joint: JointCalibration, limits_ticks: tuple[int, int]) -> tuple[float, float]:
+    """Ends that a servo's registers allow, less the margin [rad]; both zero is Feetech's multi-turn mode."""
+    if limits_ticks == (0, 0):
+        return -np.inf, np.inf
+    ends = sorted(joint.rad_from_ticks(ticks) for ticks in limits_ticks)
+    return ends[0] + END_STOP_MARGIN_RAD, ends[1] - END_STOP_MARGIN_RAD

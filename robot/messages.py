@@ -6,16 +6,35 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from robot.calibration import Calibration
+from robot.counters import BusCounters
+from robot.faults import Fault
 from robot.model import RobotModel
 from robot.trajectory import Trajectory, Vector
 
 
 class Mode(Enum):
-    """What the arm is doing."""
+    """What the arm is doing: the states of its machine."""
 
     DISCONNECTED = "disconnected"
+    CONNECTED = "connected"
+    RELAXED = "relaxed"
     HOLDING = "holding"
     MOVING = "moving"
+    FAULT = "fault"
+
+
+class EndState(Enum):
+    """What becomes of the arm when nobody drives it any more."""
+
+    HOLD = "hold"
+    RELAX = "relax"
+
+
+class EmergencyPolicy(Enum):
+    """What an emergency stop does: cut torque, with the arm falling, or stop within one tick and hold."""
+
+    TORQUE_OFF = "torque_off"
+    HOLD = "hold"
 
 
 class Outcome(Enum):
@@ -28,6 +47,8 @@ class Outcome(Enum):
     NOT_SETTLED = "not settled"
     BUS_LOST = "bus lost"
     PROCESS_LOST = "process lost"
+    FAULT = "fault"
+    GRIPPED = "gripped"
 
 
 @dataclass(frozen=True)
@@ -39,25 +60,88 @@ class ArmConfig:
         calibration: servos of the joints, and how their ticks are radians.
         port: serial device, ``socket://host:port`` or ``auto``.
         state_rate_hz: how often states go to the server [Hz].
+        start_enabled: whether the arm is made to hold as soon as it is connected; else it stays relaxed.
+        watchdog_s: silence of the server after which the arm is stopped [s].
+        on_server_lost: what becomes of the arm then, and when the server's process is gone.
+        on_exit: what becomes of the arm when the server ends in good order.
+        on_emergency_stop: what an emergency stop does.
+        warn_temperature_c: servos above it are told of [degC].
+        slow_temperature_c: motions slow down while a servo is above it [degC].
+        stop_temperature_c: a servo above it is a fault [degC].
+        fault: one that an earlier arm process had latched and nobody has reset.
     """
 
     robot: RobotModel
     calibration: Calibration
     port: str
     state_rate_hz: float = 50.0
+    start_enabled: bool = True
+    watchdog_s: float = 0.5
+    on_server_lost: EndState = EndState.HOLD
+    on_exit: EndState = EndState.HOLD
+    on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
+    warn_temperature_c: float = 55.0
+    slow_temperature_c: float = 60.0
+    stop_temperature_c: float = 65.0
+    fault: Fault | None = None
 
 
 @dataclass(frozen=True)
 class Execute:
-    """Play a trajectory; the arm must hold, near its first position."""
+    """Play a trajectory; the arm must hold, near its first position.
+
+    Attributes:
+        gripping: whether a joint that stalls on the way has gripped something, which ends the motion well; else a
+            stall is a fault.
+        torque_share: share of its torque limit that the joints of the motion may use, in (0, 1].
+    """
 
     motion_id: int
     trajectory: Trajectory
+    gripping: bool = False
+    torque_share: float = 1.0
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Brake along the path of the motion in progress, if any."""
+    """Brake along the path.
+
+    Attributes:
+        motion_id: the motion to stop; None stops every motion in progress.
+    """
+
+    motion_id: int | None = None
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """The server is alive; it says so ten times a second when it has nothing else to say."""
+
+
+class Order(Enum):
+    """What the server may ask of the arm besides motions."""
+
+    ENABLE = "enable"
+    RELAX = "relax"
+    EMERGENCY_STOP = "emergency_stop"
+    RESET_FAULT = "reset_fault"
+
+
+@dataclass(frozen=True)
+class Command:
+    """One order; its number comes back with :class:`CommandDone`."""
+
+    number: int
+    order: Order
+
+
+@dataclass(frozen=True)
+class CommandDone:
+    """The one answer to a :class:`Command`: whether it was carried out, and a sentence."""
+
+    number: int
+    done: bool
+    message: str
 
 
 @dataclass(frozen=True)
@@ -80,13 +164,17 @@ class ArmState:
 
     Attributes:
         stamp_s: wall-clock time of the reading [s since the epoch].
-        reason: why the arm is disconnected; empty otherwise.
+        reason: why the arm is disconnected, or connected but refused by its checks; empty otherwise. A connected arm
+            without a reason is still being checked or switched on.
+        fault: what must be reset before the arm moves again.
         joint_names: order of the arrays.
         position_rad: measured, shape (joints,).
         velocity_rad_s: measured, shape (joints,).
+        age_s: how long before ``stamp_s`` each joint was asked for its reading, shape (joints,) [s].
         load: share of full motor duty, signed, -1..1, shape (joints,).
+        current_a: motor current, signed, shape (joints,) [A].
         goal_rad: commanded, shape (joints,).
-        motion_id: the motion in progress, or None.
+        motion_id: the motion in progress, of several the one with most joints; or None.
         fraction: share of the motion that is done, 0..1.
         remaining_s: time left to the end of the motion [s].
         lateness_s: by how much the latest ticks started late, one value each [s].
@@ -98,9 +186,63 @@ class ArmState:
     reason: str = ""
     position_rad: Vector | None = None
     velocity_rad_s: Vector | None = None
+    age_s: Vector | None = None
     load: Vector | None = None
+    current_a: Vector | None = None
     goal_rad: Vector | None = None
     motion_id: int | None = None
     fraction: float = 0.0
     remaining_s: float = 0.0
     lateness_s: tuple[float, ...] = field(default=())
+    fault: Fault | None = None
+
+
+@dataclass(frozen=True)
+class ServoHealth:
+    """One servo, as ``/diagnostics`` shows it.
+
+    Attributes:
+        status: ERR byte of its last reply, the bits of register STATUS.
+        age_s: time since its last good reply [s].
+        silent_cycles: cycles in which it did not answer, since the bus was opened.
+        warnings: what to look after, a sentence each.
+    """
+
+    joint: str
+    servo_id: int
+    position_rad: float
+    temperature_c: int
+    voltage_v: float
+    current_a: float
+    load: float
+    torque_enabled: bool | None
+    status: int
+    age_s: float
+    silent_cycles: int
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ArmHealth:
+    """The arm's condition, once a second.
+
+    Attributes:
+        stamp_s: wall-clock time [s since the epoch].
+        bus: counters of the bus since it was opened.
+        lateness_s: start of the ticks after their deadlines in the last second: p50, p99, greatest [s].
+        round_trip_s: time that block reads took in the last second: p50, p99, greatest [s].
+        real_time: whether the process has real-time priority.
+        limits_rad: soft limits that are kept, shape (joints, 2) [rad].
+    """
+
+    stamp_s: float
+    mode: Mode
+    port: str
+    servos: tuple[ServoHealth, ...]
+    bus: BusCounters
+    lateness_s: tuple[float, float, float]
+    round_trip_s: tuple[float, float, float]
+    real_time: bool
+    limits_rad: Vector | None = None
+    fault: Fault | None = None
+    reason: str = ""

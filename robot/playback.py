@@ -9,7 +9,7 @@ from robot.trajectory import Trajectory, Vector
 # While a joint already uses all of its acceleration on the path, braking may add this share of the limit.
 BRAKING_SHARE = 0.5
 
-# Decrease of the rate [1/s] where nothing moves, at the ends of a motion: stops within one tick.
+# Change of the rate [1/s] where nothing moves, at the ends of a motion: stops within one tick.
 STANDSTILL_BRAKING = 1e3
 
 # Below this rate the rest of the stop is shorter than one tick.
@@ -19,8 +19,12 @@ STOPPED_RATE = 1e-3
 class Playback:
     """One trajectory being played.
 
-    The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop. With q(s) the
-    path, the joints feel the velocity rate * q'(s) and the acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
+    The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
+    slower motion. With q(s) the path, the joints feel the velocity rate * q'(s) and the acceleration
+    rate^2 * q''(s) + d(rate)/dt * q'(s).
+
+    Attributes:
+        ceiling: the rate at which to play, in (0, 1].
 
     Args:
         trajectory: the motion.
@@ -33,6 +37,7 @@ class Playback:
         self._path_time_s = 0.0
         self._rate = 1.0
         self._stopping = False
+        self.ceiling = 1.0
 
     @property
     def stopping(self) -> bool:
@@ -57,8 +62,8 @@ class Playback:
 
     @property
     def remaining_s(self) -> float:
-        """Time to the end at full rate [s]."""
-        return max(self.trajectory.duration_s - self._path_time_s, 0.0)
+        """Time to the end at the rate allowed now [s]."""
+        return max(self.trajectory.duration_s - self._path_time_s, 0.0) / self.ceiling
 
     def stop(self) -> None:
         """Begin to brake along the path."""
@@ -66,15 +71,17 @@ class Playback:
 
     def advance(self, elapsed_s: float) -> Vector:
         """Move on by a time and return the goal there, shape (joints,) [rad]."""
-        if self._stopping and self._rate > 0.0:
-            self._rate = max(0.0, self._rate - self._braking_rate() * elapsed_s)
-            if self._rate < STOPPED_RATE:
+        target = 0.0 if self._stopping else self.ceiling
+        if self._rate != target:
+            change = self._largest_change() * elapsed_s
+            self._rate = max(target, self._rate - change) if self._rate > target else min(target, self._rate + change)
+            if self._stopping and self._rate < STOPPED_RATE:
                 self._rate = 0.0
         self._path_time_s = min(self._path_time_s + self._rate * elapsed_s, self.trajectory.duration_s)
         return self.trajectory.sample(self._path_time_s)[0]
 
-    def _braking_rate(self) -> float:
-        """Fastest allowed decrease of the rate [1/s]: what no joint's acceleration limit forbids."""
+    def _largest_change(self) -> float:
+        """Fastest allowed change of the rate [1/s]: what no joint's acceleration limit forbids."""
         _, velocity, acceleration = self.trajectory.sample(self._path_time_s)
         speed = np.abs(velocity)
         in_use = self._rate**2 * np.abs(acceleration)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import io
 import os
 import select
@@ -37,6 +38,9 @@ MAX_CLEARING_READS = 16
 # network.
 LOCAL_LATENCY_S = 0.005
 NETWORK_LATENCY_S = 0.05
+
+# Pseudo terminals: their other end keeps them open, and with that a claim whose owner has died.
+PSEUDO_TERMINALS = "/dev/pts/"
 
 _NOT_FOUND = frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV})
 _PERMISSION = frozenset({errno.EACCES, errno.EPERM})
@@ -88,6 +92,8 @@ class SerialPort(PortHandler):
         with contextlib.suppress(io.UnsupportedOperation):
             self._descriptor = line.fileno()
             self._poll.register(self._descriptor, select.POLLIN)
+            if not os.path.realpath(self.port_name).startswith(PSEUDO_TERMINALS):
+                _claim(self._descriptor)
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
@@ -187,6 +193,12 @@ def _refusal(port: str, code: int | None, reason: str) -> PortError:
     if code in _BUSY:
         return PortBusy(port)
     return PortError(port, f"cannot be opened: {reason}")
+
+
+def _claim(descriptor: int) -> None:
+    """Keep out programs that do not look at pyserial's lock, until the device is closed; no terminal, no claim."""
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
 
 def _ask_for_low_latency(line: serial.Serial) -> None:

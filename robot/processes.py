@@ -80,6 +80,7 @@ class Channel:
         self._socket.setblocking(False)
         self._decoder = Decoder()
         self._pending = bytearray()
+        self._kept: list[Any] = []
         self.closed = False
 
     def fileno(self) -> int:
@@ -88,6 +89,9 @@ class Channel:
 
     def receive(self, timeout_s: float | None) -> list[Any]:
         """Messages that arrive within ``timeout_s`` (None: wait); empty when none came or the server is gone."""
+        if self._kept:
+            kept, self._kept = self._kept, []
+            return kept
         while not self.closed:
             self._flush()
             writing = [self._socket] if self._pending else []
@@ -103,6 +107,7 @@ class Channel:
         while not self.closed:
             messages = self.receive(timeout_s=None)
             if messages:
+                self._kept = messages[1:]
                 return messages[0]
         return None
 

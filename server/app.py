@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import os
 import signal
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import uvloop
 
@@ -15,12 +17,16 @@ from planners.pool import PlannerPool
 from protocol.registry import Registry
 from robot import model
 from robot.arm import Arm
-from robot.calibration import Calibration
+from robot.calibration import GRIPPER_JOINT, Calibration
+from robot.calibration_files import find_calibration
 from robot.errors import RobotError
 from robot.limits import within_calibration
-from robot.messages import ArmConfig, Mode
+from robot.messages import ArmConfig, ArmHealth, ArmState, Mode
 from robot.model import RobotModel
+from server.arm_services import ArmServices
+from server.arm_state import ArmStateTopics
 from server.config import ArmSettings, Settings
+from server.diagnostics import Diagnostics
 from server.emulated_bus import EmulatedBus
 from server.errors import ConfigurationError, StartError
 from server.gateway.listener import Listener
@@ -31,6 +37,8 @@ from server.moveit.execution import GoalExecutor
 from server.moveit.failed_goals import FailedGoals
 from server.moveit.goal_topics import GoalTopics
 from server.moveit.goals import GoalTranslator, MotionRequest
+from server.moveit.gripper import Gripper
+from server.moveit.gripper_actions import GripperActions
 from server.moveit.parameters import MoveItParameters
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
@@ -58,10 +66,15 @@ def serve(settings: Settings) -> None:
 
 @dataclass(frozen=True)
 class Description:
-    """The arm by its files: the robot within its calibration."""
+    """The arm by its files: the robot within its calibration.
+
+    Attributes:
+        calibration_file: where the calibration was read; None for that of an ideal arm.
+    """
 
     robot: RobotModel
     calibration: Calibration
+    calibration_file: Path | None
 
     @classmethod
     def read(cls, settings: ArmSettings) -> Description:
@@ -75,8 +88,10 @@ class Description:
                 robot = model.load(settings.urdf, settings.srdf)
             else:
                 robot = model.builtin()
-            calibration = Calibration.load(settings.calibration) if settings.calibration else Calibration.nominal()
-            return cls(within_calibration(robot, calibration), calibration)
+            file = find_calibration(str(settings.calibration), os.environ) if settings.calibration else None
+            read = Calibration.load(file) if file else Calibration.nominal()
+            calibration = read.with_zero_offsets(settings.zero_offset_rad)
+            return cls(within_calibration(robot, calibration), calibration, file)
         except RobotError as error:
             raise ConfigurationError(str(error)) from error
 
@@ -98,6 +113,10 @@ class App:
         self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
         self._rosout: Rosout | None = None
         self._joint_states = JointStates(self._graph)
+        self._arm_state = ArmStateTopics(self._graph, description.robot)
+        self._diagnostics = Diagnostics(self._graph, description.robot.name)
+        self._arm_services = ArmServices(self._graph)
+        self._gripper_actions = GripperActions(self._graph, description.robot.joints[GRIPPER_JOINT])
         self._goal_topics = GoalTopics(self._graph, GoalTranslator(description.robot, settings.moveit))
         self._listener = Listener(self._graph, settings.server.host, settings.server.port)
         self._pool = PlannerPool(
@@ -109,7 +128,7 @@ class App:
             else None
         )
         self._emulated_bus = (
-            EmulatedBus(settings.emulator, settings.arm.calibration) if settings.arm.serial is None else None
+            EmulatedBus(settings.emulator, description.calibration_file) if settings.arm.serial is None else None
         )
         self._arm: Arm | None = None
         self._queue: GoalQueue[MotionRequest] | None = None
@@ -140,14 +159,10 @@ class App:
         await self._listener.bind()
         await self._pool.start()
         port = self._settings.arm.serial if self._emulated_bus is None else await self._emulated_bus.start()
-        config = ArmConfig(
-            self._description.robot,
-            self._description.calibration,
-            str(port),
-            self._settings.arm.joint_state_rate_hz,
-        )
         self._joint_states.open()
-        self._arm = Arm(config, self._joint_states.publish)
+        self._arm_state.open()
+        self._diagnostics.open()
+        self._arm = Arm(arm_config(self._settings.arm, self._description, str(port)), self._on_state, self._on_health)
         try:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
@@ -161,14 +176,31 @@ class App:
         )
         self._queue.start()
         self._goal_topics.open(self._queue)
+        self._arm_services.open(self._arm, self._queue.stop)
+        self._gripper_actions.open(self._gripper(self._arm))
         await self._listener.open()
 
+    def _gripper(self, arm: Arm) -> Gripper:
+        moveit = self._settings.moveit
+        joint = self._description.robot.joints[GRIPPER_JOINT]
+        return Gripper(arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling)
+
+    def _on_state(self, state: ArmState) -> None:
+        self._joint_states.publish(state)
+        self._arm_state.take_state(state)
+        self._diagnostics.take_state(state)
+
+    def _on_health(self, health: ArmHealth) -> None:
+        self._arm_state.take_health(health)
+        self._diagnostics.take_health(health)
+
     async def _stop(self) -> None:
-        """The arm first; then the sockets; then the processes that nothing needs any more."""
+        """The arm first, brought to its end state; then the sockets; then the processes that nothing needs any more."""
         if self._queue is not None:
             await self._queue.close(QUEUE_CLOSE_TIMEOUT_S)
         if self._arm is not None:
             await self._arm.close()
+        self._diagnostics.close()
         await self._listener.close()
         await self._pool.close()
         if self._emulated_bus is not None:
@@ -183,11 +215,37 @@ class App:
         bus = "simulated" if self._emulated_bus is not None else f"on {self._settings.arm.serial}"
         if arm.state.mode is Mode.DISCONNECTED:
             bus += f", NOT CONNECTED ({arm.state.reason})"
+        elif arm.state.mode is not Mode.HOLDING:
+            bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
         return (
             f"armbridge is ready: ws://{self._settings.server.host}:{self._listener.port} (rosbridge), "
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids)}"
         )
+
+
+def arm_config(settings: ArmSettings, description: Description, port: str) -> ArmConfig:
+    """What the arm process needs to know.
+
+    Args:
+        settings: the section ``arm``.
+        description: the arm by its files.
+        port: its serial port.
+    """
+    return ArmConfig(
+        robot=description.robot,
+        calibration=description.calibration,
+        port=port,
+        state_rate_hz=settings.joint_state_rate_hz,
+        start_enabled=settings.start_enabled,
+        watchdog_s=settings.watchdog_s,
+        on_server_lost=settings.on_server_lost,
+        on_exit=settings.on_exit,
+        on_emergency_stop=settings.on_emergency_stop,
+        warn_temperature_c=settings.warn_temperature_c,
+        slow_temperature_c=settings.slow_temperature_c,
+        stop_temperature_c=settings.stop_temperature_c,
+    )
 
 
 def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:

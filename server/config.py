@@ -9,6 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
+from robot.messages import EmergencyPolicy, EndState
 from server.errors import ConfigurationError
 from server.goal_queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
@@ -39,22 +40,49 @@ class ArmSettings(_Section):
 
     Attributes:
         serial: serial device, URL or ``auto``; None for the simulated arm.
-        calibration: a lerobot calibration file; None for an ideal arm.
+        calibration: a lerobot calibration file, or the id under which lerobot keeps one; None for an ideal arm.
+        zero_offset_rad: by joint, a trim of its zero [rad].
         urdf: the robot's URDF; None for the built-in SO-101.
         srdf: the SRDF that goes with it.
         joint_state_rate_hz: rate of ``/joint_states`` [Hz].
+        start_enabled: make the arm hold as soon as it is connected; else it stays relaxed until it is enabled.
+        watchdog_s: silence of the server after which the arm is stopped [s].
+        on_server_lost: what becomes of the arm then.
+        on_exit: what becomes of the arm when the server ends in good order.
+        on_emergency_stop: what an emergency stop does.
+        warn_temperature_c: servos from it on are told of [degC].
+        slow_temperature_c: motions run at half speed while a servo has it [degC].
+        stop_temperature_c: a servo that has it is a fault, and the arm is relaxed [degC].
     """
 
     serial: str | None = None
     calibration: Path | None = None
+    zero_offset_rad: dict[str, float] = Field(default_factory=dict)
     urdf: Path | None = None
     srdf: Path | None = None
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
+    start_enabled: bool = True
+    # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.
+    watchdog_s: float = Field(default=0.5, ge=0.3, le=10.0)
+    on_server_lost: EndState = EndState.HOLD
+    on_exit: EndState = EndState.HOLD
+    on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
+    # The servos protect themselves at 70 degC.
+    warn_temperature_c: float = Field(default=55.0, ge=30.0, le=70.0)
+    slow_temperature_c: float = Field(default=60.0, ge=30.0, le=70.0)
+    stop_temperature_c: float = Field(default=65.0, ge=30.0, le=70.0)
 
     @model_validator(mode="after")
     def _descriptions_come_in_pairs(self) -> ArmSettings:
         if (self.urdf is None) != (self.srdf is None):
             raise ValueError("urdf and srdf must be given together")
+        return self
+
+    @model_validator(mode="after")
+    def _temperatures_rise(self) -> ArmSettings:
+        steps = (self.warn_temperature_c, self.slow_temperature_c, self.stop_temperature_c)
+        if sorted(steps) != list(steps):
+            raise ValueError(f"warn_, slow_ and stop_temperature_c must rise in this order, not {steps}")
         return self
 
 

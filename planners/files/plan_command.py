@@ -22,7 +22,7 @@ from robot.trajectory import Trajectory
 
 # Exit codes: every answer is one that the file takes as right; some are not; nothing was planned.
 EXIT_EXPECTED = 0
-EXIT_UNEXPECTED = 1
+EXIT_UNEXPECTED = 3
 EXIT_USAGE = 2
 
 _ROW = "{:<20} {:>5}  {:<26} {:>8}  {:>12}  {:>12}\n"

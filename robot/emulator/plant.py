@@ -1,4 +1,4 @@
-"""The moving half of a servo: motor, gear and the joint's weight. Pure; time is passed in."""
+"""The moving half of a servo: motor, gear, and whatever pushes against the joint. Pure; time is passed in."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ DUTY_PERMILLE_PER_TICK_AND_GAIN = 0.5
 
 # A gear of 1:345 hardly turns by the weight of the arm: 5 ticks/s (0.4 deg/s) at the shoulder.
 DROOP_TICKS_S_PER_PERMILLE = 0.08
+
+# A hand turns a free joint with ease: a push like half the motor's torque makes a turn in four seconds.
+PUSH_TICKS_S_PER_PERMILLE = 2.0
+
+# A person moves a joint this fast, 130 deg/s.
+HAND_TICKS_S = 1500.0
 
 STALL_CURRENT_A = 2.4
 
@@ -48,10 +54,12 @@ class Plant:
     """One joint.
 
     Attributes:
-        position_ticks: where it is.
+        position_ticks: where it is, as the encoder counts.
         lower_stop_ticks: mechanical end.
         upper_stop_ticks: mechanical end.
-        gravity_permille: duty that carries the joint's weight; a free joint sinks towards its lower stop.
+        gravity_permille: duty that carries the joint's weight; what carries less sinks against its sign.
+        push_permille: push from outside, in the motor's duty that would do the same.
+        hand_ticks: where a hand that is stronger than the motor brings the joint; None lets it go.
         velocity_ticks_s: how fast it moves.
         duty_permille: what the motor gives [0.1 %].
     """
@@ -60,17 +68,30 @@ class Plant:
     lower_stop_ticks: float
     upper_stop_ticks: float
     gravity_permille: float = 0.0
+    push_permille: float = 0.0
+    hand_ticks: float | None = None
     velocity_ticks_s: float = 0.0
     duty_permille: float = 0.0
 
     def __post_init__(self) -> None:
         self._profile_ticks = self.position_ticks
         self._profile_velocity_ticks_s = 0.0
+        self._walls_ticks = (self.lower_stop_ticks, self.upper_stop_ticks)
 
     @property
     def current_a(self) -> float:
-        """Motor current [A]."""
-        return self.duty_permille / 1000.0 * STALL_CURRENT_A
+        """Motor current [A]: what the duty drives against the voltage that the turning motor induces."""
+        return (self.duty_permille / 1000.0 - self.velocity_ticks_s / NO_LOAD_TICKS_S) * STALL_CURRENT_A
+
+    def block(self, obstacle_ticks: float | None) -> None:
+        """Put an obstacle in the joint's way, on the side where it is seen from here; None takes it away."""
+        lower, upper = self.lower_stop_ticks, self.upper_stop_ticks
+        if obstacle_ticks is None:
+            self._walls_ticks = (lower, upper)
+        elif obstacle_ticks >= self.position_ticks:
+            self._walls_ticks = (lower, min(upper, obstacle_ticks))
+        else:
+            self._walls_ticks = (max(lower, obstacle_ticks), upper)
 
     def step(self, duration_s: float, drive: Drive) -> None:
         """Let time pass [s]."""
@@ -86,13 +107,19 @@ class Plant:
             stiffness = DUTY_PERMILLE_PER_TICK_AND_GAIN * drive.p_gain
             duty = stiffness * (self._profile_ticks - self.position_ticks)
             self.duty_permille = max(-drive.torque_permille, min(drive.torque_permille, duty))
-            velocity = (self.duty_permille - self.gravity_permille) / 1000.0 * NO_LOAD_TICKS_S
+            load = self.gravity_permille - self.push_permille
+            velocity = (self.duty_permille - load) / 1000.0 * NO_LOAD_TICKS_S
         else:
             self._profile_ticks, self._profile_velocity_ticks_s = self.position_ticks, 0.0
             self.duty_permille = 0.0
-            velocity = -self.gravity_permille * DROOP_TICKS_S_PER_PERMILLE
+            velocity = (
+                self.push_permille * PUSH_TICKS_S_PER_PERMILLE - self.gravity_permille * DROOP_TICKS_S_PER_PERMILLE
+            )
+        if self.hand_ticks is not None:
+            velocity = max(-HAND_TICKS_S, min(HAND_TICKS_S, (self.hand_ticks - self.position_ticks) / dt_s))
         wanted = self.position_ticks + velocity * dt_s
-        reached = max(self.lower_stop_ticks, min(self.upper_stop_ticks, wanted))
+        lower, upper = self._walls_ticks
+        reached = max(lower, min(upper, wanted))
         self.velocity_ticks_s = velocity if reached == wanted else 0.0
         self.position_ticks = reached
 

@@ -1,18 +1,20 @@
-"""The emulator's process: a pseudo terminal, the servos behind it, and a line of control."""
+"""The emulator's process: the adapter, the servos behind it, and a line of control."""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import os
 import select
+import signal
+import sys
 import time
-import tty
-from collections import deque
-from pathlib import Path
+from types import FrameType
 
+from robot.emulator.commands import Emulation
 from robot.emulator.control import answer
-from robot.emulator.wire import Reply, ServoBus
+from robot.emulator.options import build
 
 # How often the arm moves on while the bus is silent.
 TICK_S = 0.02
@@ -26,106 +28,102 @@ READ_BYTES = 4096
 MAX_COMMAND_BYTES = 64 << 10
 
 
-class PseudoTerminal:
-    """A serial port made of software.
-
-    The slave stays open here, or the master would fail whenever a client leaves, and is raw before any client
-    opens it, or the line discipline would echo and alter bytes.
-
-    Args:
-        link: where to put a symbolic link to the slave, if anywhere.
-    """
-
-    def __init__(self, link: Path | None = None) -> None:
-        self.master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self.master, False)
-        self.port = os.ttyname(self._slave)
-        self._link = link
-        if link is not None:
-            if link.is_symlink():
-                link.unlink()
-            link.symlink_to(self.port)
-
-    def read(self) -> bytes:
-        """Return what the client has written."""
-        try:
-            return os.read(self.master, READ_BYTES)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        """Give bytes to the client; those that nobody fetches are lost, as on a wire."""
-        with contextlib.suppress(BlockingIOError):
-            os.write(self.master, data)
-
-    def close(self) -> None:
-        """Take the port away."""
-        os.close(self.master)
-        os.close(self._slave)
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
+STDIN, STDOUT = 0, 1
 
 
 class Control:
-    """The line to the process that started the emulator.
+    """The line to whoever controls the emulator.
 
     Args:
-        descriptor: an inherited socket.
+        reader: descriptor on which commands come.
+        writer: descriptor on which they are answered.
+        essential: whether the emulator ends when the controller is gone.
     """
 
-    def __init__(self, descriptor: int) -> None:
-        self.descriptor = descriptor
+    def __init__(self, reader: int, writer: int, *, essential: bool) -> None:
+        self.essential = essential
+        self._reader = reader
+        self._writer = writer
         self._buffer = b""
+        self._gone = False
 
-    def say(self, line: bytes) -> None:
-        """Send one line; a controller that is gone does not matter here."""
-        with contextlib.suppress(OSError):
-            os.write(self.descriptor, line)
+    @property
+    def descriptors(self) -> list[int]:
+        """What to wait for until a command comes."""
+        return [] if self._gone else [self._reader]
 
-    def obey(self, bus: ServoBus) -> bool:
-        """Carry out and answer the commands that have come.
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody may still want the emulator to run."""
+        return not (self._gone and self.essential)
 
-        Returns:
-            False once the controller is gone.
-        """
+    def announce(self, port: str) -> None:
+        """Tell where the bus is: a controlling process in JSON, a person in plain words."""
+        self._say(json.dumps({"port": port}).encode() + b"\n" if self.essential else port.encode() + b"\n")
+
+    def obey(self, emulation: Emulation) -> None:
+        """Carry out and answer the commands that have come."""
         try:
-            data = os.read(self.descriptor, READ_BYTES)
+            data = os.read(self._reader, READ_BYTES)
         except OSError:
             data = b""
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         for line in lines:
-            self.say(answer(line, bus))
-        return bool(data) and len(self._buffer) <= MAX_COMMAND_BYTES
+            if line.strip():
+                self._say(answer(line, emulation))
+        self._gone = not data or len(self._buffer) > MAX_COMMAND_BYTES
+
+    def _say(self, line: bytes) -> None:
+        """Send one line; a controller that is gone does not matter here."""
+        with contextlib.suppress(OSError):
+            os.write(self._writer, line)
 
 
-def serve(terminal: PseudoTerminal, bus: ServoBus, control: Control | None) -> None:
-    """Run the bus until the controller is gone and the bus is silent; for ever without a controller."""
-    announcement = json.dumps({"port": terminal.port}).encode() + b"\n"
-    if control is not None:
-        control.say(announcement)
-    outbox: deque[Reply] = deque()
-    controlled, last_heard_s = control is not None, time.monotonic()
-    while control is None or controlled or time.monotonic() - last_heard_s < LINGER_S:
-        watched = [terminal.master]
-        if control is not None and controlled:
-            watched.append(control.descriptor)
-        ready, _, _ = select.select(watched, [], [], _wait_s(outbox, time.monotonic()))
+def run(options: argparse.Namespace, control_descriptor: int | None = None) -> None:
+    """Run an emulator until it is told to end.
+
+    Args:
+        options: of ``robot.emulator.options``.
+        control_descriptor: a socket to a controlling process; None for a person at standard input and output.
+
+    Raises:
+        CalibrationError: the calibration cannot be used.
+        ValueError: the start pose is not one.
+        OSError: a file cannot be written, or there is no terminal to be had.
+    """
+    _end_on_signals(controlled=control_descriptor is not None)
+    with contextlib.ExitStack() as resources:
+        emulation = build(options, resources)
+        if control_descriptor is None:
+            serve(emulation, Control(STDIN, STDOUT, essential=False))
+        else:
+            serve(emulation, Control(control_descriptor, control_descriptor, essential=True))
+
+
+def serve(emulation: Emulation, control: Control) -> None:
+    """Run the bus for ever, or until an essential controller is gone and the bus is silent."""
+    bus, adapter = emulation.bus, emulation.adapter
+    control.announce(adapter.port)
+    last_heard_s = time.monotonic()
+    while control.wanted or time.monotonic() - last_heard_s < LINGER_S:
+        watched = [*adapter.descriptors, *control.descriptors]
+        ready, _, _ = select.select(watched, [], [], adapter.wait_s(time.monotonic(), TICK_S))
         now_s = time.monotonic()
-        if terminal.master in ready:
-            outbox.extend(bus.receive(terminal.read(), now_s))
+        if ready:
             last_heard_s = now_s
+        if any(descriptor in ready for descriptor in adapter.descriptors):
+            adapter.take(bus.receive(adapter.read(), now_s, adapter.baudrate))
         bus.advance(now_s)
-        _deliver(outbox, terminal, now_s)
-        if control is not None and control.descriptor in ready:
-            controlled = control.obey(bus)
-            last_heard_s = now_s
+        adapter.deliver(now_s)
+        if any(descriptor in ready for descriptor in control.descriptors):
+            control.obey(emulation)
 
 
-def _wait_s(outbox: deque[Reply], now_s: float) -> float:
-    return max(0.0, min(TICK_S, outbox[0].due_s - now_s)) if outbox else TICK_S
+def _end_on_signals(*, controlled: bool) -> None:
+    """End in good order on SIGTERM and Ctrl-C; a controlled emulator leaves Ctrl-C to its controller."""
 
+    def end(_number: int, _frame: FrameType | None) -> None:
+        sys.exit(0)
 
-def _deliver(outbox: deque[Reply], terminal: PseudoTerminal, now_s: float) -> None:
-    while outbox and outbox[0].due_s <= now_s:
-        terminal.write(outbox.popleft().data)
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, signal.SIG_IGN if controlled else end)

@@ -1,31 +1,22 @@
-"""One STS3215 servo: its register file, and the plant that the registers drive."""
+"""One STS3215 servo: its registers, the plant that they drive, and the protection that comes between."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-
+from robot.emulator.heat import Motor
+from robot.emulator.memory import FACTORY_EPROM, Memory
 from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
+from robot.emulator.protection import Measured, Protection, Thresholds
 from robot.registers import (
     AMPERE_PER_UNIT,
-    LAYOUT,
     TICKS_S2_PER_ACCELERATION_UNIT,
-    Area,
+    VOLT_PER_UNIT,
     Register,
-    decode,
-    encode,
+    StatusBit,
     value_range,
 )
 
-# The last documented address is 86; whatever is asked beyond reads as zero.
-MEMORY_BYTES = 87
-
-MODEL_STS3215 = 777
-FIRMWARE_MAJOR_MINOR = bytes([3, 10])
-
-# The SO-101's usual supply of 5 V, in 0.1 V.
-SUPPLY_UNITS = 50
-TEMPERATURE_C = 32
+# The SO-101's usual supply [V].
+SUPPLY_V = 5.0
 
 # Acceleration 0 means the most the servo has; lerobot writes this to its limit register.
 MAX_ACCELERATION = 254
@@ -33,39 +24,15 @@ MAX_ACCELERATION = 254
 # A joint slower than this stands still as far as register MOVING is concerned.
 STANDSTILL_TICKS_S = 3.0
 
-# Feetech's memory table V3.6, what a new servo holds; angle limits and id are the arm's.
-FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
-    {
-        Register.RESPONSE_LEVEL: 1,
-        Register.MAX_ANGLE_LIMIT: 4095,
-        Register.MAX_TEMPERATURE: 70,
-        Register.MAX_VOLTAGE: 80,
-        Register.MIN_VOLTAGE: 40,
-        Register.MAX_TORQUE: 1000,
-        Register.PHASE: 12,
-        Register.UNLOADING_CONDITION: 44,
-        Register.LED_ALARM_CONDITION: 47,
-        Register.P_GAIN: 32,
-        Register.D_GAIN: 32,
-        Register.MIN_STARTUP_FORCE: 16,
-        Register.CW_DEAD_ZONE: 1,
-        Register.CCW_DEAD_ZONE: 1,
-        Register.PROTECTION_CURRENT: 500,
-        Register.ANGULAR_RESOLUTION: 1,
-        Register.PROTECTIVE_TORQUE: 20,
-        Register.PROTECTION_TIME: 200,
-        Register.OVERLOAD_TORQUE: 80,
-    }
-)
+# TORQUE_ENABLE with this value makes the present position the middle, and drives nothing.
+TORQUE_ENABLE_MAKES_MIDDLE = 128
+MIDDLE_TICKS = 2048
 
-# EPROM ends where SRAM begins, also between the documented registers.
-_EPROM_ADDRESSES = range(Register.ID, Register.TORQUE_ENABLE)
-_READ_ONLY_ADDRESSES = frozenset(
-    register + offset
-    for register, layout in LAYOUT.items()
-    if layout.area is Area.READ_ONLY
-    for offset in range(layout.size)
-)
+# Heat and protection change slowly: they are looked after once in a while.
+UPKEEP_S = 0.01
+
+PERMILLE_PER_PERCENT = 10
+PROTECTION_TIME_UNIT_S = 0.01
 
 
 class Servo:
@@ -73,46 +40,58 @@ class Servo:
 
     Args:
         servo_id: its id.
-        plant: the joint it moves, in ticks of its encoder.
-        angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT.
+        plant: the joint that it moves, in encoder ticks.
+        angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT, in ticks of PRESENT_POSITION.
         homing_offset_ticks: register HOMING_OFFSET.
+
+    Attributes:
+        powers_up_holding: whether the next power-up leaves torque on, at the position where it is.
+        motor: its temperature, which may be set.
+        protection: its complaints; some may be forced on it.
+        voltage_v: its supply [V], which may be set.
     """
 
     def __init__(
         self, servo_id: int, plant: Plant, angle_limits_ticks: tuple[int, int], homing_offset_ticks: int = 0
     ) -> None:
         self.plant = plant
-        self._memory = bytearray(MEMORY_BYTES)
-        self._memory[0:2] = FIRMWARE_MAJOR_MINOR
-        self._set(Register.MODEL_NUMBER, MODEL_STS3215)
-        self._set(Register.ID, servo_id)
-        for register, value in FACTORY_EPROM.items():
-            self._set(register, value)
-        self._set(Register.MIN_ANGLE_LIMIT, angle_limits_ticks[0])
-        self._set(Register.MAX_ANGLE_LIMIT, angle_limits_ticks[1])
-        self._set(Register.HOMING_OFFSET, homing_offset_ticks)
-        self._eprom = bytes(self._memory[: _EPROM_ADDRESSES.stop])
+        self.motor = Motor()
+        self.protection = Protection()
+        self.voltage_v = SUPPLY_V
+        self.powers_up_holding = False
+        arm = {
+            Register.ID: servo_id,
+            Register.MIN_ANGLE_LIMIT: angle_limits_ticks[0],
+            Register.MAX_ANGLE_LIMIT: angle_limits_ticks[1],
+            Register.HOMING_OFFSET: homing_offset_ticks,
+        }
+        self._memory = Memory({**FACTORY_EPROM, **arm})
+        self._upkeep_due_s = 0.0
         self.power_up()
 
     def power_up(self) -> None:
         """Start as after a power cut: EPROM as last stored, torque off.
 
-        The goal is 0, wherever the arm is: who switches torque on without setting it sees the arm jump.
+        The goal is 0, wherever the arm is: who switches torque on without setting it sees the arm jump. Only a servo
+        that powers up holding has the goal where it is.
         """
-        self._memory[:] = self._eprom + bytes(MEMORY_BYTES - len(self._eprom))
-        self._set(Register.TORQUE_LIMIT, self.value(Register.MAX_TORQUE))
-        self._set(Register.LOCK, 1)
-        self._drive = self._drive_from_registers()
+        self._memory.power_up()
+        self._kept: tuple[int, bytes] | None = None
+        self.protection.power_up()
+        if self.powers_up_holding:
+            self._memory.show(Register.GOAL_POSITION, self.present_ticks)
+            self._memory.set(Register.TORQUE_ENABLE, 1)
+        self._follow_registers()
 
     @property
     def servo_id(self) -> int:
         """The id it answers to."""
-        return self._memory[Register.ID]
+        return self._memory.value(Register.ID)
 
     @property
     def error(self) -> int:
         """The ERR byte of its replies."""
-        return self._memory[Register.STATUS]
+        return int(self.protection.status)
 
     @property
     def present_ticks(self) -> int:
@@ -121,51 +100,100 @@ class Servo:
 
     def value(self, register: Register) -> int:
         """Value of a register other than the measured ones."""
-        return decode(register, bytes(self._memory[register : register + LAYOUT[register].size]))
+        return self._memory.value(register)
 
     def step(self, duration_s: float) -> None:
         """Let time pass [s]."""
         self.plant.step(duration_s, self._drive)
+        self._upkeep_due_s += duration_s
+        if self._upkeep_due_s >= UPKEEP_S:
+            self._keep_up(self._upkeep_due_s)
+            self._upkeep_due_s = 0.0
 
     def read(self, address: int, length: int) -> bytes:
         """Read memory; what lies beyond it is zero."""
         self._measure()
-        return bytes(self._memory[address : address + length]).ljust(length, b"\0")
+        return self._memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write memory as an instruction does.
+        """Write memory as an instruction does; see :meth:`robot.emulator.memory.Memory.write`."""
+        torque = self.value(Register.TORQUE_ENABLE)
+        self._memory.write(address, data)
+        asked = self.value(Register.TORQUE_ENABLE)
+        if asked == TORQUE_ENABLE_MAKES_MIDDLE:
+            self._memory.set(Register.TORQUE_ENABLE, torque)
+            self.make_middle()
+        elif torque and not asked:
+            self.protection.torque_off()
+        if address < Register.TORQUE_ENABLE:
+            self._follow_registers()
+        else:
+            self._drive = self._drive_from_registers()
 
-        Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK
-        is 0.
-        """
-        unlocked = self._memory[Register.LOCK] == 0
-        for at, byte in enumerate(data, start=address):
-            if Register.ID <= at < MEMORY_BYTES and at not in _READ_ONLY_ADDRESSES:
-                self._memory[at] = byte
-        if unlocked:
-            self._eprom = bytes(self._memory[: _EPROM_ADDRESSES.stop])
-        self._drive = self._drive_from_registers()
+    def keep_write(self, address: int, data: bytes) -> None:
+        """Keep a write until :meth:`take_kept_write`; only the last one is kept."""
+        self._kept = (address, data)
 
-    def _set(self, register: Register, value: int) -> None:
-        self._memory[register : register + LAYOUT[register].size] = encode(register, value)
+    def take_kept_write(self) -> tuple[int, bytes] | None:
+        """Carry out the write that was kept and return it; None if there is none."""
+        kept, self._kept = self._kept, None
+        if kept is not None:
+            self.write(*kept)
+        return kept
 
-    def _show(self, register: Register, value: int) -> None:
-        """Set a measured register, which shows its largest value when it cannot hold the true one."""
-        lowest, highest = value_range(register)
-        self._set(register, max(lowest, min(highest, value)))
+    def make_middle(self) -> None:
+        """Choose the homing offset, for good, so that the present position reads 2048, or as near as it reaches."""
+        lowest, highest = value_range(Register.HOMING_OFFSET)
+        offset = round(self.plant.position_ticks) - MIDDLE_TICKS
+        self._memory.set(Register.HOMING_OFFSET, max(lowest, min(highest, offset)))
+        self._memory.store()
+        self._follow_registers()
+
+    def back_up(self) -> None:
+        """Keep the EPROM for :meth:`restore`."""
+        self._memory.back_up()
+
+    def restore(self) -> None:
+        """Bring back the EPROM last backed up, or the first; the id stays."""
+        self._memory.restore()
+        self._follow_registers()
+
+    def _keep_up(self, duration_s: float) -> None:
+        """Let motor and protection follow what happened."""
+        plant = self.plant
+        self.motor.step(duration_s, plant.current_a)
+        measured = Measured(plant.duty_permille, plant.current_a, self.motor.temperature_c, self.voltage_v)
+        before = self.protection.status
+        self.protection.step(duration_s, measured, self._thresholds)
+        if self.protection.status != before:
+            self._drive = self._drive_from_registers()
 
     def _measure(self) -> None:
         """Bring the read-only registers up to date."""
-        plant, drive = self.plant, self._drive
-        self._show(Register.PRESENT_POSITION, self.present_ticks)
-        self._show(Register.PRESENT_VELOCITY, round(plant.velocity_ticks_s))
-        self._show(Register.PRESENT_LOAD, round(plant.duty_permille))
-        self._show(Register.PRESENT_VOLTAGE, SUPPLY_UNITS)
-        self._show(Register.PRESENT_TEMPERATURE, TEMPERATURE_C)
+        plant, drive, memory = self.plant, self._drive, self._memory
+        memory.show(Register.PRESENT_POSITION, self.present_ticks)
+        memory.show(Register.PRESENT_VELOCITY, round(plant.velocity_ticks_s))
+        memory.show(Register.PRESENT_LOAD, round(plant.duty_permille))
+        memory.show(Register.PRESENT_VOLTAGE, round(self.voltage_v / VOLT_PER_UNIT))
+        memory.show(Register.PRESENT_TEMPERATURE, round(self.motor.temperature_c))
+        memory.show(Register.STATUS, self.error)
         driven = drive.torque_permille > 0.0
-        self._show(Register.MOVING, int(driven and abs(plant.velocity_ticks_s) > STANDSTILL_TICKS_S))
-        self._show(Register.GOAL_POSITION_ECHO, round(drive.goal_ticks) - self.value(Register.HOMING_OFFSET))
-        self._show(Register.PRESENT_CURRENT, round(plant.current_a / AMPERE_PER_UNIT))
+        memory.show(Register.MOVING, int(driven and abs(plant.velocity_ticks_s) > STANDSTILL_TICKS_S))
+        memory.show(Register.GOAL_POSITION_ECHO, round(drive.goal_ticks) - self.value(Register.HOMING_OFFSET))
+        memory.show(Register.PRESENT_CURRENT, round(plant.current_a / AMPERE_PER_UNIT))
+
+    def _follow_registers(self) -> None:
+        value = self.value
+        self._thresholds = Thresholds(
+            voltage_v=(value(Register.MIN_VOLTAGE) * VOLT_PER_UNIT, value(Register.MAX_VOLTAGE) * VOLT_PER_UNIT),
+            temperature_c=value(Register.MAX_TEMPERATURE),
+            overload_permille=value(Register.OVERLOAD_TORQUE) * PERMILLE_PER_PERCENT,
+            overload_s=value(Register.PROTECTION_TIME) * PROTECTION_TIME_UNIT_S,
+            protective_permille=value(Register.PROTECTIVE_TORQUE) * PERMILLE_PER_PERCENT,
+            current_a=value(Register.PROTECTION_CURRENT) * AMPERE_PER_UNIT,
+            unloading=StatusBit(value(Register.UNLOADING_CONDITION)),
+        )
+        self._drive = self._drive_from_registers()
 
     def _drive_from_registers(self) -> Drive:
         lowest, highest = self.value(Register.MIN_ANGLE_LIMIT), self.value(Register.MAX_ANGLE_LIMIT)
@@ -174,10 +202,11 @@ class Servo:
             goal = max(lowest, min(highest, goal))
         acceleration = self.value(Register.ACCELERATION) or MAX_ACCELERATION
         torque_on = self.value(Register.TORQUE_ENABLE) == 1
+        torque_left = min(self.value(Register.TORQUE_LIMIT), self.protection.duty_left_permille(self._thresholds))
         return Drive(
             goal_ticks=goal + self.value(Register.HOMING_OFFSET),
             velocity_ticks_s=abs(self.value(Register.GOAL_VELOCITY)) or NO_LOAD_TICKS_S,
             acceleration_ticks_s2=acceleration * TICKS_S2_PER_ACCELERATION_UNIT,
-            torque_permille=self.value(Register.TORQUE_LIMIT) if torque_on else 0,
+            torque_permille=torque_left if torque_on else 0,
             p_gain=self.value(Register.P_GAIN),
         )

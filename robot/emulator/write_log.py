@@ -5,36 +5,79 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+
+from scservo_sdk import INST_ACTION, INST_SYNC_WRITE, INST_WRITE
 
 from robot.emulator.servo import Servo
-from robot.registers import Register
+from robot.registers import LAYOUT, Register, decode
+
+_NAMES: Mapping[int, str] = MappingProxyType(
+    {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
+)
 
 
 class WriteLog:
-    """One JSON line per write instruction, flushed at once.
+    """One JSON line per write instruction or live command, flushed at once.
 
-    Each line has ``t`` (monotonic clock [s]), ``instruction`` ("write" or "sync_write"), ``address``,
-    ``data`` (servo id to bytes), and of all servos after the write ``present`` (ticks) and ``torque``
-    (register TORQUE_ENABLE).
+    ============== ===========================================================================
+    ``t``           monotonic clock of the machine, the same in every process [s]
+    ``instruction`` "write", "sync_write", "action" (of kept writes), or "command"
+    ``address``     first register written; null of a command
+    ``data``        servo id to the bytes that it took; empty of a command
+    ``registers``   servo id to the registers wholly written by these bytes, name to value
+    ``command``     the live command; of a command only
+    ``present``     servo id to PRESENT_POSITION [ticks]
+    ``torque``      servo id to TORQUE_ENABLE
+    ``goal``        servo id to GOAL_POSITION [ticks]
+    ``limit``       servo id to TORQUE_LIMIT [0.1 %]
+    ``status``      servo id to its complaints, the bits of register STATUS
+    ============== ===========================================================================
+
+    The last five are of all servos, after the write.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w", buffering=1)
 
-    def record(
-        self, now_s: float, instruction: str, address: int, data: Mapping[int, bytes], servos: Sequence[Servo]
+    def record_write(
+        self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[Servo]
     ) -> None:
-        """Append one line."""
-        line = {
-            "t": now_s,
-            "instruction": instruction,
+        """Append the line of a write."""
+        what = {
+            "instruction": _NAMES[code],
             "address": address,
             "data": {servo_id: list(values) for servo_id, values in data.items()},
-            "present": {servo.servo_id: servo.present_ticks for servo in servos},
-            "torque": {servo.servo_id: servo.value(Register.TORQUE_ENABLE) for servo in servos},
+            "registers": {servo_id: _registers(address, values) for servo_id, values in data.items()},
         }
-        self._file.write(json.dumps(line) + "\n")
+        self._append(now_s, what, servos)
+
+    def record_command(self, now_s: float, command: Mapping[str, object], servos: Sequence[Servo]) -> None:
+        """Append the line of a live command."""
+        self._append(now_s, {"instruction": "command", "address": None, "data": {}, "command": command}, servos)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _append(self, now_s: float, what: Mapping[str, object], servos: Sequence[Servo]) -> None:
+        line = {
+            "t": now_s,
+            **what,
+            "present": {servo.servo_id: servo.present_ticks for servo in servos},
+            "torque": {servo.servo_id: servo.value(Register.TORQUE_ENABLE) for servo in servos},
+            "goal": {servo.servo_id: servo.value(Register.GOAL_POSITION) for servo in servos},
+            "limit": {servo.servo_id: servo.value(Register.TORQUE_LIMIT) for servo in servos},
+            "status": {servo.servo_id: servo.error for servo in servos},
+        }
+        self._file.write(json.dumps(line) + "\n")
+
+
+def _registers(address: int, data: bytes) -> dict[str, int]:
+    """Name and decode the registers that lie wholly inside the bytes."""
+    values = {}
+    for register, layout in LAYOUT.items():
+        start = register - address
+        if start >= 0 and start + layout.size <= len(data):
+            values[register.name] = decode(register, data[start : start + layout.size])
+    return values

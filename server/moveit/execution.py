@@ -11,19 +11,18 @@ from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE
 from robot.arm import Arm
-from robot.messages import ArmState, Mode, MotionEnded, Outcome
+from robot.messages import Mode, MotionEnded, Outcome
 from server.goal_queue import Answer, GoalState, Progress
 from server.moveit.failed_goals import FailedGoals
 from server.moveit.goals import MotionRequest
 from server.moveit.parameters import MoveItParameters
+from server.moveit.readiness import unusable
 
 log = logging.getLogger("armbridge.execution")
 
-# States come at 50 Hz; one this old means that the arm process is stuck.
-STATE_MAX_AGE_S = 1.0
-
-# MoveIt's allowance for an execution, plus the time the driver gives the arm to settle.
-DURATION_FACTOR = 1.1
+# MoveIt's allowance for an execution, 1.1, at the half speed of an arm with a hot servo, plus the time the driver
+# gives the arm to settle.
+DURATION_FACTOR = 2.2
 DURATION_MARGIN_S = 2.0
 
 # A motion that overran is braked; no arm needs longer for that.
@@ -39,6 +38,7 @@ CODE_OF_OUTCOME = {
     Outcome.NOT_SETTLED: MoveItErrorCode.CONTROL_FAILED,
     Outcome.BUS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
     Outcome.PROCESS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
+    Outcome.FAULT: MoveItErrorCode.CONTROL_FAILED,
 }
 
 
@@ -65,9 +65,9 @@ class GoalExecutor:
     async def run(self, request: MotionRequest, report: Callable[[Progress], None]) -> Answer:
         """Plan and play; every wait is bounded, and every way out is an answer."""
         self._stop_reason = ""
-        unusable = _unusable(self._arm.state, self._arm.state_age_s)
-        if unusable is not None:
-            return Answer.of(unusable)
+        failure = unusable(self._arm.state, self._arm.state_age_s)
+        if failure is not None:
+            return Answer.of(failure)
         report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
         problem = self._problem(request)
         plan = await self._plan(problem)
@@ -140,18 +140,6 @@ class GoalExecutor:
         if ended.outcome is Outcome.STOPPED:
             message = f"{self._stop_reason or 'stopped'}: {message}"
         return Answer(CODE_OF_OUTCOME[ended.outcome], message)
-
-
-def _unusable(state: ArmState, age_s: float) -> PlanningFailure | None:
-    """Why nothing can be planned from this state of the arm."""
-    if state.mode is Mode.DISCONNECTED or state.goal_rad is None:
-        return PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not connected: {state.reason}")
-    if age_s > STATE_MAX_AGE_S:
-        return PlanningFailure(
-            MoveItErrorCode.ROBOT_STATE_STALE,
-            f"the last state of the arm is {age_s:.1f} s old (limit {STATE_MAX_AGE_S:g} s)",
-        )
-    return None
 
 
 def _summary(plan: Plan) -> str:

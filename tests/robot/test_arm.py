@@ -16,7 +16,7 @@ from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.limits import within_calibration
-from robot.messages import ArmConfig, ArmState, Mode, Outcome
+from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, Order, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers.server import read_write_log
 from tests.helpers.trajectories import smooth_move
@@ -36,7 +36,8 @@ class ArmOnBus:
         self.emulator = emulator
         self.log = log
         self.states: list[ArmState] = []
-        self.arm = Arm(replace(CONFIG, port=emulator.port), self.states.append)
+        self.health: list[ArmHealth] = []
+        self.arm = Arm(replace(CONFIG, port=emulator.port), self.states.append, self.health.append)
 
     @property
     def pan_rad(self) -> float:
@@ -108,6 +109,62 @@ async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnBus) -> No
     motion = rig.arm.execute(to(1.0))
     rig.arm.stop()
     assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.STOPPED
+
+
+async def test_one_of_two_motions_is_stopped(rig: ArmOnBus) -> None:
+    pan = rig.arm.execute(to(0.6))
+    roll = rig.arm.execute(smooth_move({"wrist_roll": (0.0, 1.0)}, 2.0))
+    rig.arm.stop(roll)
+    assert (await asyncio.wait_for(roll, 2.0)).outcome is Outcome.STOPPED
+    assert (await pan).outcome is Outcome.REACHED
+
+
+async def test_an_order_is_answered_with_the_state_that_shows_it(rig: ArmOnBus) -> None:
+    for order, mode in ((Order.RELAX, Mode.RELAXED), (Order.ENABLE, Mode.HOLDING), (Order.EMERGENCY_STOP, Mode.FAULT)):
+        assert (await rig.arm.order(order)).done
+        assert rig.arm.state.mode is mode
+
+
+async def test_an_order_that_cannot_be_carried_out_says_why(rig: ArmOnBus) -> None:
+    await rig.arm.order(Order.EMERGENCY_STOP)
+    refused = await rig.arm.order(Order.ENABLE)
+    assert not refused.done
+    assert "reset the fault" in refused.message
+
+
+async def test_an_order_is_answered_when_the_process_dies(rig: ArmOnBus) -> None:
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGSTOP)
+    answer = rig.arm.order(Order.RELAX)
+    os.kill(rig.arm.pid, signal.SIGKILL)
+    assert "ended before it had answered" in (await asyncio.wait_for(answer, 2.0)).message
+
+
+async def test_an_order_to_a_process_that_hangs_is_answered_in_time(
+    rig: ArmOnBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 0.1)
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGSTOP)
+    answer = await asyncio.wait_for(rig.arm.order(Order.RELAX), 2.0)
+    os.kill(rig.arm.pid, signal.SIGCONT)
+    assert answer.message == "the arm process did not answer in 0.1 s"
+
+
+async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnBus) -> None:
+    motion = rig.arm.execute(to(1.5, duration_s=2.5))
+    await rig.until(lambda: rig.pan_rad > 0.1)
+    # The hang itself: nothing of the server runs, so no heartbeat leaves.
+    time.sleep(CONFIG.watchdog_s + 0.6)  # noqa: ASYNC251 - it is to block the event loop
+    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.STOPPED
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert rig.pan_rad < 1.2
+
+
+async def test_its_condition_is_told_once_a_second(rig: ArmOnBus) -> None:
+    await rig.until(lambda: len(rig.health) >= 2)
+    assert 0.5 < rig.health[1].stamp_s - rig.health[0].stamp_s < 2.0
+    assert [servo.joint for servo in rig.health[0].servos] == [joint.joint for joint in CALIBRATION.joints]
 
 
 async def test_a_trajectory_from_elsewhere_is_refused(rig: ArmOnBus) -> None:

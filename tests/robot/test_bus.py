@@ -8,7 +8,9 @@ import time
 import pytest
 from scservo_sdk import INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
 
-from robot.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, Bus
+from robot.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, SYNC_READ_PADDINGS, Bus
+from robot.calibration import Calibration
+from robot.control_block import CONTROL_ADDRESS, CONTROL_BYTES
 from robot.emulator.wire import status_packet
 from robot.errors import NoReply, PortLost
 from robot.registers import (
@@ -106,6 +108,31 @@ def test_the_process_serves_a_second_client_after_the_first(emulator):
             assert len(read_block(bus)) == 6
 
 
+def test_a_broadcast_ping_finds_those_who_are_there(bus, emulator):
+    emulator.command(offline=[2])
+    assert bus.broadcast_ping() == dict.fromkeys([1, 3, 4, 5, 6], 0)
+    assert bus.read(3, Register.MODEL_NUMBER) == 777
+
+
+def test_no_reading_is_wrong_under_any_fault_of_the_emulated_bus(bus, emulator):
+    at_rest = {i: bus.read(i, Register.PRESENT_POSITION) for i in IDS}
+    faults = ("drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise", "delay")
+    assert emulator.command(**dict.fromkeys(faults, 0.03), delay_s=0.004) == {"ok": True}
+    limits = {joint.servo_id: joint.range_min for joint in Calibration.nominal().joints}
+    good = 0
+    for round_number in range(60):
+        for servo_id, frame in read_block(bus).items():
+            telemetry = parse_telemetry(frame.data)
+            assert (telemetry.voltage_v, telemetry.temperature_c) == (5.0, 32)
+            assert abs(telemetry.position_ticks - at_rest[servo_id]) < 300
+            good += 1
+        servo_id = IDS[round_number % 6]
+        with contextlib.suppress(NoReply):
+            assert bus.read(servo_id, Register.MIN_ANGLE_LIMIT) == limits[servo_id]
+            good += 1
+    assert good > 150
+
+
 # On a line where every byte is scripted.
 
 
@@ -186,6 +213,18 @@ def test_a_sync_read_after_a_late_one_asks_for_another_length(scripted_peer):
         for expected in (2, 3):
             for frame in read_block(bus).values():
                 assert frame.data == bytes([expected] * TELEMETRY_BYTES)
+
+
+def test_blocks_of_different_length_never_ask_for_the_same_number_of_bytes(scripted_peer):
+    peer = scripted_peer(lambda _instruction: [])
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        for _ in range(SYNC_READ_PADDINGS):
+            bus.sync_read((1,), CONTROL_ADDRESS, CONTROL_BYTES)
+            read_block(bus)
+    asked = [(instruction.parameters[0], instruction.parameters[1]) for instruction in peer.instructions]
+    control = {length for address, length in asked if address == CONTROL_ADDRESS}
+    telemetry = {length for address, length in asked if address == TELEMETRY_ADDRESS}
+    assert not control & telemetry
 
 
 def test_after_a_failure_nothing_is_sent_until_the_line_is_quiet(scripted_peer):

@@ -176,3 +176,33 @@ def test_the_elbow_of_every_measured_arm_spans_the_urdf_within_a_degree():
         joint = JointCalibration("elbow_flex", 3, 0, 0, *ranges["elbow_flex"])
         assert joint.upper_rad == pytest.approx(elbow.upper_rad, abs=math.radians(1.0)), name
         assert joint.lower_rad == pytest.approx(elbow.lower_rad, abs=math.radians(1.0)), name
+
+
+def test_a_zero_trim_moves_the_joints_it_names_and_no_other():
+    plain = Calibration.nominal()
+    trimmed = plain.with_zero_offsets({"elbow_flex": 0.13})
+    moved = [
+        new.rad_from_ticks(2000) - old.rad_from_ticks(2000)
+        for new, old in zip(trimmed.joints, plain.joints, strict=True)
+    ]
+    assert moved == pytest.approx([0.0, 0.0, 0.13, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("trim", "words"),
+    [
+        ({"elbow": 0.1}, "elbow: must be one of the arm's joints"),
+        ({"gripper": 0.1}, "gripper: must be one of"),
+        ({"elbow_flex": 0.6}, "within .*0.5 rad, not 0.6"),
+        ({"elbow_flex": math.nan}, "not nan"),
+    ],
+)
+def test_a_zero_trim_that_makes_no_sense_is_refused(trim, words):
+    with pytest.raises(CalibrationError, match=words):
+        Calibration.nominal().with_zero_offsets(trim)
+
+
+def test_a_range_of_nearly_a_turn_is_warned_of_except_where_it_is_usual(tmp_path):
+    wide = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=10, elbow_flex__range_max=4090))
+    assert [warning.split()[0] for warning in wide.warnings()] == ["elbow_flex"]
+    assert Calibration.nominal().warnings() == ()

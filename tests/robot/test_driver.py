@@ -9,19 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot import model
-from robot.driver import (
-    GOAL_TOLERANCE_RAD,
-    SETTLE_TIMEOUT_S,
-    STALE_AFTER_S,
-    START_TOLERANCE_RAD,
-    STEP_MARGIN,
-    TRACKING_TIME_S,
-    Driver,
-    JointBounds,
-    Measured,
-)
+from robot.acceptance import START_TOLERANCE_RAD
+from robot.driver import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, Driver
+from robot.faults import Fault, FaultCode
+from robot.guards import STALE_AFTER_S, STALL_TIME_S, TRACKING_TIME_S, Guards, Temperatures
+from robot.limits import JointBounds
 from robot.messages import Execute, Mode, MotionEnded, Outcome
+from robot.motion import GOAL_TOLERANCE_RAD, SETTLE_TIMEOUT_S
+from robot.registers import StatusBit
 from robot.trajectory import Trajectory
+from tests.helpers.readings import reading
 from tests.helpers.trajectories import smooth_move
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -34,16 +31,25 @@ class Rig:
 
     def __init__(self, hold_rad: list[float] | None = None) -> None:
         self.now_s = 100.0
-        self.driver = Driver(NAMES, BOUNDS, np.array(hold_rad or [0.0] * 6), self.now_s)
+        self.driver = Driver(NAMES, BOUNDS, Guards(NAMES), np.array([0.8] * 5 + [0.5]), Temperatures())
+        self.driver.hold(np.array(hold_rad or [0.0] * 6))
+        self.driver.step(reading(self.driver.goal_rad), self.now_s)
         self.goals = [self.driver.goal_rad]
 
-    def tick(self, lag: np.ndarray | None = None, age_s: float = 0.0, gap_s: float = PERIOD_S) -> MotionEnded | None:
+    def tick(
+        self,
+        lag: np.ndarray | None = None,
+        age_s: float = 0.0,
+        gap_s: float = PERIOD_S,
+        **told: object,
+    ) -> MotionEnded | None:
         self.now_s += gap_s
         position = self.driver.goal_rad + (0.0 if lag is None else lag)
         ages = np.array([0.0, 0.0, age_s, 0.0, 0.0, 0.0])
-        ended = self.driver.step(Measured(position, ages), self.now_s)
+        ended = self.driver.step(reading(position, age_s=ages, **told), self.now_s)
         self.goals.append(self.driver.goal_rad)
-        return ended
+        assert len(ended) <= 1
+        return ended[0] if ended else None
 
     def until_end(self, **tick: object) -> tuple[MotionEnded, float]:
         """The end of the motion, and the time it took [s]."""
@@ -219,13 +225,172 @@ def test_progress_is_told_while_moving() -> None:
     rig.driver.execute(Execute(9, move(shoulder_pan=(0.0, 1.0))))
     for _ in range(100):
         rig.tick()
-    assert rig.driver.motion_id == 9
-    assert rig.driver.fraction == pytest.approx(0.5, abs=0.02)
-    assert rig.driver.remaining_s == pytest.approx(1.0, abs=0.02)
+    motion = rig.driver.motion
+    assert motion is not None
+    assert motion.motion_id == 9
+    assert motion.playback.fraction == pytest.approx(0.5, abs=0.02)
+    assert motion.playback.remaining_s == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_abandoned_motion_is_answered_once() -> None:
     rig = Rig()
     rig.driver.execute(Execute(4, move(shoulder_pan=(0.0, 1.0))))
-    assert rig.driver.abandon(Outcome.BUS_LOST, "unplugged") == MotionEnded(4, Outcome.BUS_LOST, "unplugged")
-    assert rig.driver.abandon(Outcome.BUS_LOST, "unplugged") is None
+    assert rig.driver.abandon(Outcome.BUS_LOST, "unplugged") == [MotionEnded(4, Outcome.BUS_LOST, "unplugged")]
+    assert rig.driver.abandon(Outcome.BUS_LOST, "unplugged") == []
+
+
+BLOCKED_RAD = 0.4
+
+
+def blocked(rig: Rig, ticks: int, joint: int = 0, load: float = 0.8) -> MotionEnded | None:
+    """Let a joint run against something; returns the end of its motion."""
+    for _ in range(ticks):
+        goal = rig.driver.goal_rad[joint]
+        lag = np.zeros(6)
+        lag[joint] = min(0.0, BLOCKED_RAD - goal) if goal > 0 else max(0.0, -BLOCKED_RAD - goal)
+        loads = np.zeros(6)
+        loads[joint] = load if abs(lag[joint]) > 0.05 else 0.1
+        ended = rig.tick(lag=lag, load=loads)
+        if ended is not None:
+            return ended
+    return None
+
+
+def test_a_relaxed_arm_refuses_to_move_and_says_what_to_do() -> None:
+    rig = Rig()
+    rig.driver.release()
+    refused = rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    assert refused is not None
+    assert refused.outcome is Outcome.REFUSED
+    assert "enable it first" in refused.message
+    assert rig.driver.mode is Mode.RELAXED
+
+
+def test_a_stall_is_a_fault_that_stays_until_it_is_reset() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
+    ended = blocked(rig, 400)
+    assert ended is not None
+    assert ended.outcome is Outcome.FAULT
+    assert "then reset the fault" in ended.message
+    assert rig.driver.mode is Mode.FAULT
+    refused = rig.driver.execute(Execute(2, move(shoulder_pan=(BLOCKED_RAD, 0.0))))
+    assert refused is not None
+    assert "has a fault" in refused.message
+    rig.driver.reset()
+    assert rig.driver.mode is Mode.HOLDING
+
+
+def test_after_a_stall_the_goal_goes_back_to_where_the_joint_is() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
+    blocked(rig, 400)
+    blocked(rig, 100)
+    assert rig.driver.goal_rad[0] == pytest.approx(BLOCKED_RAD, abs=GOAL_TOLERANCE_RAD)
+
+
+def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque() -> None:
+    rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
+    closing = smooth_move({"gripper": (1.5, 0.0)}, duration_s=2.0)
+    rig.driver.execute(Execute(1, closing, gripping=True, torque_share=0.8))
+    object_rad = 0.8
+    ended = None
+    for _ in range(300):
+        lag = np.zeros(6)
+        lag[5] = max(0.0, object_rad - rig.driver.goal_rad[5])
+        ended = rig.tick(lag=lag, load=[0, 0, 0, 0, 0, -0.45 if lag[5] > 0.05 else 0.0]) or ended
+    assert ended is not None
+    assert ended.outcome is Outcome.GRIPPED
+    assert rig.driver.fault is None
+    assert rig.driver.goal_rad[5] == pytest.approx(object_rad - SQUEEZE_RAD)
+    assert rig.driver.torque_limit[5] == pytest.approx(0.5 * GRIP_TORQUE_SHARE)
+
+
+def test_motions_of_different_joints_run_side_by_side() -> None:
+    rig = Rig()
+    assert rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0)))) is None
+    assert rig.driver.execute(Execute(2, smooth_move({"gripper": (0.0, 0.5)}, duration_s=1.0))) is None
+    assert rig.until_end()[0].motion_id == 2
+    assert rig.until_end()[0].motion_id == 1
+    assert rig.driver.goal_rad[[0, 5]] == pytest.approx([1.0, 0.5])
+
+
+def test_one_motion_of_two_can_be_stopped() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    rig.driver.execute(Execute(2, move(gripper=(0.0, 0.5))))
+    rig.tick()
+    rig.driver.stop(2)
+    assert rig.until_end()[0].outcome is Outcome.STOPPED
+    assert rig.until_end()[0] == MotionEnded(1, Outcome.REACHED, "the arm is there")
+
+
+def test_a_hot_servo_slows_the_motion_down() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    ended, seconds = rig.until_end(temperature_c=61.0)
+    assert ended.outcome is Outcome.REACHED
+    assert seconds == pytest.approx(2.0 / SLOW_RATE, abs=0.2)
+
+
+def test_heat_takes_the_place_of_a_lesser_fault() -> None:
+    rig = Rig()
+    rig.driver.latch(Fault(FaultCode.STALLED, "joint shoulder_pan pushes in vain"))
+    rig.tick(temperature_c=66.0)
+    assert rig.driver.fault is not None
+    assert rig.driver.fault.code is FaultCode.OVERHEATED
+
+
+def test_a_lesser_fault_does_not_take_the_place_of_an_emergency_stop() -> None:
+    rig = Rig()
+    rig.driver.latch(Fault(FaultCode.EMERGENCY_STOP, "emergency stop"))
+    rig.tick(age_s=STALE_AFTER_S * 2)
+    assert rig.driver.fault is not None
+    assert rig.driver.fault.code is FaultCode.EMERGENCY_STOP
+
+
+def test_an_overloaded_servo_ends_the_motion_at_once() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    ended = rig.tick(status=[0, int(StatusBit.OVERLOAD), 0, 0, 0, 0])
+    assert ended is not None
+    assert ended.outcome is Outcome.FAULT
+    assert "shoulder_lift" in ended.message
+
+
+def test_pushing_for_less_than_the_stall_time_is_no_stall() -> None:
+    rig = Rig()
+    behind = np.array([-0.2, 0, 0, 0, 0, 0])
+    for _ in range(round(STALL_TIME_S / PERIOD_S) - 1):
+        rig.tick(lag=behind, load=0.8)
+    rig.tick()
+    for _ in range(round(STALL_TIME_S / PERIOD_S) - 1):
+        rig.tick(lag=behind, load=0.8)
+    assert rig.driver.fault is None
+
+
+POSITIONS = st.lists(st.floats(min_value=-2.0, max_value=2.0), min_size=6, max_size=6)
+
+
+@given(
+    start=POSITIONS,
+    ends=st.lists(st.floats(min_value=-1.0, max_value=1.0), min_size=3, max_size=3),
+    gaps=st.lists(st.sampled_from([0.0, 0.005, 0.01, 0.013, 0.05, 1.0]), min_size=40, max_size=40),
+    errors=st.lists(st.floats(min_value=-0.6, max_value=0.6), min_size=40, max_size=40),
+)
+def test_whatever_happens_goals_move_by_bounded_steps_inside_the_limits(
+    start: list[float], ends: list[float], gaps: list[float], errors: list[float]
+) -> None:
+    inside = np.clip(start, BOUNDS.lower_rad, BOUNDS.upper_rad)
+    rig = Rig(inside.tolist())
+    for tick, (gap_s, error) in enumerate(zip(gaps, errors, strict=True)):
+        if tick % 13 == 0:
+            goal = float(np.clip(inside[0] + ends[tick // 13 % 3], BOUNDS.lower_rad[0], BOUNDS.upper_rad[0]))
+            rig.driver.execute(Execute(tick, move(shoulder_pan=(float(rig.driver.goal_rad[0]), goal))))
+        if tick % 17 == 16:
+            rig.driver.stop()
+        rig.tick(lag=np.array([error, 0, 0, 0, 0, -error]), gap_s=gap_s, load=0.9)
+        step = np.abs(rig.goals[-1] - rig.goals[-2])
+        assert (step <= BOUNDS.max_velocity * min(gap_s, 0.02) * STEP_MARGIN + 1e-9).all()
+        assert (rig.goals[-1] >= BOUNDS.lower_rad - 1e-9).all()
+        assert (rig.goals[-1] <= BOUNDS.upper_rad + 1e-9).all()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import pty
 import socket
@@ -10,9 +11,12 @@ import tty
 import pytest
 
 from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
-from robot.port import LOCAL_LATENCY_S, NETWORK_LATENCY_S, _refusal, open_port
+from robot.port import LOCAL_LATENCY_S, NETWORK_LATENCY_S, _claim, _refusal, open_port
 
 BAUDRATE = 1_000_000
+
+# Reads the flag that TIOCEXCL sets (Linux, asm-generic/ioctls.h).
+TIOCGEXCL = 0x80045440
 
 
 @pytest.fixture
@@ -154,3 +158,22 @@ def test_a_port_without_file_descriptor_is_read_with_a_timeout_too():
         received += port.receive(1.0) or pytest.fail("the echo does not come")
     assert received == b"echo"
     port.closePort()
+
+
+def is_claimed(descriptor):
+    return fcntl.ioctl(descriptor, TIOCGEXCL, bytes(4)) != bytes(4)
+
+
+def test_a_claim_keeps_out_programs_that_know_no_lock(line):
+    descriptor = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
+    assert not is_claimed(descriptor)
+    _claim(descriptor)
+    assert is_claimed(descriptor)
+    os.close(descriptor)
+
+
+def test_a_pseudo_terminal_is_not_claimed_since_the_claim_would_outlive_a_dead_owner(line):
+    open_port(line[1], BAUDRATE).closePort()
+    descriptor = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
+    assert not is_claimed(descriptor)
+    os.close(descriptor)

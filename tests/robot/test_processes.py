@@ -59,6 +59,15 @@ def test_a_channel_notices_that_the_other_end_is_gone() -> None:
     ours.close()
 
 
+def test_what_comes_right_behind_the_first_message_is_not_lost(pair: tuple[Channel, Channel]) -> None:
+    child, server = pair
+    for number in range(3):
+        server.send(number)
+    assert child.receive_first() == 0
+    assert child.receive(0.0) == [1, 2]
+    assert child.receive(0.0) == []
+
+
 def test_to_a_server_that_does_not_read_only_what_may_not_be_dropped_is_kept(pair: tuple[Channel, Channel]) -> None:
     child, server = pair
     for number in range(5000):

@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import os
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from robot import model
-from server.app import Description, check_parameters
+from robot.calibration import Calibration
+from robot.calibration_files import new_calibration_path, save
+from robot.messages import EmergencyPolicy, EndState
+from server.app import Description, arm_config, check_parameters
 from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.moveit.parameters import MoveItParameters
@@ -45,3 +50,33 @@ def test_a_robot_without_the_calibrated_joints_is_refused(tmp_path: Path) -> Non
     srdf.write_text(builtin.srdf.replace("wrist_roll", "wrist_twist"))
     with pytest.raises(ConfigurationError, match="'wrist_roll'"):
         Description.read(ArmSettings(urdf=urdf, srdf=srdf))
+
+
+def test_a_trim_of_a_zero_moves_the_limits_of_its_joint() -> None:
+    plain = Description.read(ArmSettings()).calibration.joints[2]
+    trimmed = Description.read(ArmSettings(zero_offset_rad={"elbow_flex": 0.02})).calibration.joints[2]
+    assert trimmed.rad_from_ticks(2000) == pytest.approx(plain.rad_from_ticks(2000) + 0.02)
+
+
+def test_a_trim_of_an_unknown_joint_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"elbow.*one of the arm's joints"):
+        Description.read(ArmSettings(zero_offset_rad={"elbow": 0.02}))
+
+
+def test_a_calibration_is_found_by_the_id_that_lerobot_has_it_under(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
+    file = new_calibration_path("my_arm", os.environ)
+    save(Calibration.nominal(), file)
+    read = Description.read(ArmSettings(calibration=Path("my_arm")))
+    assert (read.calibration, read.calibration_file) == (Calibration.nominal(), file)
+
+
+def test_the_arm_process_gets_what_is_set() -> None:
+    settings = ArmSettings(watchdog_s=1.5, on_exit=EndState.RELAX, on_emergency_stop=EmergencyPolicy.HOLD)
+    config = arm_config(settings, Description.read(settings), "/dev/arm")
+    assert (config.port, config.watchdog_s, config.on_exit) == ("/dev/arm", 1.5, EndState.RELAX)
+    assert config.on_emergency_stop is EmergencyPolicy.HOLD
+    shared = {field.name for field in fields(config)} & set(ArmSettings.model_fields) - {"calibration"}
+    assert {name: getattr(config, name) for name in shared} == {name: getattr(settings, name) for name in shared}

@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-import json
 import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from server import cli
 
 COMMAND = [sys.executable, "-m", "server.cli"]
 
@@ -17,12 +14,30 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False)
 
 
-def test_help_names_the_command_and_its_options() -> None:
-    assert "serve" in run("--help").stdout
+def test_help_names_every_command_and_what_exit_codes_mean() -> None:
+    answer = run("--help")
+    for command in ("serve", "scan", "calibrate", "doctor", "relax", "plan", "emulate"):
+        assert command in answer.stdout
+    assert "Exit code 0" in answer.stdout
+
+
+def test_help_of_a_command_names_its_options() -> None:
     answer = run("serve", "--help")
     assert answer.returncode == 0
     for option in ("--host", "--port", "--serial", "--calibration", "--urdf", "--srdf", "--config"):
         assert option in answer.stdout
+
+
+@pytest.mark.parametrize("command", ["scan", "doctor", "calibrate", "relax"])
+def test_every_command_on_the_arm_takes_its_port_and_explains_itself(command: str) -> None:
+    answer = run(command, "--help")
+    assert answer.returncode == 0
+    assert "--serial" in answer.stdout
+    assert "Exit code 0" in answer.stdout
+
+
+def test_a_command_that_does_not_exist_is_called_wrongly() -> None:
+    assert run("dance").returncode == 2
 
 
 def test_a_port_in_use_is_one_line_and_exit_1() -> None:
@@ -35,23 +50,6 @@ def test_a_port_in_use_is_one_line_and_exit_1() -> None:
     ]
 
 
-USAGE = {
-    "wrong setting": (["--port", "70000"], "server.port"),
-    "urdf alone": (["--urdf", "a.urdf"], "urdf and srdf must be given together"),
-    "missing configuration": (["--config", "/nowhere.toml"], "/nowhere.toml cannot be read"),
-}
-
-
-@pytest.mark.parametrize(("arguments", "words"), USAGE.values(), ids=USAGE.keys())
-def test_a_wrong_setting_is_one_line_and_exit_2(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["serve", *arguments]) == cli.EXIT_USAGE
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert words in error
-
-
 FILES = {
     "calibration": (["--calibration"], "calibration"),
     "description": (["--srdf", "/nowhere.srdf", "--urdf"], "cannot be read"),
@@ -62,38 +60,5 @@ FILES = {
 def test_a_file_that_cannot_be_used_is_one_line_and_exit_1(options: list[str], words: str, tmp_path: Path) -> None:
     answer = run("serve", "--port", "0", *options, str(tmp_path / "missing"))
     assert answer.returncode == 1
-    assert len(answer.stderr.splitlines()) == 1
-    assert words in answer.stderr
-
-
-def test_plan_has_its_own_help() -> None:
-    answer = run("plan", "--help")
-    assert answer.returncode == 0
-    for option in ("--all", "--id", "--json", "--plot", "--urdf", "--srdf", "--time", "--optimize", "--seed"):
-        assert option in answer.stdout
-
-
-def test_plan_answers_a_file_with_a_table(tmp_path: Path) -> None:
-    problem = {"id": "a", "start": [0.0] * 5, "goal": [0.1] * 5}
-    joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
-    fields = {"format": "so101-plan-bench/1", "name": "n", "joint_names": joints, "joint_problems": [problem]}
-    path = tmp_path / "problem.json"
-    path.write_text(json.dumps(fields))
-    answer = run("plan", str(path), "--seed", "3")
-    assert answer.returncode == 0
-    assert "SUCCESS" in answer.stdout
-
-
-PLAN_USAGE = {
-    "urdf alone": (["--urdf", "a.urdf"], "--urdf and --srdf must be given together"),
-    "missing description": (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "cannot be read"),
-    "missing problems": ([], "/nowhere.json: cannot be read"),
-}
-
-
-@pytest.mark.parametrize(("options", "words"), PLAN_USAGE.values(), ids=PLAN_USAGE.keys())
-def test_what_plan_cannot_use_is_one_line_and_exit_2(options: list[str], words: str) -> None:
-    answer = run("plan", "/nowhere.json", *options)
-    assert answer.returncode == 2
     assert len(answer.stderr.splitlines()) == 1
     assert words in answer.stderr

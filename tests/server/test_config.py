@@ -40,6 +40,9 @@ REFUSED = {
     "too little memory": ("[planning]\nmemory_limit_mb = 100", "planning.memory_limit_mb: .*256.*100"),
     "wrong type": ('[server]\nport = "many"', "server.port.*'many'"),
     "urdf alone": ('[arm]\nurdf = "a.urdf"', "urdf and srdf must be given together"),
+    "watchdog": ("[arm]\nwatchdog_s = 0.1", "arm.watchdog_s: .*0.3.*0.1"),
+    "temperatures": ("[arm]\nwarn_temperature_c = 66", "must rise in this order, not .66"),
+    "end state": ('[arm]\non_exit = "fall"', "arm.on_exit.*'fall'"),
     "no TOML": ("server: port", "not TOML"),
 }
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
+from robot.emulator.plant import HAND_TICKS_S, NO_LOAD_TICKS_S, STALL_CURRENT_A, Drive, Plant
 
 DT_S = 0.002
 
@@ -95,3 +95,60 @@ def test_a_suspended_process_does_not_catch_up():
     plant = plant_at(1000.0)
     plant.step(3600.0, drive_to(4000.0, velocity=1000.0))
     assert plant.position_ticks < 1000.0 + 1000.0 * 0.11
+
+
+def test_an_obstacle_stops_the_joint_on_its_side_until_it_is_taken_away():
+    plant = plant_at(2000.0)
+    plant.block(2200.0)
+    assert run(plant, drive_to(2600.0), 2.0)[-1] == 2200.0
+    assert plant.duty_permille == 1000.0
+    assert plant.current_a == pytest.approx(STALL_CURRENT_A)
+    assert run(plant, drive_to(1500.0), 2.0)[-1] == pytest.approx(1500.0, abs=1.0)
+    plant.block(None)
+    assert run(plant, drive_to(2600.0), 2.0)[-1] == pytest.approx(2600.0, abs=1.0)
+
+
+def test_an_obstacle_may_stand_below_the_joint():
+    plant = plant_at(2000.0)
+    plant.block(1800.0)
+    assert run(plant, drive_to(1500.0), 2.0)[-1] == 1800.0
+
+
+def test_an_obstacle_does_not_widen_the_mechanical_range():
+    plant = plant_at(2000.0)
+    plant.block(4090.0)
+    assert run(plant, drive_to(4095.0), 3.0)[-1] == 4000.0
+
+
+def test_a_push_moves_a_free_joint_and_bends_a_driven_one():
+    free, driven = plant_at(2000.0), plant_at(2000.0)
+    free.push_permille = driven.push_permille = 160.0
+    assert run(free, drive_to(2000.0, torque=0.0), 1.0)[-1] > 2200.0
+    assert run(driven, drive_to(2000.0), 1.0)[-1] == pytest.approx(2010.0, abs=0.5)
+    driven.push_permille = 0.0
+    assert run(driven, drive_to(2000.0), 1.0)[-1] == pytest.approx(2000.0, abs=0.5)
+
+
+def test_a_push_stronger_than_the_motor_takes_the_joint_along():
+    plant = plant_at(2000.0)
+    plant.push_permille = -400.0
+    assert run(plant, drive_to(2000.0, torque=200.0), 0.5)[-1] < 1800.0
+
+
+@pytest.mark.parametrize("torque", [0.0, 1000.0])
+def test_a_hand_takes_the_joint_where_it_wants_at_its_own_speed(torque):
+    plant = plant_at(2000.0)
+    plant.hand_ticks = 2600.0
+    positions = run(plant, drive_to(2000.0, torque=torque), 0.5)
+    assert positions[-1] == pytest.approx(2600.0)
+    assert max(abs(b - a) for a, b in pairwise(positions)) <= HAND_TICKS_S * DT_S * 1.001
+    plant.hand_ticks = None
+    back = run(plant, drive_to(2000.0, torque=torque), 1.0)[-1]
+    assert back == pytest.approx(2000.0 if torque else 2600.0, abs=1.0)
+
+
+def test_a_joint_that_moves_freely_draws_hardly_any_current():
+    plant = plant_at(1000.0)
+    run(plant, drive_to(3900.0, velocity=2000.0), 0.5)
+    assert plant.duty_permille > 500.0
+    assert abs(plant.current_a) < 0.1

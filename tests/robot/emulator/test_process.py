@@ -10,45 +10,11 @@ import time
 import pytest
 
 from robot.bus import Bus
-from robot.emulator.process import LINGER_S, MAX_COMMAND_BYTES, PseudoTerminal
+from robot.emulator.process import LINGER_S, MAX_COMMAND_BYTES, Control
+from robot.errors import NoReply, PortError, PortLost
 from robot.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 
 IDS = (1, 2, 3, 4, 5, 6)
-
-
-def test_a_terminal_passes_every_byte_unaltered():
-    with contextlib.closing(PseudoTerminal()) as terminal:
-        client = os.open(terminal.port, os.O_RDWR | os.O_NOCTTY)
-        every_byte = bytes(range(256))
-        terminal.write(every_byte)
-        assert os.read(client, 512) == every_byte
-        os.write(client, every_byte)
-        assert terminal.read() == every_byte
-        assert terminal.read() == b""
-        os.close(client)
-
-
-def test_bytes_that_nobody_fetches_are_lost_rather_than_waited_for():
-    with contextlib.closing(PseudoTerminal()) as terminal:
-        for _ in range(100):
-            terminal.write(bytes(4096))
-
-
-def test_a_link_leads_to_the_terminal_as_long_as_it_is_there(tmp_path):
-    link = tmp_path / "arm"
-    link.symlink_to("/dev/null")
-    terminal = PseudoTerminal(link)
-    assert str(link.readlink()) == terminal.port
-    terminal.close()
-    assert not link.is_symlink()
-
-
-def test_a_file_in_the_place_of_the_link_is_left_alone(tmp_path):
-    link = tmp_path / "arm"
-    link.write_text("mine")
-    with pytest.raises(FileExistsError):
-        PseudoTerminal(link)
-    assert link.read_text() == "mine"
 
 
 def test_live_commands_are_answered_while_the_bus_runs(emulator, bus):
@@ -82,11 +48,77 @@ def test_a_controller_that_sends_no_line_end_is_let_go(emulator):
     assert emulator.process.wait(5.0) == 0
 
 
+def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_emulator, tmp_path):
+    link = tmp_path / "arm"
+    emulator = start_emulator("--link", str(link))
+    with contextlib.closing(Bus.open(str(link))) as bus:
+        bus.write(1, Register.TORQUE_LIMIT, 321)
+        emulator.command(plugged=False)
+        with pytest.raises(PortLost):
+            bus.ping(1)
+    with pytest.raises(PortError):
+        Bus.open(str(link))
+    assert emulator.command(plugged="renamed")["port"] != emulator.port
+    with contextlib.closing(Bus.open(str(link))) as bus:
+        assert bus.read(1, Register.TORQUE_LIMIT) == 321
+
+
+def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(emulator, bus):
+    emulator.command(frozen=True)
+    assert bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
+    emulator.command(frozen=False)
+    assert bus.ping(1) == 777
+
+
+def test_nobody_answers_at_a_wrong_baud_rate(emulator):
+    with contextlib.closing(Bus.open(emulator.port, 500_000)) as bus, pytest.raises(NoReply):
+        bus.ping(1)
+
+
+@contextlib.contextmanager
+def standalone(*options):
+    """The emulator as a person starts it, killed at the end if it still runs."""
+    command = [sys.executable, "-P", "-m", "robot.emulator", *options]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("essential", [True, False])
+def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
+    reader, writer = os.pipe()
+    control = Control(reader, writer, essential=essential)
+    assert control.wanted
+    assert control.descriptors == [reader]
+    os.close(writer)
+    control.obey(None)
+    os.close(reader)
+    assert control.wanted is not essential
+    assert control.descriptors == []
+
+
+def test_without_a_controller_live_commands_come_on_standard_input():
+    with standalone() as process:
+        port = process.stdout.readline().strip()
+        process.stdin.write('{"offline": [6]}\n\n{"explode": 1}\n')
+        process.stdin.flush()
+        assert process.stdout.readline() == '{"ok": true}\n'
+        assert "explode" in process.stdout.readline()
+        process.stdin.close()
+        with contextlib.closing(Bus.open(port)) as bus:
+            assert bus.ping(5) == 777
+            with pytest.raises(NoReply):
+                bus.ping(6)
+        process.terminate()
+        assert process.wait(5.0) == 0
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_without_a_controller_it_prints_the_port_and_runs_until_told_to_end(tmp_path, number):
     link = tmp_path / "arm"
-    command = [sys.executable, "-P", "-m", "robot.emulator", "--link", str(link)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with standalone("--link", str(link)) as process:
         port = process.stdout.readline().strip()
         with contextlib.closing(Bus.open(str(link))) as bus:
             assert bus.read(6, Register.ID) == 6

@@ -5,12 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.plant import Plant
-from robot.emulator.servo import MEMORY_BYTES, Servo
+from robot.emulator.servo import Servo
 from robot.registers import (
     LAYOUT,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
+    StatusBit,
     decode,
     encode,
     goal_block,
@@ -92,16 +93,6 @@ def test_present_position_is_the_encoder_less_the_homing_offset(offset):
     assert get(servo, Register.PRESENT_POSITION) == 2000 + offset
 
 
-@pytest.mark.parametrize(("lock", "kept"), [(1, 32), (0, 16)])
-def test_eprom_outlives_a_power_cut_only_when_written_unlocked(lock, kept):
-    servo = servo_at()
-    put(servo, Register.LOCK, lock)
-    put(servo, Register.P_GAIN, 16)
-    assert get(servo, Register.P_GAIN) == 16
-    servo.power_up()
-    assert get(servo, Register.P_GAIN) == kept
-
-
 def test_a_power_cut_clears_what_is_not_eprom():
     servo = servo_at()
     put(servo, Register.LOCK, 0)
@@ -110,20 +101,6 @@ def test_a_power_cut_clears_what_is_not_eprom():
     run(servo, 0.5)
     assert get(servo, Register.TORQUE_ENABLE) == get(servo, Register.GOAL_POSITION) == 0
     assert servo.present_ticks == 2048
-
-
-@given(st.integers(0, 255), st.binary(max_size=100))
-def test_no_write_changes_what_is_read_only(address, data):
-    servo = servo_at()
-    constant = (Register.MODEL_NUMBER, Register.PRESENT_VOLTAGE, Register.PRESENT_TEMPERATURE, Register.STATUS)
-    before = {register: get(servo, register) for register in constant}
-    servo.write(address, data)
-    assert {r: get(servo, r) for r in before} == before
-    assert len(servo.read(0, 255)) == 255
-
-
-def test_memory_beyond_the_end_reads_as_zero():
-    assert servo_at().read(MEMORY_BYTES - 1, 10) == bytes(10)
 
 
 def test_telemetry_shows_the_motion():
@@ -146,3 +123,87 @@ def test_a_position_beyond_what_its_register_holds_shows_as_the_largest():
     put(servo, Register.MIN_ANGLE_LIMIT, 40_000)
     put(servo, Register.MAX_ANGLE_LIMIT, 50_000)
     assert get(servo, Register.GOAL_POSITION_ECHO) == 32_767
+
+
+def holding_servo(**registers):
+    servo = servo_at()
+    put(servo, Register.GOAL_POSITION, 2048)
+    for name, value in registers.items():
+        put(servo, Register[name], value)
+    put(servo, Register.TORQUE_ENABLE, 1)
+    return servo
+
+
+def test_a_joint_that_is_stuck_overloads_and_goes_weak_until_torque_is_off():
+    servo = holding_servo()
+    servo.plant.block(2060)
+    put(servo, Register.GOAL_POSITION, 2600)
+    run(servo, 1.9)
+    assert servo.error == 0
+    assert get(servo, Register.PRESENT_LOAD) == 1000
+    run(servo, 0.3)
+    assert servo.error == get(servo, Register.STATUS) == StatusBit.OVERLOAD
+    assert get(servo, Register.PRESENT_LOAD) == 200
+    servo.plant.block(None)
+    put(servo, Register.TORQUE_ENABLE, 0)
+    put(servo, Register.GOAL_POSITION, servo.present_ticks)
+    put(servo, Register.TORQUE_ENABLE, 1)
+    run(servo, 0.1)
+    assert servo.error == 0
+
+
+def test_below_its_overload_torque_a_stuck_joint_does_not_overload():
+    servo = holding_servo(TORQUE_LIMIT=500)
+    servo.plant.block(2060)
+    put(servo, Register.GOAL_POSITION, 2600)
+    run(servo, 5.0)
+    assert servo.error == 0
+
+
+def test_a_stuck_joint_draws_more_than_its_protection_current_and_is_cut_off():
+    servo = holding_servo(PROTECTION_CURRENT=100, OVERLOAD_TORQUE=200)
+    servo.plant.block(2060)
+    put(servo, Register.GOAL_POSITION, 2600)
+    run(servo, 2.5)
+    assert servo.error == StatusBit.CURRENT
+    assert get(servo, Register.PRESENT_CURRENT) == 0
+
+
+def test_a_hot_servo_tells_it_lets_go_and_holds_again_when_cool():
+    servo = holding_servo()
+    servo.motor.temperature_c = 75.0
+    run(servo, 0.05)
+    assert servo.error == StatusBit.TEMPERATURE
+    assert get(servo, Register.PRESENT_TEMPERATURE) == 75
+    put(servo, Register.GOAL_POSITION, 2200)
+    run(servo, 0.3)
+    assert servo.present_ticks == 2048
+    servo.motor.temperature_c = 50.0
+    run(servo, 1.0)
+    assert servo.present_ticks == 2200
+
+
+def test_a_wrong_supply_is_told_and_does_not_stop_the_motion():
+    servo = holding_servo()
+    servo.voltage_v = 12.0
+    put(servo, Register.GOAL_POSITION, 2200)
+    run(servo, 1.0)
+    assert (servo.error, servo.present_ticks) == (StatusBit.VOLTAGE, 2200)
+    assert get(servo, Register.PRESENT_VOLTAGE) == 120
+
+
+def test_a_servo_may_power_up_holding_where_it_is():
+    servo = servo_at(2500.0, offset=-100)
+    servo.powers_up_holding = True
+    servo.power_up()
+    run(servo, 1.0)
+    assert get(servo, Register.TORQUE_ENABLE) == 1
+    assert servo.present_ticks == get(servo, Register.GOAL_POSITION) == 2500
+
+
+@pytest.mark.parametrize("value", [2, 3, 255])
+def test_only_one_is_torque_on(value):
+    servo = servo_at()
+    put(servo, Register.TORQUE_ENABLE, value)
+    run(servo, 0.5)
+    assert servo.present_ticks == 2048

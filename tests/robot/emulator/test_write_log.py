@@ -3,23 +3,47 @@ from __future__ import annotations
 import json
 
 from robot.calibration import Calibration
-from robot.emulator.__main__ import build_servos
+from robot.emulator.arm import build_servos
 from robot.emulator.write_log import WriteLog
+from robot.registers import goal_block
 
 
-def test_a_line_tells_the_write_and_where_every_servo_stood(tmp_path):
-    servos = build_servos(Calibration.nominal(), [0.0] * 6)
-    path = tmp_path / "writes.jsonl"
+def lines_of(path, record):
     log = WriteLog(path)
-    servos[1].write(40, b"\x01")
-    log.record(12.5, "write", 40, {2: b"\x01"}, servos)
-    (line,) = map(json.loads, path.read_text().splitlines())  # before it is closed: a killed process leaves all lines
+    record(log)
+    lines = [json.loads(line) for line in path.read_text().splitlines()]  # not closed: a killed process leaves all
     log.close()
+    return lines
+
+
+def test_a_line_tells_the_write_and_how_every_servo_stood(tmp_path):
+    servos = build_servos(Calibration.nominal(), [0.0] * 6)
+    servos[1].write(40, b"\x01")
+    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(12.5, 3, 40, {2: b"\x01"}, servos))
     assert line == {
         "t": 12.5,
         "instruction": "write",
         "address": 40,
         "data": {"2": [1]},
+        "registers": {"2": {"TORQUE_ENABLE": 1}},
         "present": {str(servo.servo_id): servo.present_ticks for servo in servos},
         "torque": {"1": 0, "2": 1, "3": 0, "4": 0, "5": 0, "6": 0},
+        "goal": {str(i): 0 for i in range(1, 7)},
+        "limit": {str(i): 1000 for i in range(1, 7)},
+        "status": {str(i): 0 for i in range(1, 7)},
     }
+
+
+def test_the_registers_wholly_written_are_named_and_decoded(tmp_path):
+    block = goal_block(-5, 700)
+    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(0.0, 0x83, 41, {3: block, 4: block[:2]}, []))
+    assert line["registers"] == {
+        "3": {"ACCELERATION": 254, "GOAL_POSITION": -5, "GOAL_TIME": 0, "GOAL_VELOCITY": 700},
+        "4": {"ACCELERATION": 254},
+    }
+
+
+def test_a_live_command_is_a_line_among_the_writes(tmp_path):
+    (line,) = lines_of(tmp_path / "log", lambda log: log.record_command(3.0, {"push": {"3": 9}}, []))
+    assert (line["t"], line["instruction"], line["address"], line["data"]) == (3.0, "command", None, {})
+    assert line["command"] == {"push": {"3": 9}}

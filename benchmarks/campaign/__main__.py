@@ -1,0 +1,78 @@
+"""``python -m benchmarks.campaign``: run seeds, print a table and every violating seed."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import tempfile
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+from benchmarks.campaign.result import Result
+from benchmarks.campaign.scenario import Happening
+from benchmarks.campaign.seed_run import run_seed
+from benchmarks.figures import print_table
+
+SEEDS = 200
+
+# A run waits most of its time; so many keep two cores busy without delaying each other's ticks much.
+JOBS = 6
+
+
+def main() -> int:
+    """Run the campaign; the exit code tells whether every run was good."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=main.__doc__)
+    parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"how many seeds (default {SEEDS})")
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them (default 0)")
+    parser.add_argument("--seed", type=int, metavar="SEED", help="this one alone")
+    parser.add_argument("--jobs", type=int, default=JOBS, metavar="N", help=f"runs at a time (default {JOBS})")
+    parser.add_argument("--logs", type=Path, metavar="FOLDER", help="keep the logs of all writes there")
+    options = parser.parse_args()
+    seeds = range(options.first, options.first + options.seeds) if options.seed is None else [options.seed]
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.logs or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        results = _run_all(seeds, folder, options.jobs)
+    _report(results)
+    return 1 if any(result.violations for result in results) else 0
+
+
+def _run_all(seeds: Iterable[int], folder: Path, jobs: int) -> list[Result]:
+    results = []
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        running = [pool.submit(run_seed, seed, folder) for seed in seeds]
+        for done in as_completed(running):
+            result = done.result()
+            results.append(result)
+            verdict = "; ".join(result.violations[:3]) or "good"
+            print(f"seed {result.seed} ({result.happening}): {verdict}", file=sys.stderr)
+    return sorted(results, key=lambda result: result.seed)
+
+
+def _report(results: list[Result]) -> None:
+    rows = [_row(happening.value, results) for happening in Happening]
+    header = ["what happens", "runs", "motions", "faults told", "writes checked", "runs with violations"]
+    print_table("Fault campaign", header, [row for row in rows if row[1] != "0"])
+    for result in results:
+        for violation in result.violations:
+            print(f"seed {result.seed} ({result.happening}): {violation}")
+        if result.violations:
+            print(f'    again: make campaign ARGS="--seed {result.seed}"')
+
+
+def _row(happening: str, results: list[Result]) -> list[str]:
+    runs = [result for result in results if result.happening == happening]
+    return [
+        happening,
+        str(len(runs)),
+        str(sum(sum(result.outcomes.values()) for result in runs)),
+        ", ".join(sorted(set().union(*(result.faults for result in runs)))) or "-",
+        str(sum(result.writes for result in runs)),
+        str(sum(bool(result.violations) for result in runs)),
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,253 @@
+"""A run of the arm process alone: motions one after the other, with whatever befalls the arm."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import random
+import signal
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from benchmarks.campaign import checks
+from benchmarks.campaign.emulator import CampaignBus, campaign_bus
+from benchmarks.campaign.result import Result
+from benchmarks.campaign.scenario import CALIBRATION, MOVING_S, Event, Scenario, random_goal
+from benchmarks.campaign.write_log import Entry
+from robot import model
+from robot.arm import Arm
+from robot.limits import within_calibration
+from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
+from tests.helpers.trajectories import smooth_move
+
+ROBOT = within_calibration(model.builtin(), CALIBRATION)
+
+START_TIMEOUT_S = 15.0
+
+# A hot arm takes twice the time; the end is settled within a second, and the machine is loaded.
+ANSWER_MARGIN_S = 3.0
+
+# Orders and their retries, after the last fault has ended.
+RECOVERY_S = 15.0
+
+# Between a fault and the try to reset it.
+LOOK_S = 0.1
+
+STOP_SHARE = 0.2
+GRIP_SHARE = 0.3
+WRONG_SHARE = 0.1
+
+DURATIONS_S = (0.6, 1.4)
+
+
+class ListeningArm(Arm):
+    """An arm that keeps count of what its process says."""
+
+    def __init__(self, config: ArmConfig) -> None:
+        self.states: list[ArmState] = []
+        self.ended: list[MotionEnded] = []
+        self.done: list[CommandDone] = []
+        super().__init__(config, self.states.append)
+
+    def _received(self, message: Any) -> None:
+        if isinstance(message, MotionEnded):
+            self.ended.append(message)
+        elif isinstance(message, CommandDone):
+            self.done.append(message)
+        super()._received(message)
+
+
+@dataclass
+class ArmRun:
+    """One run, and the spans in which goals may change."""
+
+    scenario: Scenario
+    bus: CampaignBus
+    arm: ListeningArm
+    result: Result
+    chance: random.Random
+    licensed: list[checks.Span] = field(default_factory=list)
+    resets: int = 0
+
+    async def play(self) -> list[Entry]:
+        """Move, suffer, recover, end; returns what the servos were told."""
+        await self.arm.start(START_TIMEOUT_S)
+        await self._until(Mode.HOLDING)
+        self.bus.strike(self.scenario)
+        befalling = asyncio.create_task(self._befall(self.scenario.events))
+        until_s = time.monotonic() + MOVING_S
+        while time.monotonic() < until_s:
+            await self._go_on()
+        await befalling
+        if self.scenario.calmed:
+            await self._recover()
+        return await self._end()
+
+    async def _befall(self, events: tuple[Event, ...]) -> None:
+        started_s = time.monotonic()
+        for event in events:
+            await asyncio.sleep(event.at_s - (time.monotonic() - started_s))
+            if event.command:
+                self.bus.tell(event.command)
+            if event.order is not None:
+                await self._order(event.order)
+            if event.kills_arm and self.arm.pid is not None:
+                os.kill(self.arm.pid, signal.SIGKILL)
+
+    async def _go_on(self) -> None:
+        """Do what a person would: move an arm that holds, reset a fault, enable what is relaxed."""
+        mode = self.arm.state.mode
+        if mode is Mode.HOLDING:
+            if await self._move() is not Outcome.REFUSED:
+                return
+        elif mode in (Mode.FAULT, Mode.RELAXED):
+            await self._order(Order.RESET_FAULT if mode is Mode.FAULT else Order.ENABLE)
+        await asyncio.sleep(LOOK_S)
+
+    async def _move(self) -> Outcome | None:
+        goal_rad = self.arm.state.goal_rad
+        if goal_rad is None:
+            return None
+        held = dict(zip(self.arm.state.joint_names, goal_rad.tolist(), strict=True))
+        wrong = 2.5 if self.chance.random() < WRONG_SHARE else 0.0
+        moves = {name: (held[name], target + wrong) for name, target in random_goal(self.chance).items()}
+        duration_s = self.chance.uniform(*DURATIONS_S)
+        gripping = "gripper" in moves and self.chance.random() < GRIP_SHARE
+        started_s = time.monotonic()
+        motion = self.arm.execute(smooth_move(moves, duration_s), gripping=gripping)
+        if self.chance.random() < STOP_SHARE:
+            await asyncio.wait([motion], timeout=self.chance.uniform(0.0, duration_s))
+            self.arm.stop()
+        return await self._answer(motion, started_s, 2.0 * duration_s + ANSWER_MARGIN_S)
+
+    async def _answer(self, motion: asyncio.Future[MotionEnded], started_s: float, timeout_s: float) -> Outcome | None:
+        try:
+            ended = await asyncio.wait_for(motion, timeout_s)
+        except TimeoutError:
+            self.result.violations.append(f"a motion had no answer in {timeout_s:.1f} s")
+            return None
+        self._license(started_s)
+        self.result.count(ended.outcome.value)
+        return ended.outcome
+
+    async def _order(self, order: Order) -> bool:
+        started_s = time.monotonic()
+        done = await self.arm.order(order)
+        self._license(started_s)
+        self.resets += order is Order.RESET_FAULT and done.done
+        if "did not answer" in done.message:
+            self.result.violations.append(f"{order.value}: {done.message}")
+        return done.done
+
+    async def _recover(self) -> None:
+        """Without faults the arm must come back, and move again."""
+        self.bus.calm()
+        until_s = time.monotonic() + RECOVERY_S
+        while time.monotonic() < until_s:
+            if self.arm.state.mode is Mode.HOLDING and await self._move() is Outcome.REACHED:
+                return
+            await self._go_on()
+        state = self.arm.state
+        self.result.violations.append(
+            f"the arm did not recover: {state.mode.value}, {state.fault or state.reason or 'no reason'}"
+        )
+
+    async def _end(self) -> list[Entry]:
+        """End the arm process, in the midst of a motion if it moves, and see what became of the arm."""
+        mode = self.arm.state.mode
+        started_s = time.monotonic()
+        held = mode is Mode.HOLDING and self.chance.random() < 0.5
+        moving = asyncio.create_task(self._move()) if held else None
+        await asyncio.sleep(0.1)
+        await self.arm.close()
+        self._license(started_s)
+        if moving is not None:
+            await moving
+        entries = self.bus.entries()
+        self.result.violations += _end_state(entries, mode, self.scenario)
+        return entries
+
+    def _license(self, started_s: float) -> None:
+        self.licensed.append(checks.Span(started_s, time.monotonic() + checks.HEARD_LATE_S))
+
+    async def _until(self, mode: Mode) -> None:
+        async with asyncio.timeout(START_TIMEOUT_S):
+            while self.arm.state.mode is not mode:
+                await asyncio.sleep(0.01)
+
+
+def _end_state(entries: list[Entry], mode: Mode, scenario: Scenario) -> list[str]:
+    """Whether an arm that was well is in its configured end state."""
+    torque = set(entries[-1].torque.values())
+    if mode is Mode.HOLDING and scenario.on_exit is EndState.HOLD and torque != {1}:
+        return [f"the arm was to hold at the end, but its torque is {entries[-1].torque}"]
+    relaxed = mode is Mode.RELAXED or (mode is Mode.HOLDING and scenario.on_exit is EndState.RELAX)
+    return (
+        [f"the arm was to be relaxed at the end, but its torque is {entries[-1].torque}"]
+        if relaxed and torque != {0}
+        else []
+    )
+
+
+async def run_arm(scenario: Scenario, folder: Path) -> Result:
+    """Run a scenario of the arm process."""
+    result = Result(scenario.seed, scenario.happening.value)
+    with campaign_bus(scenario, folder) as bus:
+        config = ArmConfig(
+            ROBOT,
+            CALIBRATION,
+            bus.port,
+            on_exit=scenario.on_exit,
+            on_server_lost=scenario.on_server_lost,
+            on_emergency_stop=scenario.on_emergency_stop,
+        )
+        arm = ListeningArm(config)
+        run = ArmRun(scenario, bus, arm, result, random.Random(scenario.seed))
+        try:
+            entries = await run.play()
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                await arm.close()
+    _check(run, entries)
+    return result
+
+
+def _check(run: ArmRun, entries: list[Entry]) -> None:
+    arm, result = run.arm, run.result
+    wall_minus_monotonic_s = time.time() - time.monotonic()
+    result.writes, result.states = len(entries), len(arm.states)
+    result.faults = {state.fault.code.value for state in arm.states if state.fault is not None}
+    licensed = [*run.licensed, *_minding(arm.states, wall_minus_monotonic_s)]
+    result.violations += [
+        *checks.goal_steps(entries),
+        *checks.limits(entries),
+        *checks.torque_on(entries),
+        *checks.unasked_motion(entries, licensed),
+        *checks.readings(entries, arm.states, wall_minus_monotonic_s),
+        *checks.latched_faults(arm.states, run.resets),
+        *_answered_once(arm),
+    ]
+
+
+def _minding(states: list[ArmState], wall_minus_monotonic_s: float) -> list[checks.Span]:
+    """When the arm was in a fault, which it gives way to, or being connected, which adopts goals."""
+    return [
+        checks.Span(at_s - checks.HEARD_LATE_S, at_s + checks.HEARD_LATE_S)
+        for state in states
+        if state.mode not in (Mode.HOLDING, Mode.MOVING, Mode.RELAXED)
+        for at_s in [state.stamp_s - wall_minus_monotonic_s]
+    ]
+
+
+def _answered_once(arm: ListeningArm) -> list[str]:
+    motions = [ended.motion_id for ended in arm.ended]
+    orders = [done.number for done in arm.done]
+    return [
+        f"{name} {number} was answered {numbers.count(number)} times"
+        for name, numbers in (("motion", motions), ("order", orders))
+        for number in sorted(set(numbers))
+        if numbers.count(number) > 1
+    ]

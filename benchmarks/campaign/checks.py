@@ -1,0 +1,150 @@
+"""What must hold in every run, whatever happens: each check returns sentences, one a violation."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from benchmarks.campaign.scenario import CALIBRATION
+from benchmarks.campaign.write_log import Entry, pairs
+from robot import model
+from robot.driver import MAX_TICK_GAP_S, STEP_MARGIN
+from robot.limits import JointBounds, within_calibration
+from robot.messages import ArmState
+
+# Torque must come on with the joint at its goal.
+TORQUE_ON_WITHIN_TICKS = 30
+
+# Goals are whole ticks: a bound may be missed by the rounding of both ends.
+ROUNDING_TICKS = 2
+
+# A servo that hears nothing for longer than this ends every motion: what it then hears is no further on.
+DEAF_S = 0.15
+
+# Between the question and the end of the replies; the log tells the truth only where something was written.
+BEFORE_READING_S = 0.02
+AFTER_READING_S = 0.06
+READING_WITHIN_TICKS = 4
+
+# How much later than it happened the campaign learns of something.
+HEARD_LATE_S = 0.15
+
+_JOINTS = {joint.servo_id: joint for joint in CALIBRATION.joints}
+_NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
+_BOUNDS = JointBounds.of(within_calibration(model.builtin(), CALIBRATION), _NAMES)
+
+
+def _ticks_s(servo: int) -> float:
+    """The joint's velocity limit [ticks/s]."""
+    velocity = _BOUNDS.max_velocity[list(_JOINTS).index(servo)]
+    return abs(_JOINTS[servo].ticks_s_from_rad_s(float(velocity)))
+
+
+def _soft_limits(servo: int) -> tuple[int, int]:
+    """The joint's soft limits [ticks]."""
+    joint, column = _JOINTS[servo], list(_JOINTS).index(servo)
+    ends = (joint.ticks_from_rad(_BOUNDS.lower_rad[column]), joint.ticks_from_rad(_BOUNDS.upper_rad[column]))
+    return min(ends), max(ends)
+
+
+_SPEED: Mapping[int, float] = {servo: _ticks_s(servo) for servo in _JOINTS}
+_LIMITS: Mapping[int, tuple[int, int]] = {servo: _soft_limits(servo) for servo in _JOINTS}
+
+
+def goal_steps(entries: list[Entry]) -> list[str]:
+    """No goal of a driven servo steps by more than the velocity bound allows."""
+    told_s = dict.fromkeys(_JOINTS, entries[0].at_s if entries else 0.0)
+    found = []
+    for before, after in pairs(entries):
+        for servo in _JOINTS:
+            if "GOAL_POSITION" not in after.written.get(servo, ()):
+                continue
+            elapsed_s = after.at_s - told_s[servo] + MAX_TICK_GAP_S
+            told_s[servo] = after.at_s
+            step = abs(after.goal[servo] - before.goal[servo])
+            bound = STEP_MARGIN * _SPEED[servo] * min(elapsed_s, DEAF_S) + ROUNDING_TICKS
+            if _driven(before, servo) and _driven(after, servo) and step > bound:
+                found.append(f"goal of servo {servo} stepped by {step} ticks at {after.at_s:.3f}, {bound:.0f} allowed")
+    return found
+
+
+def limits(entries: list[Entry]) -> list[str]:
+    """No goal of a driven servo goes beyond the soft limits, or further beyond than where it was switched on."""
+    outside = dict.fromkeys(_JOINTS, 0)
+    found = []
+    for before, after in pairs(entries):
+        for servo in _JOINTS:
+            lowest, highest = _LIMITS[servo]
+            beyond = max(lowest - after.goal[servo], after.goal[servo] - highest, 0)
+            driven = _driven(after, servo)
+            if driven and _driven(before, servo) and beyond > outside[servo] + ROUNDING_TICKS:
+                found.append(f"goal of servo {servo} went to {after.goal[servo]}, beyond {lowest} to {highest}")
+            outside[servo] = beyond if driven else 0
+    return found
+
+
+def torque_on(entries: list[Entry]) -> list[str]:
+    """Torque is never switched on with the joint away from its goal."""
+    return [
+        f"torque of servo {servo} came on {abs(after.goal[servo] - after.present[servo])} ticks from its goal"
+        for before, after in pairs(entries)
+        for servo in _JOINTS
+        if after.command is None
+        and _driven(after, servo)
+        and not _driven(before, servo)
+        and abs(after.goal[servo] - after.present[servo]) > TORQUE_ON_WITHIN_TICKS
+    ]
+
+
+@dataclass(frozen=True)
+class Span:
+    """A time in which something was so (monotonic [s])."""
+
+    start_s: float
+    end_s: float
+
+
+def unasked_motion(entries: list[Entry], licensed: Sequence[Span]) -> list[str]:
+    """Goals of a driven servo change only while something was asked for, or a fault is being minded."""
+    found = []
+    for before, after in pairs(entries):
+        for servo in _JOINTS:
+            step = abs(after.goal[servo] - before.goal[servo])
+            if step <= 1 or not (_driven(before, servo) and _driven(after, servo)):
+                continue
+            if not any(span.start_s <= after.at_s <= span.end_s for span in licensed):
+                found.append(f"goal of servo {servo} moved by {step} ticks at {after.at_s:.3f}, unasked")
+    return found
+
+
+def readings(entries: list[Entry], states: Iterable[ArmState], wall_minus_monotonic_s: float) -> list[str]:
+    """No state tells a position at which the joint was not when it was asked."""
+    times_s = [entry.at_s for entry in entries]
+    found = []
+    for state in states:
+        if state.position_rad is None or state.age_s is None:
+            continue
+        at_s = state.stamp_s - wall_minus_monotonic_s
+        for joint, position, age_s in zip(CALIBRATION.joints, state.position_rad, state.age_s, strict=True):
+            asked_s = at_s - float(age_s)
+            first = bisect.bisect_left(times_s, asked_s - BEFORE_READING_S)
+            last = bisect.bisect_right(times_s, asked_s + AFTER_READING_S)
+            truth = [entry.present[joint.servo_id] for entry in entries[first:last]]
+            told = joint.ticks_from_rad(float(position))
+            if truth and not min(truth) - READING_WITHIN_TICKS <= told <= max(truth) + READING_WITHIN_TICKS:
+                found.append(
+                    f"{joint.joint} was told at {told} ticks at {asked_s:.3f}, but was at {min(truth)} to {max(truth)}"
+                )
+    return found
+
+
+def latched_faults(states: Sequence[ArmState], resets: int) -> list[str]:
+    """A fault goes only when it is reset."""
+    gone = sum(before.fault is not None and after.fault is None for before, after in itertools.pairwise(states))
+    return [f"{gone} faults went, but {resets} were reset"] if gone > resets else []
+
+
+def _driven(entry: Entry, servo: int) -> bool:
+    return entry.torque[servo] == 1

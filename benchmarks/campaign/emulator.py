@@ -1,0 +1,60 @@
+"""The emulated bus of one run: a process with live commands, and its log of every write."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.campaign.scenario import CALM, START_RAD, Scenario
+from benchmarks.campaign.write_log import Entry, read_entries
+from tests.robot.conftest import RunningEmulator
+
+
+@dataclass
+class CampaignBus:
+    """A running emulator.
+
+    Attributes:
+        port: the name under which the adapter is found again.
+    """
+
+    emulator: RunningEmulator
+    log: Path
+    port: str
+
+    def tell(self, command: Mapping[str, object]) -> None:
+        """Give one live command."""
+        answer = self.emulator.command(**command)
+        if "error" in answer:
+            raise ValueError(str(answer["error"]))
+
+    def strike(self, scenario: Scenario) -> None:
+        """Begin the scenario's faults on the wire."""
+        if scenario.wire:
+            self.tell(scenario.wire)
+
+    def calm(self) -> None:
+        """End every fault."""
+        for command in CALM:
+            self.tell(command)
+
+    def entries(self) -> list[Entry]:
+        """The log up to now, with a last entry that tells how the servos are."""
+        self.tell({})
+        return read_entries(self.log)
+
+
+@contextmanager
+def campaign_bus(scenario: Scenario, folder: Path) -> Iterator[CampaignBus]:
+    """Start an emulator for a run; its log stays in the folder."""
+    log, link = folder / f"seed-{scenario.seed}.jsonl", folder / f"bus-{scenario.seed}"
+    start = ",".join(str(position) for position in START_RAD)
+    emulator = RunningEmulator(
+        "--write-log", str(log), "--link", str(link), f"--start={start}", "--seed", str(scenario.seed)
+    )
+    try:
+        yield CampaignBus(emulator, log, str(link))
+    finally:
+        emulator.end()

@@ -1,0 +1,207 @@
+"""What happens in one run of the campaign: all of it follows from the seed."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+
+from robot.calibration import SO101_JOINTS, Calibration
+from robot.messages import EmergencyPolicy, EndState, Order
+
+CALIBRATION = Calibration.nominal()
+JOINTS = CALIBRATION.joints
+
+# Far from each other, so that one servo's position cannot be taken for another's, and clear of the ends.
+START_RAD = (0.3, -0.7, 0.6, 0.1, -0.4, 0.8)
+
+# Every motion ends so near to the start pose at most [rad].
+REACH_RAD = 0.5
+
+# Motions go on for so long; what happens to the arm begins within the first part of it [s].
+MOVING_S = 3.0
+FIRST_EVENT_S = 0.4
+LAST_EVENT_S = 1.8
+
+# What is struck on the wire, and how often.
+WIRE_FAULTS = ("drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise", "delay", "lose_instruction")
+RATES = (0.01, 0.05)
+
+
+class Happening(Enum):
+    """What befalls the arm in a run, besides faults on the wire."""
+
+    NOTHING = "wire faults only"
+    SERVO_OFFLINE = "servo offline"
+    UNPLUG = "unplug"
+    UNPLUG_RENAMED = "unplug, back under another name"
+    FROZEN = "adapter hangs"
+    POWER_CYCLE_ONE = "power cycle of one servo"
+    POWER_CYCLE_ALL = "power cycle of all"
+    OBSTACLE = "obstacle"
+    PUSH = "push"
+    HAND = "hand moves a joint"
+    OVER_TEMPERATURE = "over-temperature"
+    UNDERVOLTAGE = "undervoltage"
+    TORQUE_OFF = "torque off behind the driver's back"
+    ENCODER_JUMP = "encoder jump"
+    EMERGENCY_STOP = "emergency stop"
+    RELAX = "relax"
+    ARM_KILLED = "arm process killed"
+    SERVER_KILLED = "server killed"
+    SERVER_FROZEN = "server silent"
+
+
+# These need a server process of their own.
+OF_SERVER = frozenset({Happening.SERVER_KILLED, Happening.SERVER_FROZEN})
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing that happens at a time.
+
+    Attributes:
+        at_s: since the first motion began [s].
+        command: live command to the emulator; empty for none.
+        order: what the arm is told; None for nothing.
+        kills_arm: whether the arm process gets SIGKILL.
+    """
+
+    at_s: float
+    command: Mapping[str, object] = field(default_factory=dict)
+    order: Order | None = None
+    kills_arm: bool = False
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One run.
+
+    Attributes:
+        wire: probabilities of faults on the wire.
+        calmed: whether all faults end, and the arm is to recover, before the arm process is told to end.
+    """
+
+    seed: int
+    happening: Happening
+    wire: Mapping[str, float]
+    events: tuple[Event, ...]
+    on_exit: EndState
+    on_server_lost: EndState
+    on_emergency_stop: EmergencyPolicy
+    calmed: bool
+
+
+def scenario_of(seed: int) -> Scenario:
+    """The run of a seed; successive seeds go through the happenings in turn."""
+    chance = random.Random(seed)
+    happening = list(Happening)[seed % len(Happening)]
+    return Scenario(
+        seed=seed,
+        happening=happening,
+        wire=_wire(chance, at_least_one=happening is Happening.NOTHING),
+        events=_events(happening, chance),
+        on_exit=chance.choice(list(EndState)),
+        on_server_lost=chance.choice(list(EndState)),
+        on_emergency_stop=chance.choice(list(EmergencyPolicy)),
+        calmed=chance.random() < 0.6,
+    )
+
+
+def random_goal(chance: random.Random) -> dict[str, float]:
+    """A pose near the start pose, of some joints [rad]."""
+    chosen = chance.sample(range(len(JOINTS)), chance.randint(1, len(JOINTS)))
+    return {JOINTS[joint].joint: START_RAD[joint] + chance.uniform(-REACH_RAD, REACH_RAD) for joint in chosen}
+
+
+def _wire(chance: random.Random, *, at_least_one: bool) -> dict[str, float]:
+    """None, one, or several faults at once."""
+    count = chance.choice((0, 1, 1, 2, 3))
+    names = chance.sample(WIRE_FAULTS, max(count, int(at_least_one)))
+    return {name: chance.choice(RATES) for name in names}
+
+
+def _events(happening: Happening, chance: random.Random) -> tuple[Event, ...]:
+    at_s = chance.uniform(FIRST_EVENT_S, LAST_EVENT_S)
+    until_s = at_s + chance.uniform(0.05, 1.2)
+    servo = chance.randrange(len(JOINTS))
+    if happening in _COMMANDS:
+        begin, end = _COMMANDS[happening](servo, chance)
+        return Event(at_s, begin), Event(until_s, end)
+    if happening is Happening.EMERGENCY_STOP:
+        return (Event(at_s, order=Order.EMERGENCY_STOP),)
+    if happening is Happening.RELAX:
+        return (Event(at_s, order=Order.RELAX),)
+    return (Event(at_s, kills_arm=True),) if happening is Happening.ARM_KILLED else ()
+
+
+def _ticks_near(servo: int, away_rad: float) -> int:
+    """A tick so far from the start pose, inside the joint's range."""
+    lower, upper = SO101_JOINTS[servo].lower_rad, SO101_JOINTS[servo].upper_rad
+    return JOINTS[servo].ticks_from_rad(max(lower, min(upper, START_RAD[servo] + away_rad)))
+
+
+Commands = tuple[dict[str, object], dict[str, object]]
+
+
+def _for_servo(name: str, begin: object, end: object) -> Callable[[int, random.Random], Commands]:
+    def commands(servo: int, _chance: random.Random) -> Commands:
+        servo_id = str(JOINTS[servo].servo_id)
+        return {name: {servo_id: begin}}, {name: {servo_id: end}}
+
+    return commands
+
+
+def _placed(name: str, reach_rad: float) -> Callable[[int, random.Random], Commands]:
+    """Something at a place near the joint, which goes away later."""
+
+    def commands(servo: int, chance: random.Random) -> Commands:
+        ticks = _ticks_near(servo, chance.uniform(-reach_rad, reach_rad))
+        servo_id = str(JOINTS[servo].servo_id)
+        return {name: {servo_id: ticks}}, {name: {servo_id: None}}
+
+    return commands
+
+
+def _listed(begin: str, end: str | None = None) -> Callable[[int, random.Random], Commands]:
+    def commands(servo: int, _chance: random.Random) -> Commands:
+        ids = [JOINTS[servo].servo_id]
+        return {begin: ids}, {} if end is None else {end: ids}
+
+    return commands
+
+
+def _fixed(begin: dict[str, object], end: dict[str, object]) -> Callable[[int, random.Random], Commands]:
+    return lambda _servo, _chance: (begin, end)
+
+
+_COMMANDS: Mapping[Happening, Callable[[int, random.Random], Commands]] = MappingProxyType(
+    {
+        Happening.SERVO_OFFLINE: _listed("offline", "online"),
+        Happening.UNPLUG: _fixed({"plugged": False}, {"plugged": True}),
+        Happening.UNPLUG_RENAMED: _fixed({"plugged": False}, {"plugged": "renamed"}),
+        Happening.FROZEN: _fixed({"frozen": True}, {"frozen": False}),
+        Happening.POWER_CYCLE_ONE: _listed("power_cycle"),
+        Happening.POWER_CYCLE_ALL: _fixed({"power_cycle": [joint.servo_id for joint in JOINTS]}, {}),
+        Happening.OBSTACLE: _placed("obstacle", 0.2),
+        Happening.PUSH: lambda servo, chance: _for_servo("push", chance.choice((-700, 300, 700)), 0)(servo, chance),
+        Happening.HAND: _placed("hand", 0.5),
+        Happening.OVER_TEMPERATURE: lambda servo, chance: _for_servo("temperature", chance.choice((58, 62, 67)), 40)(
+            servo, chance
+        ),
+        Happening.UNDERVOLTAGE: _fixed({"supply": 4.2}, {"supply": 5.0}),
+        Happening.TORQUE_OFF: _listed("torque_off"),
+        Happening.ENCODER_JUMP: _for_servo("jump", 400, 0),
+    }
+)
+
+# Ends whatever a scenario may have begun.
+CALM: tuple[Mapping[str, object], ...] = (
+    dict.fromkeys(WIRE_FAULTS, 0.0),
+    {"online": [joint.servo_id for joint in JOINTS], "frozen": False, "plugged": True, "supply": 5.0},
+    {name: {str(joint.servo_id): None for joint in JOINTS} for name in ("obstacle", "hand")},
+    {"push": {str(joint.servo_id): 0 for joint in JOINTS}},
+    {"temperature": {str(joint.servo_id): 40 for joint in JOINTS}},
+)

@@ -1,0 +1,21 @@
+"""One seed, from the scenario to what it found."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from benchmarks.campaign.arm_run import run_arm
+from benchmarks.campaign.result import Result
+from benchmarks.campaign.scenario import OF_SERVER, scenario_of
+from benchmarks.campaign.server_run import run_server
+
+
+def run_seed(seed: int, folder: Path) -> Result:
+    """Run one seed; what goes wrong with the run itself is a violation as well."""
+    scenario = scenario_of(seed)
+    run = run_server if scenario.happening in OF_SERVER else run_arm
+    try:
+        return asyncio.run(run(scenario, folder))
+    except Exception as error:  # whatever it was, the other seeds go on and this one is named
+        return Result(seed, scenario.happening.value, violations=[f"the run broke off: {error!r}"])

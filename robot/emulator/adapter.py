@@ -1,0 +1,96 @@
+"""The USB adapter between host and servo bus: it can be pulled, hang, and hand on bytes in frames."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+
+from robot.emulator.servo_bus import Reply
+from robot.emulator.terminal import PseudoTerminal
+
+
+class UsbAdapter:
+    """A serial port that comes and goes.
+
+    Args:
+        link: where to put a symbolic link to the port, if anywhere: the name that stays when the port's own changes.
+
+    Attributes:
+        port: the port's own name, or what it was before it was unplugged.
+        frozen: whether it neither takes nor gives bytes; what comes meanwhile waits.
+        frame_s: what comes from the servos is handed on at multiples of this time [s]; 0 hands it on at once.
+    """
+
+    def __init__(self, link: Path | None = None, frame_s: float = 0.0) -> None:
+        self.frozen = False
+        self.frame_s = frame_s
+        self._link = link
+        self._outbox: deque[tuple[float, Reply]] = deque()
+        self._terminal: PseudoTerminal | None = None
+        self.port = ""
+        self.plug_in()
+
+    @property
+    def descriptors(self) -> list[int]:
+        """What to wait for until the host says something."""
+        return [] if self.frozen or self._terminal is None else [self._terminal.master]
+
+    @property
+    def baudrate(self) -> int:
+        """Speed that the host has set; 0 for one that no servo has, or while unplugged."""
+        return 0 if self._terminal is None else self._terminal.baudrate
+
+    def plug_in(self, *, renamed: bool = False) -> None:
+        """Offer a port; one that is there already stays.
+
+        Args:
+            renamed: whether the port's own name shall differ from the last one.
+        """
+        if self._terminal is not None:
+            return
+        terminal = PseudoTerminal(self._link)
+        if renamed and terminal.port == self.port:
+            replaced, terminal = terminal, PseudoTerminal(self._link)
+            replaced.leave_link()
+            replaced.close()
+        self._terminal, self.port = terminal, terminal.port
+
+    def unplug(self) -> None:
+        """Take the port away, its link too, and what it had still to give."""
+        if self._terminal is not None:
+            self._terminal.close()
+        self._terminal = None
+        self._outbox.clear()
+
+    def read(self) -> bytes:
+        """Return what the host has written."""
+        return b"" if self._terminal is None else self._terminal.read()
+
+    def take(self, replies: Sequence[Reply]) -> None:
+        """Take what the servos say, to be given to the host when it is due.
+
+        Without frames a burst is given as a whole, which costs the host one awakening.
+        """
+        if self._terminal is None or not replies:
+            return
+        for reply in replies:
+            due_s = math.ceil(reply.due_s / self.frame_s) * self.frame_s if self.frame_s else replies[-1].due_s
+            self._outbox.append((due_s, reply))
+
+    def wait_s(self, now_s: float, most_s: float) -> float:
+        """Tell how long until bytes are due for the host [s], ``most_s`` at most."""
+        if not self._outbox or self.frozen:
+            return most_s
+        return max(0.0, min(most_s, self._outbox[0][0] - now_s))
+
+    def deliver(self, now_s: float) -> None:
+        """Give the host what is due."""
+        if self.frozen or self._terminal is None:
+            return
+        due = b""
+        while self._outbox and self._outbox[0][0] <= now_s:
+            due += self._outbox.popleft()[1].data
+        if due:
+            self._terminal.write(due)

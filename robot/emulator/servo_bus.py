@@ -1,0 +1,146 @@
+"""The wire of the emulated bus: who speaks when, what is lost on it, and the servos at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from robot.emulator.faults import Faults
+from robot.emulator.instruction_set import Answer, execute
+from robot.emulator.servo import Servo
+from robot.emulator.wire import Instruction, InstructionParser, status_packet
+from robot.emulator.write_log import WriteLog
+from robot.packets import wire_time_s
+from robot.registers import Register
+
+BAUDRATE = 1_000_000
+
+# Register BAUD_RATE (Feetech's memory table V3.6).
+BAUDRATES: Mapping[int, int] = MappingProxyType(
+    dict(enumerate((1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)))
+)
+
+# From the end of what a servo waits for to the start of its reply.
+TURNAROUND_S = 20e-6
+RETURN_DELAY_UNIT_S = 2e-6
+
+# Weight changes with the pose, and that slowly.
+WEIGHING_S = 0.01
+
+
+@dataclass
+class Reply:
+    """Bytes for the host.
+
+    Attributes:
+        start_s: when their first bit is on the wire (monotonic [s]).
+        byte_s: how long each takes [s].
+        end_s: when all have passed it.
+        due_s: when the host may have them; later than ``end_s`` if the adapter holds them up.
+        data: the bytes.
+    """
+
+    start_s: float
+    byte_s: float
+    end_s: float
+    due_s: float
+    data: bytes
+
+    def talk_over(self, now_s: float) -> None:
+        """Lose what has not yet passed the wire: with the host speaking as well, no byte is framed right."""
+        passed = int((now_s - self.start_s) / self.byte_s)
+        self.data = self.data[: max(0, passed)]
+
+
+class ServoBus:
+    """All servos of the arm on one wire.
+
+    Args:
+        servos: in the order of their ids.
+        faults: may be changed while the bus runs.
+        now_s: monotonic time [s].
+        log: where writes are recorded, if anywhere.
+        weigh: sets the servos' loads by the pose; without it the arm weighs nothing.
+    """
+
+    def __init__(
+        self,
+        servos: Sequence[Servo],
+        faults: Faults,
+        now_s: float,
+        log: WriteLog | None = None,
+        weigh: Callable[[], None] | None = None,
+    ) -> None:
+        self.servos = tuple(servos)
+        self.faults = faults
+        self._log = log
+        self._weigh = weigh or (lambda: None)
+        self._weigh()
+        self._weighed_s = now_s
+        self._parser = InstructionParser()
+        self._now_s = now_s
+        self._wire_free_s = self._given_s = now_s
+        self._on_wire: list[Reply] = []
+
+    def advance(self, now_s: float) -> None:
+        """Let the servos move until ``now_s``."""
+        for servo in self.servos:
+            servo.step(now_s - self._now_s)
+        self._now_s = now_s
+        if now_s - self._weighed_s >= WEIGHING_S:
+            self._weighed_s = now_s
+            self._weigh()
+
+    def receive(self, data: bytes, now_s: float, baudrate: int = BAUDRATE) -> list[Reply]:
+        """Take bytes from the host.
+
+        What comes while servos still answer what came before is lost on the wire, and spoils their replies. Of
+        instructions that come together each waits for the replies to the one before: how far apart the host sent
+        them cannot be seen here.
+
+        Returns:
+            The replies. They may yet be spoilt until they have passed the wire.
+        """
+        self.advance(now_s)
+        if self._on_wire and now_s < self._on_wire[-1].end_s:
+            for reply in self._on_wire:
+                reply.talk_over(now_s)
+            return []
+        self._on_wire = []
+        if baudrate == 0:
+            return []
+        for instruction in self._parser.feed(data, now_s):
+            self._wire_free_s = max(now_s, self._wire_free_s) + wire_time_s(instruction.byte_count, baudrate)
+            if not self.faults.loses_instruction():
+                self._obey(instruction, baudrate)
+        return self._on_wire
+
+    def record_command(self, command: Mapping[str, object]) -> None:
+        """Put a live command on record among the writes."""
+        if self._log is not None:
+            self._log.record_command(self._now_s, command, self.servos)
+
+    def _obey(self, instruction: Instruction, baudrate: int) -> None:
+        hearers = [servo for servo in self.servos if self._hears(servo, baudrate)]
+        effects = execute(instruction, hearers, stall_behind_missing=self.faults.stall_behind_missing)
+        for effect in effects:
+            for answer in effect.answers:
+                self._reply(answer, baudrate)
+            if self._log is not None and effect.written:
+                self._log.record_write(self._now_s, instruction.code, effect.address, effect.written, self.servos)
+
+    def _hears(self, servo: Servo, baudrate: int) -> bool:
+        own = BAUDRATES.get(servo.value(Register.BAUD_RATE))
+        return own == baudrate and servo.servo_id not in self.faults.offline
+
+    def _reply(self, answer: Answer, baudrate: int) -> None:
+        servo = answer.servo
+        delay_s = TURNAROUND_S + servo.value(Register.RETURN_DELAY) * RETURN_DELAY_UNIT_S
+        start_s = self._wire_free_s + delay_s
+        packet = status_packet(servo.servo_id, servo.error, answer.data)
+        arriving = self.faults.strike(packet)
+        byte_s = wire_time_s(1, baudrate)
+        self._wire_free_s = start_s + max(len(packet), len(arriving)) * byte_s
+        self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
+        self._on_wire.append(Reply(start_s, byte_s, self._wire_free_s, self._given_s, arriving))

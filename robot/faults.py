@@ -1,0 +1,76 @@
+"""What can go wrong with the arm while it runs: a code, a sentence and a remedy for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+
+class FaultCode(Enum):
+    """Names of the faults, as clients see them."""
+
+    BUS_LOST = "bus_lost"
+    SERVO_SILENT = "servo_silent"
+    TRACKING_LOST = "tracking_lost"
+    STALLED = "stalled"
+    OVERLOAD = "overload"
+    OVERCURRENT = "overcurrent"
+    OVERHEATED = "overheated"
+    VOLTAGE_LOW = "voltage_low"
+    VOLTAGE_HIGH = "voltage_high"
+    ENCODER_ERROR = "encoder_error"
+    POSITION_JUMP = "position_jump"
+    TORQUE_LOST = "torque_lost"
+    SERVO_REBOOTED = "servo_rebooted"
+    STARTUP_REFUSED = "startup_refused"
+    EMERGENCY_STOP = "emergency_stop"
+    EMERGENCY_STOP_UNVERIFIED = "emergency_stop_unverified"
+    PROCESS_LOST = "process_lost"
+
+
+# What a person at the arm should do, one sentence each.
+REMEDIES: Mapping[FaultCode, str] = {
+    FaultCode.BUS_LOST: "Check the USB cable and the servo adapter's supply; the server reconnects by itself.",
+    FaultCode.SERVO_SILENT: "Check the cable to this servo and the one before it, then reset the fault.",
+    FaultCode.TRACKING_LOST: "Clear what blocks the arm or lower speed and payload, then reset the fault.",
+    FaultCode.STALLED: "Clear what blocks the joint, then reset the fault.",
+    FaultCode.OVERLOAD: "Relieve the joint, then reset the fault; if it stays, switch the servos' supply off and on.",
+    FaultCode.OVERCURRENT: "Relieve the joint and check it for a jammed gear, then reset the fault.",
+    FaultCode.OVERHEATED: "Relax the arm and let the servo cool below 55 degrees, then reset the fault.",
+    FaultCode.VOLTAGE_LOW: "Check the supply and its plugs: it must give 2 A a servo at 5 V or more.",
+    FaultCode.VOLTAGE_HIGH: "Check the supply: a 7.4 V servo on 12 V is damaged by it.",
+    FaultCode.ENCODER_ERROR: "Switch the servos' supply off and on; replace the servo if it comes back.",
+    FaultCode.POSITION_JUMP: "Check the joint's gear and horn screw, and its calibration, then reset the fault.",
+    FaultCode.TORQUE_LOST: "Something else switched torque off, or the supply broke down; reset the fault.",
+    FaultCode.SERVO_REBOOTED: "Check the supply and the cables for loose contacts, then reset the fault.",
+    FaultCode.STARTUP_REFUSED: "Do what the message says, then reset the fault.",
+    FaultCode.EMERGENCY_STOP: "Make sure that the arm may move, then reset the fault and enable it.",
+    FaultCode.EMERGENCY_STOP_UNVERIFIED: "Cut the servos' supply: some may still be driven.",
+    FaultCode.PROCESS_LOST: "The arm process is started anew; reset the fault when it is back.",
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault, latched until somebody resets it.
+
+    Attributes:
+        code: what kind.
+        message: one sentence with joint and figures.
+        joint: the joint it is about, empty for the whole arm.
+        stamp_s: wall-clock time at which it was found [s since the epoch].
+    """
+
+    code: FaultCode
+    message: str
+    joint: str = ""
+    stamp_s: float = 0.0
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it, one sentence."""
+        return REMEDIES[self.code]
+
+    def __str__(self) -> str:
+        return f"{self.message}. {self.remedy}"

@@ -1,0 +1,73 @@
+"""When the next tick is due, how late ticks start, and asking the system for punctuality."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import math
+import os
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+PERIOD_S = 0.01
+
+# Lateness of the last second.
+KEPT = round(1.0 / PERIOD_S)
+
+# Lowest priority of its class: above every ordinary process, below the kernel's own threads.
+REAL_TIME_PRIORITY = 1
+
+# Where real time is not permitted, being nicer to oneself may be.
+NICENESS = -10
+
+
+class Pacer:
+    """Absolute deadlines; a tick that was missed is skipped, never made up for.
+
+    Args:
+        now_s: monotonic time [s].
+    """
+
+    def __init__(self, now_s: float) -> None:
+        self.deadline_s = now_s + PERIOD_S
+        self.lateness_s: deque[float] = deque(maxlen=KEPT)
+
+    def start_tick(self, now_s: float) -> None:
+        """Take note of the start of the tick that was due, and set the next deadline after it."""
+        late_s = now_s - self.deadline_s
+        self.lateness_s.append(late_s)
+        self.deadline_s += PERIOD_S * (1 + max(0, math.floor(late_s / PERIOD_S)))
+
+    def latest(self, count: int) -> tuple[float, ...]:
+        """Lateness of the latest ticks, one value each [s]."""
+        return tuple(self.lateness_s)[-count:]
+
+
+def percentiles(values_s: Iterable[float]) -> tuple[float, float, float]:
+    """p50, p99 and the greatest of some times [s]; zeros when there are none."""
+    values = np.fromiter(values_s, dtype=float)
+    if not values.size:
+        return 0.0, 0.0, 0.0
+    p50, p99, greatest = np.percentile(values, (50, 99, 100)).tolist()
+    return p50, p99, greatest
+
+
+def become_punctual() -> bool:
+    """Ask for real-time priority, and never collect garbage again.
+
+    A collection in the middle of a motion would delay ticks; the loop makes no reference cycles.
+
+    Returns:
+        Whether the process has real-time priority.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+        return True
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    return False

@@ -1,0 +1,126 @@
+"""``/arm/state`` and ``/arm/joint_limits``: latched, published when they change."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from robot.messages import ArmHealth, ArmState, Mode
+from robot.model import RobotModel
+from server.arm_services import ENABLE, RESET_FAULT
+from server.graph import Graph
+from server.node import Node
+
+STATE_TOPIC = "/arm/state"
+LIMITS_TOPIC = "/arm/joint_limits"
+
+# diagnostic_msgs/DiagnosticStatus levels.
+LEVEL_OK, LEVEL_WARN, LEVEL_ERROR = 0, 1, 2
+
+_SENTENCES = {
+    Mode.DISCONNECTED: "the arm is not connected",
+    Mode.CONNECTED: "the servos are being checked",
+    Mode.RELAXED: f"the arm is relaxed; {ENABLE} makes it hold",
+    Mode.HOLDING: "the arm holds",
+    Mode.MOVING: "the arm moves",
+    Mode.FAULT: "the arm has a fault",
+}
+_LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAULT: LEVEL_ERROR}
+
+
+class ArmStateTopics:
+    """Publishes what the arm is doing, and within which limits.
+
+    Args:
+        graph: where the topics are.
+        robot: the arm; names the hardware, and gives the limits until the servos' own are known.
+    """
+
+    def __init__(self, graph: Graph, robot: RobotModel) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._node = Node("arm state")
+        self._state: dict[str, Any] | None = None
+        self._limits: dict[str, Any] | None = None
+
+    def open(self) -> None:
+        """Advertise the topics."""
+        self._graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        self._graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
+        joints = self._robot.movable_joints
+        self._publish_limits({joint.name: (joint.lower, joint.upper) for joint in joints})
+
+    def take_state(self, state: ArmState) -> None:
+        """Publish a state when it says something new."""
+        message = status(state, self._robot.name)
+        if message != self._state:
+            self._state = message
+            self._graph.publish(self._node, STATE_TOPIC, message)
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Publish the limits that the arm process keeps, when they are others."""
+        if health.limits_rad is not None:
+            names = [servo.joint for servo in health.servos]
+            self._publish_limits(
+                {name: (low, high) for name, (low, high) in zip(names, health.limits_rad.tolist(), strict=True)}
+            )
+
+    def _publish_limits(self, ranges_rad: dict[str, tuple[float, float]]) -> None:
+        message = joint_limits(self._robot, ranges_rad)
+        if message != self._limits:
+            self._limits = message
+            self._graph.publish(self._node, LIMITS_TOPIC, message)
+
+
+def status(state: ArmState, robot_name: str) -> dict[str, Any]:
+    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it."""
+    message = _SENTENCES[state.mode]
+    if state.fault is not None:
+        message = f"{state.fault} The service that resets it is {RESET_FAULT}."
+    elif state.reason:
+        message = f"{message}: {state.reason}"
+    values = {"mode": state.mode.value, "reason": state.reason}
+    if state.fault is not None:
+        values |= {
+            "fault": state.fault.code.value,
+            "fault_message": state.fault.message,
+            "fault_remedy": state.fault.remedy,
+            "fault_joint": state.fault.joint,
+            "fault_stamp": f"{state.fault.stamp_s:.3f}",
+        }
+    return {
+        "level": _LEVELS.get(state.mode, LEVEL_OK),
+        "name": "arm",
+        "message": message,
+        "hardware_id": robot_name,
+        "values": key_values(values),
+    }
+
+
+def key_values(values: dict[str, str]) -> list[dict[str, str]]:
+    """Pairs as diagnostic_msgs/KeyValue messages."""
+    return [{"key": key, "value": value} for key, value in values.items()]
+
+
+def joint_limits(robot: RobotModel, ranges_rad: dict[str, tuple[float, float]]) -> dict[str, Any]:
+    """The moveit_msgs/KinematicSolverInfo with the limits of joints, the type that holds those of several joints.
+
+    Args:
+        robot: gives velocity and acceleration [rad/s, rad/s^2].
+        ranges_rad: joint -> soft limits [rad].
+    """
+    return {
+        "joint_names": list(ranges_rad),
+        "limits": [
+            {
+                "joint_name": name,
+                "has_position_limits": True,
+                "min_position": lower,
+                "max_position": upper,
+                "has_velocity_limits": True,
+                "max_velocity": robot.joints[name].max_velocity,
+                "has_acceleration_limits": True,
+                "max_acceleration": robot.joints[name].max_acceleration,
+            }
+            for name, (lower, upper) in ranges_rad.items()
+        ],
+    }

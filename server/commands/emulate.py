@@ -1,0 +1,36 @@
+"""``armbridge emulate``: an emulated servo bus to try other programs on, or the commands of this one."""
+
+from __future__ import annotations
+
+import argparse
+
+from robot.emulator import control
+from robot.emulator.options import add_options
+from robot.emulator.process import run as run_emulator
+from robot.errors import CalibrationError
+from server.commands.arm_options import Subparsers
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "emulate",
+        help="emulate the servo bus of an arm on a pseudo terminal",
+        description="Emulate the six servos of an SO-101 on a pseudo terminal, print its path, and run until told to "
+        "end. Other programs, and armbridge's commands with --serial, take the path for a serial port.",
+        epilog=f"Standard input takes:\n\n{control.__doc__}\n{EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Carry out the command."""
+    try:
+        run_emulator(options)
+    except (CalibrationError, ValueError, OSError) as error:
+        Terminal().say(f"armbridge: {error}")
+        return ExitCode.FAILED
+    return ExitCode.DONE

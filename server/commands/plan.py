@@ -1,0 +1,69 @@
+"""``armbridge plan``: the problems of a file, planned without a server."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from robot import model
+from robot.errors import DescriptionError
+from robot.model import RobotModel
+from server.commands.arm_options import Subparsers
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+from server.errors import ConfigurationError
+
+# Options that override a field of every problem.
+_PROBLEM_SETTINGS = ("allowed_time_s", "optimization_time_s", "seed")
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    plan = subparsers.add_parser(
+        "plan",
+        help="plan the problems of a file, without a server",
+        description="Plan the problems of a file (docs/planning.md) and print a table. Without --all or --id all"
+        " problems but those that the file calls infeasible. A problem whose answer is not as the file expects counts"
+        " as a problem found.",
+        epilog=EXIT_CODES,
+    )
+    plan.add_argument("problems", type=Path, metavar="PROBLEM.json", help="the file")
+    plan.add_argument("--all", action="store_true", help="plan the infeasible problems as well")
+    plan.add_argument("--id", action="append", default=[], metavar="ID", help="plan this problem only; may be repeated")
+    plan.add_argument("--json", type=Path, metavar="OUT", help="write trajectories and error codes as JSON")
+    plan.add_argument("--plot", type=Path, metavar="OUT.png", help="draw positions and velocities (needs matplotlib)")
+    plan.add_argument("--urdf", type=Path, metavar="FILE", help="the robot's URDF, instead of the built-in SO-101's")
+    plan.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
+    plan.add_argument(
+        "--time", type=float, dest="allowed_time_s", metavar="S", help="give up after so many seconds a problem"
+    )
+    plan.add_argument(
+        "--optimize", type=float, dest="optimization_time_s", metavar="S", help="seconds to spend on a shorter motion"
+    )
+    plan.add_argument("--seed", type=int, help="of the searches; same seed, same plan")
+    plan.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Carry out the command."""
+    # Imported when it is needed: it loads the planning libraries.
+    from planners.files import plan_command
+
+    settings = {key: getattr(options, key) for key in _PROBLEM_SETTINGS if getattr(options, key) is not None}
+    chosen = plan_command.Options(
+        options.problems, options.all, tuple(options.id), options.json, options.plot, settings
+    )
+    try:
+        robot = _robot(options.urdf, options.srdf)
+    except (ConfigurationError, DescriptionError) as error:
+        Terminal().say(f"armbridge: {error}")
+        return ExitCode.USAGE
+    return plan_command.run(chosen, robot, sys.stdout, sys.stderr)
+
+
+def _robot(urdf: Path | None, srdf: Path | None) -> RobotModel:
+    if urdf is None and srdf is None:
+        return model.builtin()
+    if urdf is None or srdf is None:
+        raise ConfigurationError("--urdf and --srdf must be given together")
+    return model.load(urdf, srdf)

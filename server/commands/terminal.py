@@ -1,0 +1,116 @@
+"""The terminal of a command: results on stdout, progress and questions on stderr, answers from stdin."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from collections.abc import Sequence
+from enum import IntEnum
+
+from robot.errors import RobotError
+
+YES = frozenset({"y", "yes"})
+
+READ_BYTES = 4096
+
+# Cursor up by so many lines, and clear to the end of the screen (ECMA-48).
+_REDRAW = "\x1b[{lines}A\x1b[J"
+
+
+class ExitCode(IntEnum):
+    """How a command ended, for scripts."""
+
+    DONE = 0
+    FAILED = 1
+    USAGE = 2
+    PROBLEMS = 3
+
+
+EXIT_CODES = "Exit code 0: done; 1: it could not be done; 2: called wrongly; 3: done, and problems were found."
+
+
+class AnswerMissing(RobotError):  # noqa: N818 - named by the fact
+    """A question had no answer: the input ended."""
+
+
+class Terminal:
+    """Where a command speaks and listens.
+
+    Args:
+        input_descriptor: where answers come from.
+    """
+
+    def __init__(self, input_descriptor: int = 0) -> None:
+        self._input = input_descriptor
+        self._received = b""
+        self._live_lines = 0
+
+    def tell(self, text: str) -> None:
+        """Print a result."""
+        print(text, flush=True)  # noqa: T201 - the command's own output
+
+    def say(self, text: str) -> None:
+        """Print progress, an explanation or a complaint."""
+        self._live_lines = 0
+        print(text, file=sys.stderr, flush=True)  # noqa: T201 - the command's own output
+
+    def show_live(self, text: str) -> None:
+        """Print a table in the place of the last one; on a terminal only, a file gets nothing."""
+        if not sys.stderr.isatty():
+            return
+        redraw = _REDRAW.format(lines=self._live_lines) if self._live_lines else ""
+        print(redraw + text, file=sys.stderr, flush=True)  # noqa: T201 - the command's own output
+        self._live_lines = text.count("\n") + 1
+
+    def confirm(self, question: str) -> bool:
+        """Ask a question; whatever is not yes is no.
+
+        Raises:
+            AnswerMissing: the input ended.
+        """
+        self.say(f"{question} [y/N]")
+        return self._line().strip().lower() in YES
+
+    def await_enter(self, request: str) -> None:
+        """Ask for something to be done, and wait for Enter.
+
+        Raises:
+            AnswerMissing: the input ended.
+        """
+        self.say(f"{request}, then press Enter.")
+        self._line()
+
+    def entered(self) -> bool:
+        """Whether Enter was pressed since the last question; does not wait.
+
+        Raises:
+            AnswerMissing: the input ended.
+        """
+        if b"\n" not in self._received and select.select([self._input], [], [], 0.0)[0]:
+            self._receive()
+        if b"\n" not in self._received:
+            return False
+        self._line()
+        return True
+
+    def _line(self) -> str:
+        while b"\n" not in self._received:
+            self._receive()
+        line, _, self._received = self._received.partition(b"\n")
+        return line.decode(errors="replace")
+
+    def _receive(self) -> None:
+        data = os.read(self._input, READ_BYTES)
+        if not data:
+            raise AnswerMissing("the question was not answered: the input ended")
+        self._received += data
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lay out rows below headings, in columns as wide as their widest entry."""
+    cells = [list(headings), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(headings))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells
+    )

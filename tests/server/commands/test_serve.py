@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import pytest
+
+from server import cli
+from server.commands.serve import _overrides
+from server.commands.terminal import ExitCode
+
+
+def overrides(*arguments):
+    return _overrides(cli._parser().parse_args(["serve", *arguments]))
+
+
+def test_options_override_settings_by_section_and_key():
+    assert overrides("--port", "0", "--serial", "auto", "--log-level", "error") == {
+        "server": {"port": 0, "log_level": "error"},
+        "arm": {"serial": "auto"},
+    }
+
+
+def test_an_id_that_lerobot_does_not_know_is_one_line_and_exit_1(capsys):
+    assert cli.main(["serve", "--calibration", "nobodys"]) == ExitCode.FAILED
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+USAGE = {
+    "wrong setting": (["--port", "70000"], "server.port"),
+    "urdf alone": (["--urdf", "a.urdf"], "urdf and srdf must be given together"),
+    "missing configuration": (["--config", "/nowhere.toml"], "/nowhere.toml cannot be read"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), USAGE.values(), ids=USAGE.keys())
+def test_a_wrong_setting_is_one_line_and_exit_2(arguments, words, capsys):
+    assert cli.main(["serve", *arguments]) == ExitCode.USAGE
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert words in error

@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from server.commands.terminal import AnswerMissing, Terminal, table
+
+
+@pytest.fixture
+def typed():
+    """A terminal, and a function that types into it."""
+    read_end, write_end = os.pipe()
+    yield Terminal(read_end), lambda text: os.write(write_end, text.encode())
+    for descriptor in (read_end, write_end):
+        os.close(descriptor)
+
+
+@pytest.mark.parametrize(("answer", "agreed"), [("y\n", True), ("YES\n", True), ("\n", False), ("yellow\n", False)])
+def test_only_yes_is_yes(typed, capsys, answer, agreed):
+    terminal, write = typed
+    write(answer)
+    assert terminal.confirm("Go on?") is agreed
+    assert capsys.readouterr().err == "Go on? [y/N]\n"
+
+
+def test_each_question_takes_one_line_of_many(typed):
+    terminal, write = typed
+    write("y\nn\n\n")
+    assert terminal.confirm("one")
+    assert not terminal.confirm("two")
+    assert terminal.entered()
+    assert not terminal.entered()
+
+
+def test_looking_for_enter_does_not_wait_for_it(typed):
+    terminal, write = typed
+    assert not terminal.entered()
+    write("half a line")
+    assert not terminal.entered()
+    write("\n")
+    assert terminal.entered()
+
+
+def test_an_input_that_ends_answers_nothing():
+    read_end, write_end = os.pipe()
+    os.close(write_end)
+    with pytest.raises(AnswerMissing):
+        Terminal(read_end).await_enter("Hold the arm")
+    os.close(read_end)
+
+
+def test_results_and_progress_go_separate_ways(capsys):
+    Terminal().tell("result")
+    Terminal().say("progress")
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("result\n", "progress\n")
+
+
+def test_a_live_table_is_for_terminals_only(capsys):
+    Terminal().show_live("1\n2")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_live_table_replaces_the_last_one(capsys, monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    terminal.show_live("1\n2")
+    terminal.show_live("3\n4")
+    assert capsys.readouterr().err == "1\n2\n\x1b[2A\x1b[J3\n4\n"
+
+
+def test_columns_are_as_wide_as_their_widest_entry():
+    assert table(("id", "joint"), [(1, "pan"), (100, "x")]) == "id   joint\n1    pan\n100  x"

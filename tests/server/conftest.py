@@ -1,0 +1,32 @@
+"""A server whose arm is on an emulator that the tests command; it is set right again before each of them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+
+from robot.calibration import Calibration
+from tests.helpers.arm_server import ArmClient, ServerOnBus, arm_client, server_on_bus, values_of
+
+JOINTS = {joint.joint: joint for joint in Calibration.nominal().joints}
+FAST = {"MOVEIT__MAX_VELOCITY_SCALING": "1.0", "MOVEIT__MAX_ACCELERATION_SCALING": "1.0"}
+
+
+@pytest.fixture(scope="session")
+def served() -> Iterator[ServerOnBus]:
+    with server_on_bus(**FAST) as running:
+        yield running
+
+
+@pytest.fixture
+async def client(served: ServerOnBus) -> AsyncIterator[ArmClient]:
+    served.emulator.command(online=[1, 2, 3, 4, 5, 6], obstacle={str(servo): None for servo in range(1, 7)})
+    async with arm_client(served.server.url) as connected:
+        await connected.call("/arm/stop")
+        async with asyncio.timeout(10.0):
+            while values_of((await connected.until("/arm/state", bool))[-1])["mode"] != "holding":
+                await connected.call("/arm/reset_fault")
+                await connected.call("/arm/enable")
+        yield connected

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from robot.arm import Arm
+from robot.calibration import Calibration
+from robot.messages import ArmConfig, Outcome
+from robot.model import builtin
+from server.moveit.gripper import Gripper, GripperCommand
+from server.moveit.gripper_actions import GRIPPER_ACTION, PARALLEL_ACTION
+from tests.helpers.arm_server import ArmClient, ServerOnBus
+from tests.server.conftest import JOINTS
+
+SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
+SUCCEEDED, CANCELED = 4, 5
+
+
+async def send(client: ArmClient, position_rad: float, max_effort: float = 0.0) -> str:
+    command = {"position": position_rad, "max_effort": max_effort}
+    return await client.send_goal(GRIPPER_ACTION, SIMPLE, {"command": command})
+
+
+async def move(client: ArmClient, position_rad: float, max_effort: float = 0.0) -> dict[str, Any]:
+    return await client.result(await send(client, position_rad, max_effort))
+
+
+async def effort_of_gripper(client: ArmClient) -> float:
+    seen = len(client.topics["/joint_states"])
+    states = await client.until("/joint_states", lambda states: len(states) > seen)
+    return abs(float(states[-1]["effort"][-1]))
+
+
+async def test_the_gripper_opens_and_closes_with_feedback(client: ArmClient) -> None:
+    await move(client, 0.0)
+    goal = await send(client, 1.2)
+    ended = await client.result(goal)
+    assert ended["status"] == SUCCEEDED
+    assert ended["values"]["reached_goal"]
+    assert ended["values"]["position"] == pytest.approx(1.2, abs=0.06)
+    way = [feedback["position"] for feedback in client.feedback[goal]]
+    assert way == sorted(way)
+
+
+async def test_something_between_the_jaws_is_gripped_gently_and_let_go(client: ArmClient, served: ServerOnBus) -> None:
+    await move(client, 1.2)
+    served.emulator.command(obstacle={"6": JOINTS["gripper"].ticks_from_rad(0.5)})
+    ended = await move(client, 0.0, max_effort=0.4)
+    assert ended["status"] == SUCCEEDED
+    assert (ended["values"]["stalled"], ended["values"]["reached_goal"]) == (True, False)
+    assert ended["values"]["position"] == pytest.approx(0.5, abs=0.05)
+    assert await effort_of_gripper(client) <= 0.3
+    assert (await move(client, 1.2))["values"]["reached_goal"]
+    await client.until_mode("holding")
+
+
+async def test_the_parallel_action_does_the_same(client: ArmClient) -> None:
+    await move(client, 0.2)
+    command = {"name": ["gripper"], "position": [0.8], "effort": [0.3], "velocity": [2.0]}
+    ended = await client.result(await client.send_goal(PARALLEL_ACTION, PARALLEL, {"command": command}))
+    assert ended["status"] == SUCCEEDED
+    assert ended["values"]["reached_goal"]
+    assert ended["values"]["state"]["name"] == ["gripper"]
+    assert ended["values"]["state"]["position"][0] == pytest.approx(0.8, abs=0.06)
+
+
+async def test_the_newest_of_several_goals_wins(client: ArmClient) -> None:
+    await move(client, 0.0)
+    goals = [await send(client, position_rad) for position_rad in (1.5, 0.1, 0.9)]
+    ends = [await client.result(goal) for goal in goals]
+    assert [end["status"] for end in ends] == [CANCELED, CANCELED, SUCCEEDED]
+    assert ends[-1]["values"]["position"] == pytest.approx(0.9, abs=0.06)
+
+
+async def test_a_goal_that_is_cancelled_stops_on_its_way(client: ArmClient) -> None:
+    await move(client, 0.0)
+    goal = await send(client, 1.7)
+    await client.until("/joint_states", lambda states: states[-1]["position"][-1] > 0.3)
+    await client.say("cancel_action_goal", action=GRIPPER_ACTION, id=goal)
+    ended = await client.result(goal)
+    assert ended["status"] == CANCELED
+    assert 0.3 < ended["values"]["position"] < 1.6
+
+
+async def test_gripper_and_arm_move_at_the_same_time(client: ArmClient) -> None:
+    await move(client, 0.0)
+    pan_rad = (await client.until("/joint_states", bool))[-1]["position"][0]
+    goal = {"name": ["shoulder_pan"], "position": [-1.0 if pan_rad > 0.0 else 1.0]}
+    await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
+    await client.until("/joint_states", lambda states: abs(states[-1]["position"][0] - pan_rad) > 0.1)
+    assert (await move(client, 1.0))["values"]["reached_goal"]
+    assert (await client.until("/moveit_goal_result", bool))[0]["val"] == 1
+
+
+async def test_a_stop_ends_the_grippers_motion_as_well(client: ArmClient) -> None:
+    await move(client, 0.0)
+    goal = await send(client, 1.7)
+    await client.until("/joint_states", lambda states: states[-1]["position"][-1] > 0.2)
+    await client.say("advertise", topic="/stop", type="std_msgs/Empty")
+    await client.say("publish", topic="/stop", msg={})
+    assert (await client.result(goal))["status"] == CANCELED
+
+
+async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
+    robot = builtin()
+    arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
+    gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0)
+    moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
+    async with gripper._turn:
+        await asyncio.sleep(0)
+        arm.stop()
+    assert (await moving).outcome is Outcome.STOPPED

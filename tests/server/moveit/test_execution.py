@@ -22,10 +22,11 @@ from robot.messages import ArmConfig, ArmState, Mode
 from server.config import EmulatorSettings
 from server.emulated_bus import EmulatedBus
 from server.goal_queue import GoalState, Progress
-from server.moveit.execution import STATE_MAX_AGE_S, GoalExecutor
+from server.moveit.execution import GoalExecutor
 from server.moveit.failed_goals import FailedGoals
 from server.moveit.goals import MotionRequest
 from server.moveit.parameters import MoveItParameters
+from server.moveit.readiness import STATE_MAX_AGE_S
 
 
 @dataclass

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: install install-dev run test lint check bench lock clean
+.PHONY: install install-dev run test lint check bench campaign lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -37,6 +37,10 @@ check: test lint
 
 bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)
+
+# Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
+campaign: install-dev
+	$(BIN)/python -m benchmarks.campaign $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from robot.bus import Bus
-from robot.control_block import Control
 from robot.errors import NoReply, StartupError
 from robot.registers import GOAL_ADDRESS, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, encode, parse_telemetry
 from robot.servo_map import ServoMap

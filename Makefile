@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: install install-dev run test lint check bench campaign-planners bench-planning lock clean
+.PHONY: install install-dev run test lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -44,6 +44,10 @@ bench-planning: install-dev
 campaign-planners: install-dev
 	mkdir -p build
 	$(BIN)/python -m benchmarks.planner_campaign $(ARGS) 2>build/campaign-planners.log
+
+# Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
+campaign: install-dev
+	$(BIN)/python -m benchmarks.campaign $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -113,13 +114,19 @@ class Orders:
             self._latch(FaultCode.STARTUP_REFUSED, reason)
 
     def _enable(self, ids: Sequence[int]) -> Steps[None]:
-        """Bring servos to hold; meanwhile no tick may tell them the goals that they had before."""
+        """Bring servos to hold."""
         arm = self._arm
-        arm.telling = False
-        try:
+        with self._telling():
             arm.hold((yield from torque.enable(arm.bus, arm.servos, arm.limits, ids)))
+
+    @contextlib.contextmanager
+    def _telling(self) -> Iterator[None]:
+        """Tell servos goals from here, while no tick tells them those that they had before."""
+        self._arm.telling = False
+        try:
+            yield
         finally:
-            arm.telling = True
+            self._arm.telling = True
 
     def enable(self) -> Steps[str]:
         """Make a relaxed arm hold where it is."""
@@ -192,12 +199,17 @@ class Orders:
     def _clear_overloads(self) -> Steps[None]:
         """Try to clear latched overloads: torque off, and on again at the present position."""
         arm, driver = self._arm, self._driver()
-        for servo in arm.servos.ids:
-            if not arm.watch.status(servo) & StatusBit.OVERLOAD:
-                continue
-            yield from torque.clear_overload(arm.bus, arm.servos, arm.limits, servo)
-            if not driver.driven:
-                yield from torque.switch_off(arm.bus, [servo])
+        overloaded = [servo for servo in arm.servos.ids if arm.watch.status(servo) & StatusBit.OVERLOAD]
+        with self._telling():
+            for servo in overloaded:
+                yield from torque.clear_overload(arm.bus, arm.servos, arm.limits, servo)
+                if not driver.driven:
+                    yield from torque.switch_off(arm.bus, [servo])
+            if overloaded and driver.driven:
+                goals = {}
+                for servo in arm.servos.ids:
+                    goals[servo] = (yield from read_control(arm.bus, servo)).goal_ticks
+                arm.hold(goals)
 
     def _check_answers(self) -> None:
         now_s = time.monotonic()

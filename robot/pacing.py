@@ -65,6 +65,11 @@ def become_punctual() -> bool:
     gc.collect()
     gc.freeze()
     gc.disable()
+    return take_priority()
+
+
+def take_priority() -> bool:
+    """Ask for real-time priority, or for a better one than others have; returns whether it is real-time."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
         return True

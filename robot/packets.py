@@ -82,17 +82,18 @@ def wire_time_s(byte_count: int, baudrate: int) -> float:
     return byte_count * BITS_PER_BYTE / baudrate
 
 
-def parse_status_frames(received: bytes, expected_ids: Collection[int], data_length: int) -> dict[int, StatusFrame]:
+def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
     """Find the replies of the expected servos in all that came since the instruction.
 
     What is not certain is left out: a frame counts only if its header, id, LEN and checksum fit, nothing in
     it looks like the start of another reply (the sign of a truncated one that swallowed its neighbour),
-    another header or nothing follows it, and the servo does not contradict itself. Noise between frames is
+    another header or nothing follows it, the servo does not contradict itself, and it answers in its turn: of two
+    frames in the wrong order one bears the id of another servo, and which one nobody knows. Noise between frames is
     skipped.
 
     Args:
         received: every byte since the instruction; call again with more when a reply is missing.
-        expected_ids: the servos asked.
+        expected_ids: the servos asked, in the order in which they answer.
         data_length: bytes of data asked of each.
 
     Returns:
@@ -109,7 +110,20 @@ def parse_status_frames(received: bytes, expected_ids: Collection[int], data_len
         if frames.setdefault(frame.servo_id, frame) != frame:
             contradicted.add(frame.servo_id)
         at = received.find(HEADER, at + status_bytes(data_length))
-    return {servo_id: frame for servo_id, frame in frames.items() if servo_id not in contradicted}
+    doubted = contradicted | _out_of_turn(list(frames), expected_ids)
+    return {servo_id: frame for servo_id, frame in frames.items() if servo_id not in doubted}
+
+
+def _out_of_turn(ids: Sequence[int], expected_ids: Sequence[int]) -> set[int]:
+    """Those of some ids that are in the wrong order with any other."""
+    turns = [expected_ids.index(servo_id) for servo_id in ids]
+    if turns == sorted(turns):
+        return set()
+    return {
+        servo_id
+        for place, servo_id in enumerate(ids)
+        if any(turn > turns[place] for turn in turns[:place]) or any(turn < turns[place] for turn in turns[place + 1 :])
+    }
 
 
 def _frame_at(received: bytes, at: int, expected_ids: Collection[int], data_length: int) -> StatusFrame | None:

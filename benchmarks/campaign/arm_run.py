@@ -174,9 +174,10 @@ class ArmRun:
         self.licensed.append(checks.Span(started_s, time.monotonic() + checks.HEARD_LATE_S))
 
     async def _until(self, mode: Mode) -> None:
-        async with asyncio.timeout(START_TIMEOUT_S):
-            while self.arm.state.mode is not mode:
-                await asyncio.sleep(0.01)
+        for _ in range(round(START_TIMEOUT_S / LOOK_S)):
+            if self.arm.state.mode is mode:
+                return
+            await asyncio.sleep(LOOK_S)
 
 
 def _end_state(entries: list[Entry], mode: Mode, scenario: Scenario) -> list[str]:

@@ -131,9 +131,9 @@ def readings(entries: list[Entry], states: Iterable[ArmState], wall_minus_monoto
             asked_s = at_s - float(age_s)
             first = bisect.bisect_left(times_s, asked_s - BEFORE_READING_S)
             last = bisect.bisect_right(times_s, asked_s + AFTER_READING_S)
-            truth = [entry.present[joint.servo_id] for entry in entries[first:last]]
+            truth = [entry.present[joint.servo_id] for entry in entries[max(first - 1, 0) : last + 1]]
             told = joint.ticks_from_rad(float(position))
-            if truth and not min(truth) - READING_WITHIN_TICKS <= told <= max(truth) + READING_WITHIN_TICKS:
+            if first < last and not min(truth) - READING_WITHIN_TICKS <= told <= max(truth) + READING_WITHIN_TICKS:
                 found.append(
                     f"{joint.joint} was told at {told} ticks at {asked_s:.3f}, but was at {min(truth)} to {max(truth)}"
                 )

@@ -17,5 +17,5 @@ def run_seed(seed: int, folder: Path) -> Result:
     run = run_server if scenario.happening in OF_SERVER else run_arm
     try:
         return asyncio.run(run(scenario, folder))
-    except Exception as error:  # whatever it was, the other seeds go on and this one is named
+    except Exception as error:  # noqa: BLE001 - whatever it was, the other seeds go on and this one is named
         return Result(seed, scenario.happening.value, violations=[f"the run broke off: {error!r}"])

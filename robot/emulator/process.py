@@ -15,6 +15,7 @@ from types import FrameType
 from robot.emulator.commands import Emulation
 from robot.emulator.control import answer
 from robot.emulator.options import build
+from robot.pacing import take_priority
 
 # How often the arm moves on while the bus is silent.
 TICK_S = 0.02
@@ -92,6 +93,7 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
         OSError: a file cannot be written, or there is no terminal to be had.
     """
     _end_on_signals(controlled=control_descriptor is not None)
+    take_priority()  # servos do not wait for a busy computer
     with contextlib.ExitStack() as resources:
         emulation = build(options, resources)
         if control_descriptor is None:

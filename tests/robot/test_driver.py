@@ -80,6 +80,16 @@ def test_a_motion_that_arrives_ends_as_reached_and_is_held() -> None:
     assert rig.driver.goal_rad == pytest.approx([1.0, 0, 0, 0, 0, 0])
 
 
+def test_a_goal_found_far_from_the_arm_comes_back_to_it_within_the_step_bound() -> None:
+    rig = Rig()
+    rig.driver.hold(np.array([0.5, 0.02, 0, 0, 0, 0]), reading(np.zeros(6)))
+    rig.goals = [rig.driver.goal_rad]
+    for _ in range(200):
+        rig.tick(lag=-rig.driver.goal_rad)
+    assert rig.driver.goal_rad == pytest.approx([0.0, 0.02, 0, 0, 0, 0])
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-9).all()
+
+
 def test_joints_outside_the_motion_keep_their_goals() -> None:
     rig = Rig([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
     rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))

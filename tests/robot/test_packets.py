@@ -95,6 +95,15 @@ def test_a_repeated_reply_counts_once():
     assert list(frames_of(packet + packet)) == [1]
 
 
+def test_a_reply_out_of_its_turn_and_those_it_overtook_are_not_believed():
+    def reply(servo_id):
+        return status_packet(servo_id, 0, bytes([servo_id] * LENGTH))
+
+    # Servo 1 has answered as 3, and 3 itself is not heard.
+    assert frames_of(status_packet(3, 0, bytes([1] * LENGTH)) + reply(2)) == {}
+    assert list(frames_of(reply(1) + reply(3))) == [1, 3]
+
+
 @given(st.integers(0, 0xFD), st.integers(1, 0x83), st.binary(max_size=60))
 def test_an_instruction_is_laid_out_as_the_servos_read_it(servo_id, code, parameters):
     packet = instruction_packet(servo_id, code, parameters)

@@ -52,6 +52,12 @@ def test_a_servo_that_stays_silent_is_asked_last_and_only_now_and_then() -> None
     assert watch.silent_cycles[3] == MISSES_UNTIL_SILENT + len(rounds)
 
 
+def test_all_servos_are_asked_again_at_once_when_none_has_answered() -> None:
+    watch = ServoWatch(SERVOS)
+    for _ in range(MISSES_UNTIL_SILENT + 3):
+        assert len(answered(watch, *SERVOS.ids)) == len(SERVOS.ids)
+
+
 def test_a_servo_that_answers_again_is_asked_every_time() -> None:
     watch = ServoWatch(SERVOS)
     for _ in range(2 * ASK_SILENT_EVERY):

@@ -1,0 +1,158 @@
+"""The contract of an arm: what a server may rely on, whatever is at the other end of the bus.
+
+It holds on the emulator, on a scripted bus, and, with ``--arm PORT,CALIBRATION``, is tried on a real arm. The tests
+turn the wrist by ``REACH_RAD`` from where the arm is found, and move the gripper by as much; nothing else moves.
+Emergency stops hold, and torque is taken off only where nothing falls; at the end the arm holds.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import AsyncIterator
+
+import pytest
+import pytest_asyncio
+
+from robot import model
+from robot.calibration import Calibration
+from robot.calibration_files import find_calibration
+from robot.limits import within_calibration
+from robot.messages import ArmConfig, EmergencyPolicy, Mode, Order, Outcome
+from tests.helpers.arm_place import DURATION_S, JOINT, REACH_RAD, STILL_RAD, WITHIN_RAD, Place
+from tests.helpers.scripted_arm import ScriptedServos
+from tests.helpers.trajectories import smooth_move
+from tests.robot.conftest import RunningEmulator, ScriptedPeer
+
+NOMINAL = Calibration.nominal()
+
+
+def place_on(port: str, calibration: Calibration, *, may_fall: bool) -> Place:
+    robot = within_calibration(model.builtin(), calibration)
+    return Place(ArmConfig(robot, calibration, port, on_emergency_stop=EmergencyPolicy.HOLD), may_fall)
+
+
+@pytest_asyncio.fixture(loop_scope="module", scope="module", params=["emulator", "scripted bus", "real arm"])
+async def place(request: pytest.FixtureRequest) -> AsyncIterator[Place]:
+    named = request.config.getoption("--arm")
+    bus: RunningEmulator | ScriptedPeer | None = None
+    if request.param == "emulator":
+        bus = RunningEmulator("--start=0.1,-0.5,0.4,0.2,0.1,0.3")
+        made = place_on(bus.port, NOMINAL, may_fall=True)
+    elif request.param == "scripted bus":
+        bus = ScriptedPeer(ScriptedServos(NOMINAL))
+        made = place_on(bus.port, NOMINAL, may_fall=True)
+    elif named:
+        port, _, calibration = named.partition(",")
+        made = place_on(port, Calibration.load(find_calibration(calibration, os.environ)), may_fall=False)
+    else:
+        pytest.skip("no real arm is named by --arm PORT,CALIBRATION")
+    try:
+        await made.start()
+        yield made
+    finally:
+        await made.arm.close()
+        if bus is not None:
+            bus.end()
+
+
+@pytest.mark.asyncio(loop_scope="module")
+class TestArmContract:
+    """What holds for every arm; each test leaves it holding where it was found, or near."""
+
+    async def test_an_arm_that_holds_is_at_its_goals(self, place: Place) -> None:
+        state = place.arm.state
+        assert state.goal_rad is not None
+        assert state.position_rad is not None
+        assert abs(state.goal_rad - state.position_rad).max() < STILL_RAD
+
+    async def test_a_motion_arrives_and_its_end_is_told_once(self, place: Place) -> None:
+        start = place.held()
+        before = len(place.arm.ended)
+        there = await place.answer(place.arm.execute(place.move(REACH_RAD)))
+        assert there.outcome is Outcome.REACHED
+        await place.until(lambda: abs(place.at() - start - REACH_RAD) < WITHIN_RAD)
+        back = await place.answer(place.arm.execute(smooth_move({JOINT: (start + REACH_RAD, start)}, DURATION_S)))
+        assert back.outcome is Outcome.REACHED
+        numbers = [ended.motion_id for ended in place.arm.ended[before:]]
+        assert len(numbers) == len(set(numbers)) == 2
+
+    async def test_states_follow_each_other_and_tell_of_the_motion(self, place: Place) -> None:
+        before = len(place.arm.states)
+        await place.answer(place.arm.execute(place.move(REACH_RAD)))
+        await place.answer(place.arm.execute(place.move(-REACH_RAD)))
+        states = place.arm.states[before:]
+        assert any(state.mode is Mode.MOVING and state.motion_id is not None for state in states)
+        stamps = [state.stamp_s for state in states]
+        assert stamps == sorted(stamps)
+
+    async def test_a_stop_ends_the_motion_on_the_way(self, place: Place) -> None:
+        start = place.held()
+        motion = place.arm.execute(place.move(REACH_RAD, duration_s=2.0))
+        await place.until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
+        place.arm.stop()
+        assert (await place.answer(motion)).outcome is Outcome.STOPPED
+        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
+        assert 0.2 * REACH_RAD < place.held() - start < 0.9 * REACH_RAD
+        await place.answer(place.arm.execute(place.move(start - place.held())))
+
+    async def test_a_motion_from_elsewhere_is_refused(self, place: Place) -> None:
+        held = place.held()
+        refused = await place.answer(place.arm.execute(smooth_move({JOINT: (held + 0.3, held + 0.4)}, 1.0)))
+        assert refused.outcome is Outcome.REFUSED
+        assert JOINT in refused.message
+
+    async def test_a_motion_beyond_the_limits_is_refused_before_it_begins(self, place: Place) -> None:
+        held = place.held()
+        refused = await place.answer(place.arm.execute(smooth_move({JOINT: (held, 3.0)}, 10.0)))
+        assert refused.outcome is Outcome.REFUSED
+        assert "limits" in refused.message
+        assert place.held() == held
+
+    async def test_a_joint_has_one_motion_at_a_time_and_the_gripper_its_own(self, place: Place) -> None:
+        gripper = place.arm.execute(place.move(REACH_RAD, "gripper"))
+        first = place.arm.execute(place.move(REACH_RAD))
+        second = await place.answer(place.arm.execute(place.move(REACH_RAD)))
+        assert second.outcome is Outcome.REFUSED
+        assert (await place.answer(first)).outcome is Outcome.REACHED
+        assert (await place.answer(gripper)).outcome is Outcome.REACHED
+        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
+        await place.answer(place.arm.execute(place.move(-REACH_RAD)))
+        await place.answer(place.arm.execute(place.move(-REACH_RAD, "gripper")))
+
+    async def test_an_emergency_stop_ends_the_motion_and_stays_until_it_is_reset(self, place: Place) -> None:
+        start = place.held()
+        motion = place.arm.execute(place.move(REACH_RAD, duration_s=2.0))
+        await place.until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
+        assert (await place.arm.order(Order.EMERGENCY_STOP)).done
+        assert (await place.answer(motion)).outcome is Outcome.FAULT
+        refused = await place.answer(place.arm.execute(place.move(0.05)))
+        assert refused.outcome is Outcome.REFUSED
+        assert (await place.arm.order(Order.RESET_FAULT)).done
+        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
+        assert (await place.answer(place.arm.execute(place.move(start - place.held())))).outcome is Outcome.REACHED
+
+    async def test_a_relaxed_arm_refuses_motions_and_is_enabled_where_it_is(self, place: Place) -> None:
+        if not place.may_fall:
+            return
+        assert (await place.arm.order(Order.RELAX)).done
+        refused = await place.answer(place.arm.execute(place.move(0.05)))
+        assert refused.outcome is Outcome.REFUSED
+        assert "enable" in refused.message
+        assert (await place.arm.order(Order.ENABLE)).done
+        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
+        await place.until(lambda: abs(place.held() - place.at()) < STILL_RAD)
+
+    async def test_a_killed_arm_process_is_replaced_and_adopts_the_arm(self, place: Place) -> None:
+        held = place.held()
+        assert place.arm.pid is not None
+        os.kill(place.arm.pid, signal.SIGKILL)
+        await place.until(lambda: place.arm.state.mode is Mode.DISCONNECTED)
+        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
+        assert abs(place.held() - held) < STILL_RAD
+
+    async def test_an_arm_that_was_closed_holds_until_the_next_process_finds_it(self, place: Place) -> None:
+        held = place.held()
+        await place.arm.close()
+        await place.start()
+        assert abs(place.held() - held) < STILL_RAD

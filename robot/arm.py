@@ -171,7 +171,7 @@ class Arm:
             await self._child.wait(CLOSE_TIMEOUT_S)
 
     async def _start_child(self) -> None:
-        self._child = Child("robot.loop", on_message=self._received, on_exit=self._exited)
+        self._child = Child("robot.control.loop", on_message=self._received, on_exit=self._exited)
         await self._child.connect()
         self._child.send(self._config)
 

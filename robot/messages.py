@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from robot.calibration import Calibration
-from robot.counters import BusCounters
 from robot.faults import Fault
 from robot.model import RobotModel
+from robot.servos.counters import BusCounters
 from robot.trajectory import Trajectory, Vector
 
 

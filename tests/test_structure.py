@@ -10,7 +10,7 @@ ROOMS = ("server", "planners", "robot", "protocol")
 # Modules that hold only data or names, or run what others define; and the one process main that end-to-end tests run.
 WITHOUT_TEST = {
     "robot/messages.py",
-    "robot/counters.py",
+    "robot/servos/counters.py",
     "planners/messages.py",
     "planners/goals.py",
     "planners/problem.py",
@@ -20,7 +20,7 @@ WITHOUT_TEST = {
     "robot/errors.py",
     "server/moveit/parameters.py",
     # A child's main: run by the tests of the handle on it.
-    "robot/loop.py",
+    "robot/control/loop.py",
 }
 
 

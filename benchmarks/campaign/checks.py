@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from benchmarks.campaign.scenario import CALIBRATION
 from benchmarks.campaign.write_log import Entry, pairs
 from robot import model
-from robot.driver import MAX_TICK_GAP_S, STEP_MARGIN
+from robot.control.driver import MAX_TICK_GAP_S, STEP_MARGIN
 from robot.limits import JointBounds, within_calibration
 from robot.messages import ArmState
 

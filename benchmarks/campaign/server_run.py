@@ -76,7 +76,7 @@ class ServerRun:
     async def _kill(self, server: RunningServer, client: ArmClient) -> None:
         await self._begin_goal(client)
         children = psutil.Process(server.process.pid).children(recursive=True)
-        arm = [child for child in children if "robot.loop" in child.cmdline()]
+        arm = [child for child in children if "robot.control.loop" in child.cmdline()]
         server.end(signal.SIGKILL)
         _, left = await asyncio.to_thread(psutil.wait_procs, arm, END_S)
         if left:

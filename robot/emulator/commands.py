@@ -10,7 +10,7 @@ from robot.emulator.adapter import UsbAdapter
 from robot.emulator.faults import PROBABILITIES
 from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus
-from robot.registers import Register, StatusBit
+from robot.servos.registers import Register, StatusBit
 
 MAX_TICKS = 4095
 

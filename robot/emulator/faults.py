@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from robot.packets import HEADER, checksum
+from robot.servos.packets import HEADER, checksum
 
 # Faults that strike each packet with a probability, and what they do; field of Faults, option and live command alike.
 PROBABILITIES: Mapping[str, str] = MappingProxyType(

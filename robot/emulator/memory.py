@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from robot.registers import LAYOUT, Area, Register, decode, encode, value_range
+from robot.servos.registers import LAYOUT, Area, Register, decode, encode, value_range
 
 # The last documented address is 86; whatever is asked beyond reads as zero.
 MEMORY_BYTES = 87

@@ -12,10 +12,10 @@ import sys
 import time
 from types import FrameType
 
+from robot.control.pacing import take_priority
 from robot.emulator.commands import Emulation
 from robot.emulator.control import answer
 from robot.emulator.options import build
-from robot.pacing import take_priority
 
 # How often the arm moves on while the bus is silent.
 TICK_S = 0.02

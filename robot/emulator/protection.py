@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robot.registers import StatusBit
+from robot.servos.registers import StatusBit
 
 # Register 38's factory value; what the register says is not followed.
 OVERCURRENT_TIME_S = 2.0

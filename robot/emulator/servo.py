@@ -6,7 +6,7 @@ from robot.emulator.heat import Motor
 from robot.emulator.memory import FACTORY_EPROM, Memory
 from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
 from robot.emulator.protection import Measured, Protection, Thresholds
-from robot.registers import (
+from robot.servos.registers import (
     AMPERE_PER_UNIT,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,

@@ -11,8 +11,8 @@ from robot.emulator.instruction_set import Answer, execute
 from robot.emulator.servo import Servo
 from robot.emulator.wire import Instruction, InstructionParser, status_packet
 from robot.emulator.write_log import WriteLog
-from robot.packets import wire_time_s
-from robot.registers import Register
+from robot.servos.packets import wire_time_s
+from robot.servos.registers import Register
 
 BAUDRATE = 1_000_000
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from scservo_sdk import BROADCAST_ID
 
-from robot.packets import HEADER, LENGTH_OVERHEAD, checksum
+from robot.servos.packets import HEADER, LENGTH_OVERHEAD, checksum
 
 # A packet that stays unfinished this long was cut off, and does not swallow the next one.
 PARTIAL_PACKET_S = 0.005

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from scservo_sdk import INST_ACTION, INST_SYNC_WRITE, INST_WRITE
 
 from robot.emulator.servo import Servo
-from robot.registers import LAYOUT, Register, decode
+from robot.servos.registers import LAYOUT, Register, decode
 
 _NAMES: Mapping[int, str] = MappingProxyType(
     {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}

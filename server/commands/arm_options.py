@@ -7,11 +7,11 @@ import os
 from collections.abc import Callable
 from typing import TypeAlias
 
-from robot.bus import Bus
 from robot.calibration import Calibration
 from robot.calibration_files import find_calibration
-from robot.discovery import AUTO, resolve_port
 from robot.errors import PortBusy, RobotError
+from robot.servos.bus import Bus
+from robot.servos.discovery import AUTO, resolve_port
 from server.commands.terminal import ExitCode, Terminal
 
 Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 - argparse has no public name for it

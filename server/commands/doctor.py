@@ -7,13 +7,13 @@ import contextlib
 import json
 import textwrap
 
-from robot.bench import Bench
-from robot.bus import Bus
 from robot.calibration import SO101_JOINTS
-from robot.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
-from robot.experiments import EXPERIMENTS, Experiment, ask
-from robot.measuring import measure_cycles, measure_reads
-from robot.scan import scan
+from robot.service.bench import Bench
+from robot.service.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
+from robot.service.experiments import EXPERIMENTS, Experiment, ask
+from robot.service.measuring import measure_cycles, measure_reads
+from robot.service.scan import scan
+from robot.servos.bus import Bus
 from server.commands.arm_options import (
     Subparsers,
     add_calibration,

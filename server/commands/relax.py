@@ -6,14 +6,14 @@ import argparse
 import contextlib
 
 from robot import model
-from robot.blocking import run_to_end
-from robot.bus import Bus
 from robot.calibration import SO101_JOINTS, Calibration
+from robot.control.blocking import run_to_end
+from robot.control.torque import LOWER_S, relax
 from robot.errors import NoReply
 from robot.limits import JointBounds, within_calibration
-from robot.registers import Register
-from robot.servo_map import ServoMap
-from robot.torque import LOWER_S, relax
+from robot.servos.bus import Bus
+from robot.servos.registers import Register
+from robot.servos.servo_map import ServoMap
 from server.commands.arm_options import Subparsers, add_serial, guarded, open_bus
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 
-from robot.bus import Bus
 from robot.calibration import SO101_JOINTS
-from robot.discovery import resolve_port
-from robot.registers import status_names
-from robot.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, scan
+from robot.service.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, scan
+from robot.servos.bus import Bus
+from robot.servos.discovery import resolve_port
+from robot.servos.registers import status_names
 from server.commands.arm_options import Subparsers, add_serial, guarded
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 

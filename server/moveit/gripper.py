@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from robot.arm import Arm
 from robot.messages import MotionEnded, Outcome
 from robot.model import Joint
-from robot.servo_map import GRIPPER_TORQUE
+from robot.servos.servo_map import GRIPPER_TORQUE
 from robot.trapezoid import rest_to_rest
 from server.moveit.execution import BRAKING_TIMEOUT_S, DURATION_FACTOR, DURATION_MARGIN_S
 from server.moveit.readiness import unusable

@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from robot import model
-from robot.bus import Bus
 from robot.calibration import Calibration
+from robot.control.pacing import Pacer
+from robot.control.supervisor import Supervisor
 from robot.limits import within_calibration
 from robot.messages import (
     ArmConfig,
@@ -23,9 +24,8 @@ from robot.messages import (
     MotionEnded,
     Order,
 )
-from robot.pacing import Pacer
-from robot.registers import Register
-from robot.supervisor import Supervisor
+from robot.servos.bus import Bus
+from robot.servos.registers import Register
 from robot.trajectory import Trajectory
 
 CALIBRATION = Calibration.nominal()

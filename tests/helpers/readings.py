@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from robot.telemetry import Measured
+from robot.servos.telemetry import Measured
 
 
 def reading(position_rad: Any, **told: Any) -> Measured:

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from robot.bus import Bus
+from robot.control.pacing import take_priority
 from robot.emulator.wire import Instruction, InstructionParser
-from robot.pacing import take_priority
+from robot.servos.bus import Bus
 
 START_TIMEOUT_S = 10.0
 END_TIMEOUT_S = 5.0

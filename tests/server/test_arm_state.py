@@ -7,9 +7,9 @@ import pytest
 
 from protocol.registry import Registry
 from robot import model
-from robot.counters import BusCounters
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
+from robot.servos.counters import BusCounters
 from server.arm_state import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
 from server.graph import Graph, Subscriber
 from server.node import Node

@@ -3,9 +3,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from robot.counters import BusCounters
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
+from robot.servos.counters import BusCounters
 from server.diagnostics import diagnostic_array
 from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from robot.bus import Bus
+from robot.servos.bus import Bus
 from server.config import EmulatorSettings
 from server.emulated_bus import EmulatedBus
 from server.errors import StartError

@@ -8,7 +8,7 @@ from robot.emulator.arm import build_servos
 from robot.emulator.commands import FOR_SERVOS, NUMBERS, SWITCHES, VALUES, Emulation
 from robot.emulator.faults import PROBABILITIES, Faults
 from robot.emulator.servo_bus import ServoBus
-from robot.registers import Register, StatusBit, encode
+from robot.servos.registers import Register, StatusBit, encode
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 
 from robot.emulator.faults import PROBABILITIES
 from robot.emulator.options import add_options, build
-from robot.registers import Register
+from robot.servos.registers import Register
 
 
 def parser():

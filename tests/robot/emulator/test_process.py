@@ -9,10 +9,10 @@ import time
 
 import pytest
 
-from robot.bus import Bus
 from robot.emulator.process import LINGER_S, MAX_COMMAND_BYTES, Control
 from robot.errors import NoReply, PortError, PortLost
-from robot.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.servos.bus import Bus
+from robot.servos.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 
 IDS = (1, 2, 3, 4, 5, 6)
 

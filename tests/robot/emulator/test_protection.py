@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from robot.emulator.protection import OVERCURRENT_TIME_S, Measured, Protection, Thresholds
-from robot.registers import StatusBit
+from robot.servos.registers import StatusBit
 
 LIMITS = Thresholds(
     voltage_v=(4.0, 8.0),

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from robot.emulator.plant import Plant
 from robot.emulator.servo import Servo
-from robot.registers import (
+from robot.servos.registers import (
     LAYOUT,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,

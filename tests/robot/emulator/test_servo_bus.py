@@ -13,8 +13,8 @@ from robot.emulator.faults import Faults
 from robot.emulator.servo_bus import BAUDRATES, ServoBus
 from robot.emulator.wire import status_packet
 from robot.emulator.write_log import WriteLog
-from robot.packets import checksum
-from robot.registers import GOAL_ADDRESS, Register, goal_block
+from robot.servos.packets import checksum
+from robot.servos.registers import GOAL_ADDRESS, Register, goal_block
 
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 ALL = 0xFE

@@ -5,7 +5,7 @@ import json
 from robot.calibration import Calibration
 from robot.emulator.arm import build_servos
 from robot.emulator.write_log import WriteLog
-from robot.registers import goal_block
+from robot.servos.registers import goal_block
 
 
 def lines_of(path, record):

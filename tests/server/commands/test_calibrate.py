@@ -6,10 +6,10 @@ import time
 
 import pytest
 
-from robot.bus import Bus
 from robot.calibration import SO101_JOINTS, Calibration
 from robot.emulator.plant import HAND_TICKS_S
-from robot.registers import Register
+from robot.servos.bus import Bus
+from robot.servos.registers import Register
 from server import cli
 from server.commands.terminal import ExitCode
 

@@ -4,7 +4,7 @@ import json
 
 from robot.calibration import Calibration
 from robot.calibration_files import save
-from robot.experiments import EXPERIMENTS
+from robot.service.experiments import EXPERIMENTS
 from server import cli
 from server.commands.terminal import ExitCode
 from tests.helpers.server import read_write_log

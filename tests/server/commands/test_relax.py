@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from robot.bus import Bus
-from robot.registers import Register
+from robot.servos.bus import Bus
+from robot.servos.registers import Register
 from server import cli
 from server.commands.terminal import ExitCode
 

@@ -1,0 +1,280 @@
+"""Decides, tick by tick, which goals the servos get: pure, time passed in, the last line of defence.
+
+It trusts no command. A trajectory is refused when it is malformed, too fast, outside the soft limits or does not
+start where the arm holds; whatever then comes out is clamped to the soft limits and to a bounded step a tick. It
+trusts no reading either: the guards look at each, and what they find ends every motion and stays until it is reset.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot.control.acceptance import refusal
+from robot.control.guards import Flags, Guards, Temperatures
+from robot.control.motion import GOAL_TOLERANCE_RAD, Motion
+from robot.faults import Fault, FaultCode
+from robot.limits import JointBounds
+from robot.messages import Execute, Mode, MotionEnded, Outcome
+from robot.servos.telemetry import Measured
+from robot.trajectory import Vector
+
+# Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
+STEP_MARGIN = 1.5
+
+# Longer gaps between two ticks are not made up for: the motion goes on from where it was.
+MAX_TICK_GAP_S = 0.02
+
+# Rate of motions while a servo is hot.
+SLOW_RATE = 0.5
+
+# How a gripper goes on holding: its goal so far beyond the object, at a share of its torque that it can give for long.
+SQUEEZE_RAD = 0.05
+GRIP_TORQUE_SHARE = 0.5
+
+# How motions end that a fault ended; any other code is Outcome.FAULT.
+_OUTCOMES = {
+    FaultCode.BUS_LOST: Outcome.BUS_LOST,
+    FaultCode.SERVO_SILENT: Outcome.BUS_LOST,
+    FaultCode.TRACKING_LOST: Outcome.TRACKING_LOST,
+}
+
+# Pushing on against an obstacle heats the servo: after these the goal goes back to where the joint is.
+_YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
+
+# A servo that goes on holding after one of these is damaged: torque is taken off, gently.
+RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCURRENT})
+
+
+class Driver:
+    """The arm's motion state.
+
+    A new driver does not drive: the arm is relaxed until :meth:`hold`.
+
+    Args:
+        joint_names: order of every array.
+        bounds: limits of the joints.
+        guards: look at every reading.
+        full_torque: share of full duty that each joint may use at most, shape (joints,).
+        temperatures: when motions slow down.
+        fault: one that was found before and not reset.
+    """
+
+    def __init__(
+        self,
+        joint_names: tuple[str, ...],
+        bounds: JointBounds,
+        guards: Guards,
+        full_torque: Vector,
+        temperatures: Temperatures,
+        fault: Fault | None = None,
+    ) -> None:
+        self._names = joint_names
+        self.bounds = bounds
+        self.guards = guards
+        self._full_torque = full_torque
+        self._slow_c = temperatures.slow_c
+        self._share = np.ones(len(joint_names))
+        self._goal_rad = self._hold_rad = np.zeros(len(joint_names))
+        self._last_step_s: float | None = None
+        self._motions: list[Motion] = []
+        self._pending: Fault | None = None
+        self.driven = False
+        self.fault = fault
+
+    @property
+    def mode(self) -> Mode:
+        """RELAXED, HOLDING, MOVING or FAULT."""
+        if self.fault is not None:
+            return Mode.FAULT
+        if not self.driven:
+            return Mode.RELAXED
+        return Mode.MOVING if self._motions else Mode.HOLDING
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is in progress."""
+        return bool(self._motions)
+
+    @property
+    def goal_rad(self) -> Vector:
+        """The goals given last, or where the arm is while it is relaxed, shape (joints,) [rad]."""
+        return self._goal_rad
+
+    @property
+    def torque_limit(self) -> Vector:
+        """Share of full duty that each joint may use now, shape (joints,)."""
+        return self._full_torque * self._share
+
+    @property
+    def motion(self) -> Motion | None:
+        """The motion in progress; of several the one with most joints."""
+        return max(self._motions, key=lambda motion: len(motion.columns), default=None)
+
+    def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
+        """Take note that the servos have these goals, and hold there, or where they are if that is far away.
+
+        Args:
+            goal_rad: the goals, shape (joints,) [rad].
+            measured: where the joints are; None if they are at their goals.
+        """
+        self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
+        if measured is not None:
+            self._yield_to(measured)
+        self._share = np.ones(len(self._names))
+        self.guards.restart()
+        self.driven = True
+
+    def release(self) -> None:
+        """Take note that torque is off, or going off."""
+        self.driven = False
+
+    def execute(self, command: Execute) -> MotionEnded | None:
+        """Begin a motion; returns the refusal, or None when it began."""
+        reason = self._refusal(command)
+        if reason:
+            return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
+        motion = Motion(command, self._names, self.bounds)
+        self._motions.append(motion)
+        self._share[motion.columns] = command.torque_share
+        return None
+
+    def _refusal(self, command: Execute) -> str:
+        """Why a motion may not begin, or an empty text."""
+        if self.fault is not None or self._pending is not None:
+            return f"the arm has a fault: {self.fault or self._pending}"
+        if not self.driven:
+            return "the arm is relaxed: enable it first"
+        if not 0.0 < command.torque_share <= 1.0:
+            return f"torque_share is {command.torque_share}; it must be above 0 and at most 1"
+        for motion in self._motions:
+            both = set(motion.command.trajectory.joint_names) & set(command.trajectory.joint_names)
+            if both:
+                return f"motion {motion.motion_id} of joint {min(both)} is in progress"
+        return refusal(command.trajectory, self._names, self.bounds, self._goal_rad)
+
+    def stop(self, motion_id: int | None = None) -> None:
+        """Brake a motion along its path, or all of them."""
+        for motion in self._motions:
+            if motion_id in (None, motion.motion_id):
+                motion.playback.stop()
+
+    def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
+        """Advance one tick: sets :attr:`goal_rad`, and returns the motions that this tick ends."""
+        elapsed_s = 0.0 if self._last_step_s is None else min(max(now_s - self._last_step_s, 0.0), MAX_TICK_GAP_S)
+        self._last_step_s = now_s
+        if not self.driven:
+            self._goal_rad = self._hold_rad = measured.position_rad
+            return []
+        self._advance(measured, elapsed_s)
+        yielding = self._yielding()
+        found = self.guards.check(self._goal_rad, measured, self.torque_limit, now_s, yielding)
+        ended = self._end_gripped(measured, yielding) if yielding.any() else []
+        if found is not None:
+            ended += self.react(found, measured)
+        return ended + self._end_finished(measured, now_s)
+
+    def _advance(self, measured: Measured, elapsed_s: float) -> None:
+        hot = bool((measured.temperature_c >= self._slow_c).any())
+        wanted = self._hold_rad.copy()
+        for motion in self._motions:
+            motion.playback.ceiling = SLOW_RATE if hot else 1.0
+            wanted[motion.columns] = motion.playback.advance(elapsed_s)
+        self._goal_rad = self._guarded(wanted, elapsed_s)
+        for motion in self._motions:
+            self._hold_rad[motion.columns] = self._goal_rad[motion.columns]
+
+    def _guarded(self, goal_rad: Vector, elapsed_s: float) -> Vector:
+        """The goal within the step bound of the last one, and not further outside the soft limits than that."""
+        finite = np.where(np.isfinite(goal_rad), goal_rad, self._goal_rad)
+        step = self.bounds.max_velocity * elapsed_s * STEP_MARGIN
+        bounded = np.clip(finite, self._goal_rad - step, self._goal_rad + step)
+        lower = np.minimum(self.bounds.lower_rad, self._goal_rad)
+        upper = np.maximum(self.bounds.upper_rad, self._goal_rad)
+        return np.clip(bounded, lower, upper)
+
+    def _yielding(self) -> Flags:
+        """Joints whose stall means that they have gripped something."""
+        yielding = np.zeros(len(self._names), dtype=bool)
+        for motion in self._motions:
+            if motion.command.gripping:
+                yielding[motion.columns] = True
+        return yielding
+
+    def _end_gripped(self, measured: Measured, yielding: Flags) -> list[MotionEnded]:
+        caught = self.guards.stalled & yielding
+        ended = []
+        for motion in [motion for motion in self._motions if caught[motion.columns].any()]:
+            joint = int(motion.columns[np.argmax(caught[motion.columns])])
+            message = f"joint {self._names[joint]} holds something at {measured.position_rad[joint]:.3f} rad"
+            ended.append(motion.ended(Outcome.GRIPPED, message))
+            self._drop(motion, measured)
+        return ended
+
+    def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
+        ended = []
+        for motion in list(self._motions):
+            end = motion.end(self._goal_rad, measured.position_rad, now_s)
+            if end is not None and self._pending is None:
+                ended.append(end)
+                self._drop(motion, measured if end.outcome is Outcome.GRIPPED else None)
+        if self._pending is not None and all(motion.playback.finished for motion in self._motions):
+            fault, self._pending = self._pending, None
+            ended += self.latch(fault, measured)
+        return ended
+
+    def _drop(self, motion: Motion, gripped: Measured | None) -> None:
+        """Forget a motion; its joints hold their goals, or squeeze what they have gripped."""
+        self._motions.remove(motion)
+        columns = motion.columns
+        if gripped is None:
+            self._share[columns] = 1.0
+            return
+        self._share[columns] = np.minimum(self._share[columns], GRIP_TORQUE_SHARE)
+        position = gripped.position_rad[columns]
+        squeeze = np.clip(self._goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
+        self._hold_rad[columns] = position + squeeze
+        # The goal takes some ticks to come back, during which the joint goes on pushing.
+        self.guards.restart()
+
+    def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
+        """Do what a fault asks for; one that is latched already gives way only to one that takes torque off."""
+        if self.fault is None:
+            if found.code is FaultCode.SERVO_SILENT and self._motions:
+                # The others are heard and can be braked along the path; the silent one follows its goals unseen.
+                self._pending = self._pending or found
+                self.stop()
+                return []
+            return self.latch(found, measured)
+        if found.code in RELAXING and self.fault.code not in RELAXING:
+            return self.latch(found, measured)
+        if found.code in _YIELDING:
+            self._yield_to(measured)
+        return []
+
+    def latch(self, fault: Fault, measured: Measured | None = None) -> list[MotionEnded]:
+        """Take note of a fault: every motion ends, and the arm holds where it is until the fault is reset."""
+        self.fault = fault
+        self._pending = None
+        ended = self.abandon(_OUTCOMES.get(fault.code, Outcome.FAULT), str(fault))
+        self._hold_rad = self._goal_rad.copy()
+        if measured is not None and fault.code in _YIELDING:
+            self._yield_to(measured)
+        return ended
+
+    def _yield_to(self, measured: Measured) -> None:
+        """Give way, step by bounded step, where a joint is far from its goal."""
+        away = np.abs(measured.position_rad - self._goal_rad) > GOAL_TOLERANCE_RAD
+        inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
+        self._hold_rad = np.where(away, inside, self._hold_rad)
+
+    def reset(self) -> None:
+        """Forget the fault."""
+        self.fault = None
+        self.guards.restart()
+
+    def abandon(self, outcome: Outcome, message: str) -> list[MotionEnded]:
+        """End every motion in progress without moving on."""
+        ended = [motion.ended(outcome, message) for motion in self._motions]
+        self._motions = []
+        self._share = np.ones(len(self._names))
+        return ended

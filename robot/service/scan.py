@@ -1,0 +1,180 @@
+"""Who is on the bus, and in what condition; nothing is written."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from robot.calibration import JointSpec
+from robot.errors import NoReply
+from robot.servos.bus import Bus
+from robot.servos.registers import (
+    TELEMETRY_ADDRESS,
+    TELEMETRY_BYTES,
+    VOLT_PER_UNIT,
+    Register,
+    Telemetry,
+    parse_telemetry,
+)
+
+# Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
+BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)
+
+# What a servo is delivered with.
+FACTORY_ID = 1
+
+
+@dataclass(frozen=True)
+class ServoReport:
+    """One servo's condition.
+
+    Attributes:
+        model: 777 for an STS3215.
+        firmware: major and minor version.
+        mode: register OPERATING_MODE, 0 for position.
+        angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT.
+        homing_offset_ticks: register HOMING_OFFSET.
+        phase: register PHASE.
+        return_delay: register RETURN_DELAY [2 us].
+        max_voltage_v: register MAX_VOLTAGE, which tells the 7.4 V variant from the 12 V one [V].
+        torque_enable: register TORQUE_ENABLE.
+        telemetry: what it measures.
+    """
+
+    servo_id: int
+    model: int
+    firmware: tuple[int, int]
+    mode: int
+    angle_limits_ticks: tuple[int, int]
+    homing_offset_ticks: int
+    phase: int
+    return_delay: int
+    max_voltage_v: float
+    torque_enable: int
+    telemetry: Telemetry
+
+
+@dataclass(frozen=True)
+class ScanResult:
+    """What a scan found.
+
+    Attributes:
+        servos: those that answered all questions, by id.
+        unsteady_ids: those that answered some questions only.
+        garbled_bytes: bytes that were no sound reply when all were asked at once.
+    """
+
+    servos: tuple[ServoReport, ...]
+    unsteady_ids: tuple[int, ...] = ()
+    garbled_bytes: int = 0
+
+    @property
+    def ids(self) -> frozenset[int]:
+        """Ids of all servos that spoke."""
+        return frozenset(servo.servo_id for servo in self.servos) | frozenset(self.unsteady_ids)
+
+
+def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
+    """Look for servos and ask each for its condition.
+
+    Args:
+        bus: an open bus.
+        expected_ids: ids that are asked one by one as well, since a reply to a broadcast may get lost.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    garbled = bus.counters.discarded_bytes
+    ids = set(bus.broadcast_ping())
+    garbled = bus.counters.discarded_bytes - garbled
+    for servo_id in set(expected_ids) - ids:
+        with contextlib.suppress(NoReply):
+            bus.ping(servo_id)
+            ids.add(servo_id)
+    servos, unsteady = [], []
+    for servo_id in sorted(ids):
+        try:
+            servos.append(examine(bus, servo_id))
+        except NoReply:
+            unsteady.append(servo_id)
+    return ScanResult(tuple(servos), tuple(unsteady), garbled)
+
+
+def examine(bus: Bus, servo_id: int) -> ServoReport:
+    """Ask one servo for its condition.
+
+    Raises:
+        NoReply: it does not answer every question.
+        PortLost: the port is gone.
+    """
+
+    def value(register: Register) -> int:
+        return bus.read(servo_id, register)
+
+    return ServoReport(
+        servo_id=servo_id,
+        model=value(Register.MODEL_NUMBER),
+        firmware=(value(Register.FIRMWARE_MAJOR), value(Register.FIRMWARE_MINOR)),
+        mode=value(Register.OPERATING_MODE),
+        angle_limits_ticks=(value(Register.MIN_ANGLE_LIMIT), value(Register.MAX_ANGLE_LIMIT)),
+        homing_offset_ticks=value(Register.HOMING_OFFSET),
+        phase=value(Register.PHASE),
+        return_delay=value(Register.RETURN_DELAY),
+        max_voltage_v=value(Register.MAX_VOLTAGE) * VOLT_PER_UNIT,
+        torque_enable=value(Register.TORQUE_ENABLE),
+        telemetry=read_telemetry(bus, servo_id),
+    )
+
+
+def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
+    """Read what a servo measures.
+
+    Raises:
+        NoReply: it gave no valid reply.
+        PortLost: the port is gone.
+    """
+    attempts = 3  # as a single read of the bus
+    for _ in range(attempts):
+        frame = bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES).get(servo_id)
+        if frame is not None:
+            return parse_telemetry(frame.data)
+    raise NoReply(servo_id, attempts)
+
+
+def explain_missing(result: ScanResult, joints: Sequence[JointSpec]) -> list[str]:
+    """Name the servos that did not answer, and what is likely the cause; nothing when all are there.
+
+    Args:
+        result: of the scan.
+        joints: of the arm, in the order in which their servos are chained.
+    """
+    present = [joint.servo_id in result.ids for joint in joints]
+    said = [
+        f"servo {servo_id} answers some questions only: its plug, or the power supply, has bad contact"
+        for servo_id in result.unsteady_ids
+    ]
+    if result.garbled_bytes:
+        said.append(
+            "some replies were garbled: two servos may have the same id (connect them one at a time and set the ids)"
+        )
+    if all(present):
+        return said
+    missing = ", ".join(
+        f"{joint.servo_id} ({joint.name})" for joint, there in zip(joints, present, strict=True) if not there
+    )
+    return [f"no answer from servo {missing}: {_cause(result, joints, present)}", *said]
+
+
+def _cause(result: ScanResult, joints: Sequence[JointSpec], present: list[bool]) -> str:
+    if not any(present):
+        return (
+            "none answers, so look at what they share: is the power supply on, the adapter's jumper on B, and the baud "
+            "rate 1000000 (armbridge scan --all-bauds tries the others)?"
+        )
+    if result.ids == {FACTORY_ID}:
+        return "only the id that new servos have answers: set the servos' ids (lerobot-setup-motors does)"
+    first = present.index(False)
+    if not any(present[first:]):
+        return f"all from {joints[first].name} on are silent: check the cable that leads to it"
+    return "servos behind it answer, so the cable is sound: its id or baud rate is another, or it is defective"

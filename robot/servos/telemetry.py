@@ -1,0 +1,138 @@
+"""The last good reading of every servo, how old it is, and whom to ask next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot.servos.packets import StatusFrame
+from robot.servos.registers import Telemetry, parse_telemetry
+from robot.servos.servo_map import ServoMap
+from robot.trajectory import Vector
+
+# A servo that has missed this many reads in a row is asked less often: waiting for it costs half of a period. As many
+# as make its reading stale, so that it is not taken for lost because it was not asked.
+MISSES_UNTIL_SILENT = 10
+ASK_SILENT_EVERY = 10
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The last good reading of every joint, each of shape (joints,).
+
+    Attributes:
+        position_rad: [rad].
+        velocity_rad_s: [rad/s].
+        load: share of full motor duty, signed.
+        current_a: motor current, signed [A].
+        voltage_v: supply [V].
+        temperature_c: of the motors [degC].
+        status: bits of ``StatusBit``.
+        age_s: how old the readings are [s].
+        stamp_s: wall-clock time of the tick [s since the epoch], one number.
+    """
+
+    position_rad: Vector
+    velocity_rad_s: Vector
+    load: Vector
+    current_a: Vector
+    voltage_v: Vector
+    temperature_c: Vector
+    status: NDArray[np.int_]
+    age_s: Vector
+    stamp_s: float = 0.0
+
+
+@dataclass
+class _Seen:
+    """One servo's last good reading."""
+
+    reading: Telemetry
+    status: int
+    read_at_s: float
+
+
+class ServoWatch:
+    """Keeps the servos' readings.
+
+    Args:
+        servos: the arm's servos.
+    """
+
+    def __init__(self, servos: ServoMap) -> None:
+        self._servos = servos
+        self._seen: dict[int, _Seen] = {}
+        self._cycle = 0
+        self._misses_in_row = dict.fromkeys(servos.ids, 0)
+        self.silent_cycles = dict.fromkeys(servos.ids, 0)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every servo has answered at least once."""
+        return len(self._seen) == len(self._servos.ids)
+
+    def ids_to_ask(self) -> list[int]:
+        """Servos to ask in this cycle: silent ones last, and only now and then while others speak."""
+        self._cycle += 1
+        silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
+        speaking = [servo for servo in self._servos.ids if servo not in silent]
+        return speaking if speaking and self._cycle % ASK_SILENT_EVERY else speaking + silent
+
+    def is_silent(self, servo_id: int) -> bool:
+        """Whether a servo has missed so many reads in a row that it is asked less often."""
+        return self._misses_in_row[servo_id] >= MISSES_UNTIL_SILENT
+
+    def take(self, asked: list[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
+        """Keep what one block read brought.
+
+        Args:
+            asked: the servos that were asked.
+            frames: the replies that came, each with the telemetry block.
+            now_s: monotonic time at which they were asked: no reading is newer than it seems [s].
+        """
+        for servo, frame in frames.items():
+            reading = parse_telemetry(frame.data)
+            self._seen[servo] = _Seen(reading, reading.status | frame.error, now_s)
+            self._misses_in_row[servo] = 0
+        for servo in asked:
+            self._misses_in_row[servo] += servo not in frames
+        for servo in self._servos.ids:
+            self.silent_cycles[servo] += servo not in frames
+
+    def reading(self, servo_id: int) -> Telemetry:
+        """The last good reading of a servo that has answered."""
+        return self._seen[servo_id].reading
+
+    def status(self, servo_id: int) -> int:
+        """The bits of ``StatusBit`` that a servo last complained of."""
+        return self._seen[servo_id].status
+
+    def age_s(self, servo_id: int, now_s: float) -> float:
+        """Time since a servo's last good reply [s]; endless when there was none."""
+        seen = self._seen.get(servo_id)
+        return float("inf") if seen is None else now_s - seen.read_at_s
+
+    def measured(self, now_s: float, stamp_s: float) -> Measured:
+        """All readings as arrays; every servo must have answered once."""
+        seen = [self._seen[servo] for servo in self._servos.ids]
+        readings = [each.reading for each in seen]
+        rows = np.array(
+            [
+                (each.reading.load_permille, each.reading.current_a, each.reading.voltage_v, each.reading.temperature_c)
+                for each in seen
+            ]
+        )
+        return Measured(
+            position_rad=self._servos.positions_rad([reading.position_ticks for reading in readings]),
+            velocity_rad_s=self._servos.velocities_rad_s([reading.velocity_ticks_s for reading in readings]),
+            load=rows[:, 0] / 1000.0,
+            current_a=rows[:, 1],
+            voltage_v=rows[:, 2],
+            temperature_c=rows[:, 3],
+            status=np.array([each.status for each in seen]),
+            age_s=now_s - np.array([each.read_at_s for each in seen]),
+            stamp_s=stamp_s,
+        )

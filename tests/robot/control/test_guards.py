@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.control.guards import (
+    JUMP_RAD,
+    LOW_VOLTAGE_TIME_S,
+    STALE_AFTER_S,
+    STALL_TIME_S,
+    TRACKING_TIME_S,
+    VOLTAGE_BIT_TIME_S,
+    Guards,
+)
+from robot.faults import FaultCode
+from robot.servos.registers import StatusBit
+from tests.helpers.readings import reading
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+GOAL = np.zeros(6)
+FULL = np.array([0.8] * 5 + [0.5])
+PERIOD_S = 0.01
+
+
+def at(joint: int, value: float, else_value: float = 0.0) -> list[float]:
+    return [value if each == joint else else_value for each in range(6)]
+
+
+def seconds_until(code: FaultCode, position: Any = GOAL, limit_s: float = 3.0, **told: Any) -> float:
+    """How long the guards bear a reading until they call it this fault [s]."""
+    guards = Guards(NAMES)
+    for tick in range(round(limit_s / PERIOD_S)):
+        fault = guards.check(GOAL, reading(position, **told), FULL, tick * PERIOD_S)
+        if fault is not None:
+            assert fault.code is code
+            return tick * PERIOD_S
+    raise AssertionError(f"no {code}")
+
+
+def never(position: Any = GOAL, **told: Any) -> bool:
+    guards = Guards(NAMES)
+    return all(guards.check(GOAL, reading(position, **told), FULL, tick * PERIOD_S) is None for tick in range(300))
+
+
+AT_ONCE = {
+    FaultCode.OVERHEATED: {"temperature_c": at(2, 65.0, 30.0)},
+    FaultCode.OVERLOAD: {"status": at(2, StatusBit.OVERLOAD)},
+    FaultCode.OVERCURRENT: {"status": at(2, StatusBit.CURRENT)},
+    FaultCode.ENCODER_ERROR: {"status": at(2, StatusBit.ENCODER)},
+    FaultCode.SERVO_SILENT: {"age_s": at(2, STALE_AFTER_S * 1.01)},
+}
+
+
+@pytest.mark.parametrize("code", AT_ONCE)
+def test_some_readings_are_a_fault_at_once_and_name_the_joint(code: FaultCode) -> None:
+    told = {name: np.array(value, dtype=int if name == "status" else float) for name, value in AT_ONCE[code].items()}
+    fault = Guards(NAMES).check(GOAL, reading(GOAL, **told), FULL, 0.0)
+    assert fault is not None
+    assert fault.code is code
+    assert fault.joint == "elbow_flex"
+    assert "elbow_flex" in fault.message
+    assert fault.remedy
+
+
+def test_the_servos_own_temperature_bit_counts_as_well() -> None:
+    assert seconds_until(FaultCode.OVERHEATED, status=int(StatusBit.TEMPERATURE)) == 0.0
+
+
+def test_a_joint_far_behind_is_lost_after_a_while() -> None:
+    assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.4)) == pytest.approx(TRACKING_TIME_S)
+
+
+def test_a_joint_that_pushes_without_moving_is_stalled_before_the_servo_cuts_its_torque() -> None:
+    assert seconds_until(FaultCode.STALLED, at(1, 0.2), load=at(1, 0.7)) == pytest.approx(STALL_TIME_S)
+    assert STALL_TIME_S < 2.0
+
+
+def test_current_alone_shows_a_stall() -> None:
+    assert seconds_until(FaultCode.STALLED, at(1, 0.2), current_a=at(1, -2.0)) == pytest.approx(STALL_TIME_S)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [{"load": at(1, 0.5)}, {"load": at(1, 0.7), "velocity_rad_s": at(1, 0.1)}],
+    ids=["no load", "moving"],
+)
+def test_a_joint_behind_that_does_not_push_or_does_move_is_not_stalled(told: dict[str, Any]) -> None:
+    assert never(at(1, 0.2), **told)
+
+
+def test_a_joint_that_pushes_near_its_goal_is_not_stalled() -> None:
+    assert never(at(1, 0.05), load=at(1, 0.8))
+
+
+def test_a_yielding_joint_may_stall_and_is_told_as_stalled() -> None:
+    guards, yielding = Guards(NAMES), np.array(at(5, 1)) > 0
+    for tick in range(50):
+        measured = reading(at(5, 0.2), load=at(5, 0.5))
+        assert guards.check(GOAL, measured, FULL, tick * PERIOD_S, yielding) is None
+    assert guards.stalled.tolist() == yielding.tolist()
+
+
+def test_a_low_supply_is_borne_for_as_long_as_a_motor_takes_to_start() -> None:
+    assert seconds_until(FaultCode.VOLTAGE_LOW, voltage_v=4.4) == pytest.approx(LOW_VOLTAGE_TIME_S)
+
+
+@pytest.mark.parametrize(("volts", "code"), [(12.0, FaultCode.VOLTAGE_HIGH), (5.0, FaultCode.VOLTAGE_LOW)])
+def test_a_servo_that_complains_of_its_supply_is_borne_for_a_while(volts: float, code: FaultCode) -> None:
+    waited_s = seconds_until(code, voltage_v=volts, status=int(StatusBit.VOLTAGE))
+    assert waited_s == pytest.approx(VOLTAGE_BIT_TIME_S)
+
+
+def jumped(step_rad: float, gap_s: float) -> bool:
+    guards = Guards(NAMES)
+    guards.check(GOAL, reading(GOAL), FULL, 1.0)
+    fault = guards.check(GOAL, reading(at(0, step_rad)), FULL, 1.0 + gap_s)
+    return fault is not None and fault.code is FaultCode.POSITION_JUMP
+
+
+def test_a_joint_that_cannot_have_turned_so_far_has_jumped() -> None:
+    assert jumped(JUMP_RAD * 1.2, PERIOD_S)
+    assert not jumped(JUMP_RAD * 0.9, PERIOD_S)
+    assert not jumped(JUMP_RAD * 1.2, 0.1)
+
+
+def test_a_reading_that_grows_old_is_no_jump() -> None:
+    guards = Guards(NAMES)
+    guards.check(GOAL, reading(GOAL), FULL, 1.0)
+    assert guards.check(GOAL, reading(GOAL, age_s=0.09), FULL, 1.01) is None
+
+
+def test_warmth_is_told_before_it_is_a_fault() -> None:
+    guards = Guards(NAMES)
+    assert guards.warnings(reading(GOAL, temperature_c=50.0), 0) == ()
+    assert "56" in guards.warnings(reading(GOAL, temperature_c=56.0), 0)[0]
+    assert "half speed" in guards.warnings(reading(GOAL, temperature_c=61.0), 0)[0]

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import pytest
+
+from robot.limits import JointBounds
+from robot.servos.packets import StatusFrame
+from robot.servos.registers import Register, StatusBit, encode
+from robot.servos.servo_map import ServoMap
+from robot.servos.telemetry import ASK_SILENT_EVERY, MISSES_UNTIL_SILENT, ServoWatch
+from tests.helpers.arm_rig import CALIBRATION, ROBOT
+
+SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints)))
+
+
+def frame(servo_id: int, ticks: int = 2048, error: int = 0) -> StatusFrame:
+    data = encode(Register.PRESENT_POSITION, ticks).ljust(15, b"\0")
+    return StatusFrame(servo_id, error, data)
+
+
+def answered(watch: ServoWatch, *silent: int, now_s: float = 0.0) -> list[int]:
+    """One cycle in which all but some servos answer; returns who was asked."""
+    asked = watch.ids_to_ask()
+    watch.take(asked, {servo: frame(servo) for servo in asked if servo not in silent}, now_s)
+    return asked
+
+
+def test_readings_are_complete_once_every_servo_has_answered() -> None:
+    watch = ServoWatch(SERVOS)
+    answered(watch, 3)
+    assert not watch.complete
+    answered(watch)
+    assert watch.complete
+
+
+def test_a_missed_reading_keeps_the_last_one_and_its_age() -> None:
+    watch = ServoWatch(SERVOS)
+    answered(watch, now_s=1.0)
+    answered(watch, 3, now_s=1.01)
+    ages = watch.measured(1.01, 0.0).age_s
+    assert ages == pytest.approx([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
+
+
+def test_a_servo_that_stays_silent_is_asked_last_and_only_now_and_then() -> None:
+    watch = ServoWatch(SERVOS)
+    answered(watch)
+    for _ in range(MISSES_UNTIL_SILENT):
+        assert 3 in answered(watch, 3)
+    rounds = [answered(watch, 3) for _ in range(10 * ASK_SILENT_EVERY)]
+    with_it = [asked for asked in rounds if 3 in asked]
+    assert len(with_it) == 10
+    assert all(asked[-1] == 3 for asked in with_it)
+    assert watch.silent_cycles[3] == MISSES_UNTIL_SILENT + len(rounds)
+
+
+def test_all_servos_are_asked_again_at_once_when_none_has_answered() -> None:
+    watch = ServoWatch(SERVOS)
+    for _ in range(MISSES_UNTIL_SILENT + 3):
+        assert len(answered(watch, *SERVOS.ids)) == len(SERVOS.ids)
+
+
+def test_a_servo_that_answers_again_is_asked_every_time() -> None:
+    watch = ServoWatch(SERVOS)
+    for _ in range(2 * ASK_SILENT_EVERY):
+        answered(watch, 3)
+    for _ in range(ASK_SILENT_EVERY):
+        answered(watch)
+    assert all(3 in answered(watch) for _ in range(ASK_SILENT_EVERY))
+
+
+def test_positions_are_those_of_the_calibration() -> None:
+    watch = ServoWatch(SERVOS)
+    asked = watch.ids_to_ask()
+    watch.take(asked, {servo: frame(servo, 1800 + servo) for servo in asked}, 0.0)
+    expected = [joint.rad_from_ticks(1800 + joint.servo_id) for joint in CALIBRATION.joints]
+    assert watch.measured(0.0, 0.0).position_rad == pytest.approx(expected)
+
+
+def test_the_error_byte_of_the_reply_counts_as_status() -> None:
+    watch = ServoWatch(SERVOS)
+    asked = watch.ids_to_ask()
+    watch.take(asked, {servo: frame(servo, error=int(StatusBit.OVERLOAD)) for servo in asked}, 0.0)
+    assert watch.status(1) == StatusBit.OVERLOAD

@@ -116,7 +116,7 @@ class Planner:
         goals = self._states.find(problem.goal, Asker(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
-        return self._move(problem, start_q, goals, {pair.links: pair.depth_m for pair in contacts}, budget)
+        return self._move(problem, start_q, goals, self._collision.overlaps_m(start_q), budget)
 
     def _move(
         self,

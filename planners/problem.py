@@ -109,7 +109,7 @@ class PlanningProblem:
     start_velocity_rad_s: Mapping[str, float] = field(default_factory=dict)
     path_constraints: Constraints | None = None
     planner_id: str = ""
-    optimization_time_s: float = 0.012
+    optimization_time_s: float = 0.006
     max_jerk_rad_s3: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -46,7 +46,7 @@ def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionMo
     contacts = collision.colliding_pairs(now_q)
     if checks.check_start_contact(contacts) is not None:
         return RecheckAnswer(_contact(contacts, question.from_s), question.from_s)
-    space = JointSpace(collision, robot.groups[question.group], now_q, {pair.links: pair.depth_m for pair in contacts})
+    space = JointSpace(collision, robot.groups[question.group], now_q, collision.overlaps_m(now_q))
     found = _seen(space, rest) or certify(space, rest)
     if found is None:
         return RecheckAnswer(None)

@@ -73,7 +73,7 @@ def plan_cartesian(
         return refusal
     if not constraints.holds(start_q):
         return start_violates(constraints.violations(start_q))
-    allowed = {pair.links: pair.depth_m for pair in contacts}
+    allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
     space = JointSpace(collision, robot.groups[problem.group], start_q, allowed, constraints.holds)
     columns = [collision.joint_names.index(name) for name in robot.groups[problem.group].joints]
     limits = collision.lower_rad, collision.upper_rad

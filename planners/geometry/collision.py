@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.broadphase import Broadphase
-from planners.geometry.exact import ExactShapes, Parts, nearer_than, parts_of
+from planners.geometry.exact import ExactShapes, Parts, nearer_than, overlap_m, parts_of
 from planners.geometry.pairs import Body, Rules, held_by, links_of, padding, standing
 from planners.geometry.shapes import robot_shapes
 from planners.geometry.skeleton import kinematic_urdf
@@ -48,8 +48,8 @@ class CollisionModel:
 
     A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad].
     Checks use the robot's hulls, which are larger than its links. Two kinds of pairs of names can be excepted:
-    ``allowed`` ones may overlap, and how deep is said [m]; for pairs ``by_mesh`` the hulls' contact does not count,
-    only that of the meshes they enclose.
+    ``allowed`` ones may overlap, and how deep is said, as :meth:`overlaps_m` tells it [m]; for pairs ``by_mesh`` the
+    hulls' contact does not count, only that of the meshes they enclose.
 
     Args:
         robot: its hulls are used, or else the collision shapes of its URDF.
@@ -159,6 +159,18 @@ class CollisionModel:
             deepest[pair.links] = pair
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
 
+    def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
+        """How deep pairs of names overlap, by the closest shapes that are known of them [m]."""
+        if not self._broadphase.touches(q):
+            return {}
+        self._broadphase.place(q)
+        deepest_m: dict[frozenset[str], float] = {}
+        for pair in self._broadphase.touching():
+            if not self._apart_by_mesh(pair, 0.0):
+                names = self._names(pair)
+                deepest_m[names] = max(deepest_m.get(names, 0.0), self._overlap_m(pair))
+        return deepest_m
+
     def tight_pairs(self, q: Vector) -> frozenset[frozenset[str]]:
         """Pairs of names of which only the hulls overlap and not the meshes: to be passed on as ``by_mesh``."""
         if not self._exact.available or not self._broadphase.touches(q):
@@ -209,11 +221,18 @@ class CollisionModel:
     ) -> bool:
         """Whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
         names = self._names(pair)
-        if names in by_mesh:
-            return self._apart_by_mesh(pair, margin_m)
-        if names not in allowed:
-            return False
-        return self._broadphase.distance_m(pair) - margin_m >= -allowed[names] - DEPTH_ACCURACY_M
+        if names in allowed and self._overlap_m(pair) + margin_m <= allowed[names] + DEPTH_ACCURACY_M:
+            return True
+        return names in by_mesh and self._apart_by_mesh(pair, margin_m)
+
+    def _overlap_m(self, pair: int) -> float:
+        """How deep a pair overlaps at most, below 0 how far its hulls are apart beyond what they must be [m]."""
+        by_hulls_m = -self._broadphase.distance_m(pair)
+        if by_hulls_m <= 0.0 or not self._exact.solid or self._names(pair) & self._scaled:
+            return by_hulls_m
+        # What overlaps is within both.
+        (first, at_first), (second, at_second) = (self._exact_parts(self._bodies[i]) for i in self._pairs[pair])
+        return min(by_hulls_m, overlap_m(first, at_first, second, at_second) + float(self._apart_m[pair]))
 
     def _apart_by_mesh(self, pair: int, margin_m: float) -> bool:
         """Whether the meshes behind a pair's hulls are known and further apart than a margin [m]."""

@@ -16,6 +16,10 @@ Vector = NDArray[np.float64]
 # Finer than this a search need not look: its motions are certified afterwards.
 CHECK_STEP_M = 0.001
 
+# An allowed overlap has to shrink by this share of the way from where it was allowed, so that it is left and does not
+# come again further on, where the same depth of parts wider than the links would be a contact of the links themselves.
+LEAVING = 0.05
+
 # Conditions have no margin as contacts have, so they are asked this often, in travel of the fastest point.
 CONDITION_STEP_M = 0.01
 
@@ -27,7 +31,7 @@ class JointSpace:
         collision: the robot's collisions.
         group: the joints that move; points of this space have them in this order, shape (n,) [rad].
         start_q: configuration of all joints; those outside the group stay there.
-        allowed: pairs of links that may overlap, and how deep [m].
+        allowed: pairs of names that overlap at the start and may do so near it, less and less, and how deep [m].
         holds: a condition on configurations that free ones meet as well.
         also_free: configurations beside the start, such as goals, that are known to touch nothing although hulls may
             overlap there; with the start they say of which pairs the meshes are asked.
@@ -51,8 +55,10 @@ class JointSpace:
         self._columns = _columns(collision, group)
         self._q = start_q.copy()
         self._allowed = allowed
-        self._by_mesh = frozenset[frozenset[str]]().union(*(collision.tight_pairs(q) for q in (start_q, *also_free)))
+        # What overlaps at the start is left in the parts long before it is in the hulls.
+        self._by_mesh = frozenset(allowed).union(*(collision.tight_pairs(q) for q in (start_q, *also_free)))
         self._holds = holds
+        self._start = self.point(start_q).copy()
         self.lower_rad = collision.lower_rad[self._columns]
         self.upper_rad = collision.upper_rad[self._columns]
         self.travel_m_per_rad = collision.travel_m_per_rad[self._columns]
@@ -65,7 +71,8 @@ class JointSpace:
     def free(self, point: Vector | Sequence[float]) -> bool:
         """Whether the robot touches nothing there, and the condition holds."""
         self._q[self._columns] = point
-        if self._collision.in_collision(self._q, self._allowed, self._by_mesh):
+        allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
+        if self._collision.in_collision(self._q, allowed, self._by_mesh):
             return False
         return self._holds is None or self._holds(self._q)
 
@@ -83,7 +90,14 @@ class JointSpace:
         configurations[:, self._columns] = points
         travel = np.zeros(len(self._q))
         travel[self._columns] = joint_travel
-        clear = self._collision.free_around(configurations, travel, self._allowed, self._by_mesh)
+        if self._allowed:
+            away = joint_travel + np.abs(points - self._start)
+            clear = [
+                self._collision.free_around(q[np.newaxis], travel, self._allowed_near(each), self._by_mesh)[0]
+                for q, each in zip(configurations, away, strict=True)
+            ]
+        else:
+            clear = self._collision.free_around(configurations, travel, NO_CONTACT, self._by_mesh)
         if self._holds is None:
             return clear
         return [free and self._holds(q) for free, q in zip(clear, configurations, strict=True)]
@@ -121,7 +135,21 @@ class JointSpace:
         """What touches at a point and may not, deepest first."""
         self._q[self._columns] = point
         pairs = self._collision.colliding_pairs(self._q, self._by_mesh)
-        return tuple(p for p in pairs if p.depth_m > self._allowed.get(p.links, -1.0) + DEPTH_ACCURACY_M)
+        allowed = self._allowed_near(np.abs(point - self._start))
+        if not allowed:
+            return tuple(pairs)
+        overlaps_m = self._collision.overlaps_m(self._q)
+        return tuple(
+            pair
+            for pair in pairs
+            if pair.links not in allowed or overlaps_m.get(pair.links, 0.0) > allowed[pair.links] + DEPTH_ACCURACY_M
+        )
+
+    def _allowed_near(self, joint_travel: Vector) -> dict[frozenset[str], float]:
+        """What may still overlap, and how deep, so far from the start, shape (n,) [rad]."""
+        shrunk_m = LEAVING * float(joint_travel @ self.travel_m_per_rad)
+        left_m = {names: depth_m - shrunk_m for names, depth_m in self._allowed.items()}
+        return {names: depth_m for names, depth_m in left_m.items() if depth_m > -DEPTH_ACCURACY_M}
 
 
 def _columns(collision: CollisionModel, group: Group) -> slice | NDArray[np.int64]:

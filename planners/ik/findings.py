@@ -87,22 +87,27 @@ class Findings:
         self._both = ConditionSet(forward, (*wish.required, *wish.preferred))
         self._ends: list[_End] = []
         self._least_beyond_m, self._least_liked_m = math.inf, math.inf
-        self._fruitless = 0
+        self.begin()
 
-    def begin(self) -> None:
-        """A row of descents begins: its patience is whole."""
-        self._fruitless = 0
+    def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
+        """A row of descents begins, in which so many may be fruitless as long as there is no solution."""
+        self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:
         """Whether more descents would hardly help."""
         good = [end for end in self._ends if end.solves and not end.tight]
-        patience = FRUITLESS_RESTARTS if good else HOPELESS_RESTARTS
+        patience = FRUITLESS_RESTARTS if good else self._patience
         return sum(end.less_liked_m == 0.0 for end in good) >= wanted or self._fruitless >= patience
 
     @property
     def any_solution(self) -> bool:
         """Whether anything was found that meets all that is required."""
         return any(end.solves for end in self._ends)
+
+    @property
+    def only_touching(self) -> bool:
+        """Whether all that is required can be had, but only with something touching, for all that was found."""
+        return not self.any_solution and any(end.beyond_m == 0.0 for end in self._ends)
 
     @property
     def only_colliding(self) -> bool:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ SAMPLE_SEED = 7
 
 # Of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30.
 RESTARTS = 30
+
+# Where all of these end in contacts more are made, from samples that touch nothing themselves.
+RESTARTS_AMONG_OBSTACLES = 100
 
 
 class GoalSearch:
@@ -64,14 +67,23 @@ class GoalSearch:
             avoid_collisions: whether configurations in which something touches are none.
         """
         findings = Findings(self.forward, self._collision if avoid_collisions else None, wish)
-        self._descend(findings, group, wish, seed_q, should_stop, wanted)
+
+        def enough() -> bool:
+            return findings.enough(wanted) or should_stop()
+
+        required = Wish(wish.required)
+        findings.begin()
+        self._descend(findings, group, wish, self._starts(group, wish, seed_q), enough)
         if wish.preferred and not findings.any_solution:
             # The preferences may lead all descents away from where the rest can be had.
-            self._descend(findings, group, Wish(wish.required), seed_q, should_stop, wanted)
+            findings.begin()
+            self._descend(findings, group, required, self._starts(group, required, seed_q), enough)
+        if findings.only_touching and not should_stop():
+            findings.begin(patience=RESTARTS_AMONG_OBSTACLES)
+            self._descend(findings, group, required, self._free_samples_near(group, required, seed_q), enough)
         if findings.only_colliding:
             # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
-            near = self._samples_near(group, wish, seed_q)
-            findings.add(next((q for q in near if not self._collision.in_collision(q)), seed_q))
+            findings.add(next(self._free_samples_near(group, wish, seed_q), seed_q))
         return findings.result(lambda q: self.move_time_s(seed_q, q))
 
     def projection(
@@ -100,28 +112,29 @@ class GoalSearch:
         return float(np.max(np.abs(goal_q - start_q) / self._max_velocity))
 
     def _descend(
-        self,
-        findings: Findings,
-        group: Group,
-        wish: Wish,
-        seed_q: Vector,
-        should_stop: Callable[[], bool],
-        wanted: int,
+        self, findings: Findings, group: Group, wish: Wish, starts: Iterable[Vector], enough: Callable[[], bool]
     ) -> None:
         descent = self._kinematics.descent(group, wish)
-        findings.begin()
-        starts = chain([seed_q], self._samples_near(group, wish, seed_q))
-        for _, q in zip(range(1 + RESTARTS), starts, strict=False):
+        for q in starts:
             findings.add(descent(q))
-            if findings.enough(wanted) or should_stop():
+            if enough():
                 break
+
+    def _starts(self, group: Group, wish: Wish, seed_q: Vector) -> Iterator[Vector]:
+        """Where descents begin: where the robot stands, then the samples nearest to the wish."""
+        yield seed_q
+        yield from islice(self._samples_near(group, wish, seed_q), RESTARTS)
+
+    def _free_samples_near(self, group: Group, wish: Wish, seed_q: Vector) -> Iterator[Vector]:
+        """The nearest samples that touch nothing."""
+        near = self._samples_near(group, wish, seed_q)
+        return islice((q for q in near if not self._collision.in_collision(q)), RESTARTS_AMONG_OBSTACLES)
 
     def _samples_near(self, group: Group, wish: Wish, seed_q: Vector) -> Iterator[Vector]:
         """Samples of the group's joints, those that come nearest to a wish first."""
         moving = [self._collision.joint_names.index(name) for name in group.joints]
         distances_m = self._distances_m((*wish.required, *wish.preferred))
-        nearest = np.argpartition(distances_m, 4 * RESTARTS)[: 4 * RESTARTS]
-        for i in nearest[np.argsort(distances_m[nearest], kind="stable")]:
+        for i in np.argsort(distances_m, kind="stable"):
             q = seed_q.copy()
             q[moving] = self._samples[i][moving]
             for condition in wish.required:

@@ -32,7 +32,7 @@ GLANCE_STEP_M = 0.2
 
 # Trees grow fastest when edges are looked at coarsely, and curves are shortened soonest when they are; where the
 # certificate then finds a contact, everything is looked at more finely [m].
-SEARCH_STEPS_M = (0.04, 0.02, 0.01, 0.005)
+SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
 CURVE_STEPS_M = (0.01, 0.005, 0.0025, 0.001)
 
 # Some trees take ten times as long as most, so a search is given up for another after this many checks, and the next
@@ -216,7 +216,7 @@ class _Searching:
         seed, project = self._task.seed + number, self._task.project
 
         def should_stop() -> bool:
-            return self._space.checks >= most or self._budget.used_up()
+            return self._space.checks >= most or self._enough()
 
         if project is None:
             path = search(query, self._name, seed, should_stop)

@@ -31,7 +31,7 @@ class MoveItParameters(BaseModel):
     planning_frame: str = ""
     planner_id: str = ""
     num_planning_attempts: int = Field(default=5, ge=1, le=100)
-    optimization_time: float = Field(default=0.012, ge=0.0, le=10.0)
+    optimization_time: float = Field(default=0.006, ge=0.0, le=10.0)
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=60.0)
     max_velocity_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
     max_acceleration_scaling: float = Field(default=0.3, gt=0.0, le=1.0)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from tests.planners.test_constraints import pose_of
 
 from planners.geometry.forward import ForwardKinematics
 from planners.problem import Plan, PlanningProblem
 from planners.rates import RateLimits
+from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import (
     assert_from_rest_to_rest,
     assert_keeps_positions,

@@ -69,10 +69,12 @@ class CollisionRequest(QueryRequest):
 class CollisionResult:
     def __init__(self) -> None: ...
 
-class DistanceRequest(QueryRequest): ...
+class DistanceRequest(QueryRequest):
+    def __init__(self) -> None: ...
 
 class DistanceResult:
     min_distance: float
+    def __init__(self) -> None: ...
 
 def collide(
     first: CollisionGeometry,
@@ -82,3 +84,11 @@ def collide(
     request: CollisionRequest,
     result: CollisionResult,
 ) -> int: ...
+def distance(
+    first: CollisionGeometry,
+    at_first: Transform3s,
+    second: CollisionGeometry,
+    at_second: Transform3s,
+    request: DistanceRequest,
+    result: DistanceResult,
+) -> float: ...

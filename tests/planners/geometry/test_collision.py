@@ -173,3 +173,15 @@ def test_contacts_by_parts_are_contacts_by_hulls(changing, random_states):
         assert by_hulls or not by_parts
         dropped += by_hulls and not by_parts
     assert dropped
+
+
+def test_overlaps_are_those_of_the_parts_where_they_are_less_deep(changing):
+    changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
+    shallower = 0
+    for q in np.random.default_rng(3).normal(0.0, 0.15, (60, 6)):
+        by_hulls_m = {pair.links: pair.depth_m for pair in changing.colliding_pairs(q)}
+        overlaps_m = changing.overlaps_m(q)
+        assert overlaps_m.keys() == by_hulls_m.keys()
+        assert all(overlaps_m[links] <= by_hulls_m[links] + DEPTH_ACCURACY_M for links in overlaps_m)
+        shallower += sum(overlaps_m[links] < by_hulls_m[links] - 0.001 for links in overlaps_m)
+    assert shallower

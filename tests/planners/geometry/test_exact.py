@@ -6,8 +6,9 @@ import pinocchio as pin
 import pytest
 
 import robot.description as robot_description
+from planners.geometry import exact
 from planners.geometry.collision import CollisionModel
-from planners.geometry.exact import ExactShapes, nearer_than, parts_of
+from planners.geometry.exact import ExactShapes, nearer_than, overlap_m, parts_of
 from planners.geometry.hulls import convex
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.shapes import urdf_shapes
@@ -66,6 +67,23 @@ def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
         if abs(nearest_m - margin_m) > 1e-5:
             assert near == (nearest_m < margin_m)
     assert verdicts == {True, False}
+
+
+def test_solid_parts_overlap_as_deep_as_the_deepest_two():
+    cubes = parts_of([_box(0.1, 0.1, 0.1, at_x=0.0), _box(0.1, 0.1, 0.1, at_x=0.003)])
+    post = parts_of([_box(0.02, 0.02, 0.5, at_x=0.0)])
+    for inside_m in (0.001, 0.004):
+        at_post = pin.SE3(np.eye(3), np.array([0.063 - inside_m, 0.0, 0.0]))
+        assert overlap_m(cubes, pin.SE3.Identity(), post, at_post) == pytest.approx(inside_m, abs=1e-5)
+    beside = pin.SE3(np.eye(3), np.array([0.07, 0.0, 0.0]))
+    assert overlap_m(cubes, pin.SE3.Identity(), post, beside) <= 0.0
+
+
+def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
+    collision = CollisionModel(robot)
+    collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
+    monkeypatch.setattr(exact, "convex", None)
+    assert collision.colliding_pairs(np.zeros(6))
 
 
 def test_a_robot_of_simple_shapes_needs_no_closer_ones():
@@ -154,3 +172,7 @@ def _on_surface(mesh, rng, count):
     for index in rng.integers(mesh.num_tris, size=count):
         triangle = mesh.tri_indices(int(index))
         yield rng.dirichlet((1.0, 1.0, 1.0)) @ vertices[[triangle[0], triangle[1], triangle[2]]]
+
+
+def _box(*size_m, at_x):
+    return pin.GeometryObject("box", 0, pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.0])), coal.Box(*size_m))

@@ -3,7 +3,7 @@ import pytest
 
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import CONDITION_STEP_M, JointSpace
-from planners.scene import Box
+from planners.scene import Box, Pose, SceneObject
 from robot import model
 from tests.planners.invariants import BLOCKED_LINES
 from tests.planners.scenes import around_the_arm, scene, thing
@@ -87,6 +87,24 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(robot, arm):
     assert space.contacts(down)
 
 
+def test_an_allowed_contact_does_not_come_again_further_on(robot, arm):
+    # Two posts of one object: a turn of the base alone brings the arm as deep into the second as it is in the first.
+    collision = CollisionModel(robot)
+    turned = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    axis_m = collision.tip_position(np.zeros(6), "shoulder_link")[:2]
+    posts = [Pose((*(axis_m + _turned([0.35, 0.0], pan)), 0.16), _about_z(pan)) for pan in (0.0, -turned[0])]
+    collision.set_scene(scene(SceneObject("posts", tuple((Box((0.1, 0.1, 0.1)), pose) for pose in posts), Pose())))
+    q, there = np.zeros(6), np.append(turned, 0.0)
+    overlaps_m = collision.overlaps_m(q)
+    assert overlaps_m
+    assert overlaps_m == pytest.approx(collision.overlaps_m(there), abs=1e-4)
+    assert not collision.in_collision(there, overlaps_m)
+    space = JointSpace(collision, arm, q, overlaps_m)
+    assert space.free(HOME)
+    assert not space.free(turned)
+    assert not space.free_around(turned[np.newaxis], np.zeros(5))[0]
+
+
 def test_joints_of_a_group_need_not_stand_in_a_row():
     crane = model.parse(
         CRANE_URDF,
@@ -97,3 +115,12 @@ def test_joints_of_a_group_need_not_stand_in_a_row():
     assert collision.joint_names == ("turn", "lift", "slide")
     assert len(space.point(np.zeros(3))) == 2
     assert space.line_free(np.array([0.0, 0.0]), np.array([1.0, 0.1]))
+
+
+def _turned(point, angle_rad):
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]]) @ point
+
+
+def _about_z(angle_rad):
+    return (0.0, 0.0, float(np.sin(angle_rad / 2.0)), float(np.cos(angle_rad / 2.0)))

@@ -43,6 +43,26 @@ def test_collision_is_told_only_where_no_solution_is_free(findings):
     assert not found.only_colliding
 
 
+def test_what_can_be_had_only_with_a_contact_is_told_apart_from_what_is_out_of_reach(findings):
+    touching, out_of_reach = findings(FOLDED, tolerance_m=1.0), findings(HOME + 0.5, tolerance_m=0.001)
+    touching.add(FOLDED)
+    out_of_reach.add(FOLDED)
+    assert touching.only_touching
+    assert not out_of_reach.only_touching
+    touching.add(HOME)
+    assert not touching.only_touching
+
+
+def test_a_row_of_descents_is_as_patient_as_it_is_told(findings):
+    hopeless = findings(HOME + 0.5, tolerance_m=0.001)
+    hopeless.begin(patience=2 * HOPELESS_RESTARTS)
+    for _ in range(2 * HOPELESS_RESTARTS):
+        assert not hopeless.enough(wanted=6)
+        hopeless.add(HOME)
+    hopeless.add(HOME)
+    assert hopeless.enough(wanted=6)
+
+
 def test_nearest_is_free_even_if_one_in_contact_is_nearer(findings):
     found = findings(FOLDED, tolerance_m=0.001)
     found.add(FOLDED)

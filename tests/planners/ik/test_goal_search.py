@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from tests.planners.test_constraints import pose_of
 
 from planners.goals import AxisGoal, PoseGoal, PositionGoal
 from planners.ik.constraints import ConditionSet, wish
 from planners.ik.findings import AS_GOOD_RAD, DISTINCT_RAD, MAX_SOLUTIONS
 from planners.ik.goal_search import GoalSearch
 from planners.scene import Pose
+from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import never
 
 TIP = "gripper_frame_link"

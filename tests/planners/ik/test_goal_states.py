@@ -3,7 +3,6 @@ import time
 
 import numpy as np
 import pytest
-from tests.planners.test_constraints import pose_of
 
 from planners.budget import Budget
 from planners.geometry.collision import CollisionModel
@@ -21,6 +20,7 @@ from planners.goals import (
 from planners.ik.goal_states import Asker, GoalStates
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box, Pose, Scene, SceneObject
+from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import never
 
 TIP = "gripper_frame_link"

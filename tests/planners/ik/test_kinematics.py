@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from tests.planners.test_constraints import pose_of
 
 from planners.geometry.collision import CollisionModel
 from planners.geometry.forward import ForwardKinematics
@@ -18,6 +17,7 @@ from planners.ik.kinematics import Kinematics, Wish
 from planners.scene import Pose
 from robot import model
 from tests.helpers import seven_joint_arm
+from tests.planners.ik.test_constraints import pose_of
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)

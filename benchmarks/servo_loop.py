@@ -1,69 +1,254 @@
-"""How late the servo loop's ticks start, with the machine at rest and with planners busy on every core."""
+"""The arm process: how punctual it is, what it costs, and how soon a stop reaches the servos.
+
+All of it on the emulated bus; when a servo was told something stands in the emulator's log of writes, on the same
+clock as this process.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
+import json
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
 
+import numpy as np
+import psutil
 import uvloop
 
+from benchmarks.campaign.write_log import Entry, read_entries
 from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import blocked_problem
 from planners.pool import PlannerPool
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.control.pacing import PERIOD_S
 from robot.limits import within_calibration
-from robot.messages import ArmConfig, ArmState, Mode
-from server.config import EmulatorSettings
-from server.emulated_bus import EmulatedBus
+from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
+from robot.trapezoid import rest_to_rest
+from tests.helpers.arm_server import ArmClient, arm_client, values_of
+from tests.helpers.server import RunningServer
+from tests.robot.conftest import RunningEmulator
+
+CALIBRATION = Calibration.nominal()
+ROBOT = within_calibration(model.builtin(), CALIBRATION)
 
 SECONDS = 10.0
+START_TIMEOUT_S = 15.0
 PLANNERS = 2
-
 SEARCHED = blocked_problem(0, attempts=20)
+
+# Three tellings within one period are a burst: ticks that were missed and made up for. A late tick and the punctual one
+# after it are two.
+BURST, BURST_S = 3, PERIOD_S
+
+MISSING_SERVO = 6
+
+LOOP_HEADER = (
+    *("arm and machine", "ticks", "late p50", "p99", "max", "bare loop late p99", "max"),
+    *("bursts", "block read p50", "p99", "max", "CPU % of a core"),
+)
+
+# Stops of a joint without weight, in the midst of its motion at its full speed: 13 ticks of the servo a cycle.
+STOPS = 40
+JOINT, SERVO = "wrist_roll", 5
+REACH_RAD, SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.5, 2.0, 8.0
+FIRST_STOP_S, LAST_STOP_S = 0.5, 1.1
+SLOWER_TICKS = 12
+
+EMERGENCY_STOPS = 20
+RECOVERY_S = 15.0
+FLOOD_S = 600.0
+
+
+@dataclass
+class Rig:
+    """An arm process on an emulator."""
+
+    emulator: RunningEmulator
+    log: Path
+    states: list[ArmState] = field(default_factory=list)
+    healths: list[ArmHealth] = field(default_factory=list)
+    arm: Arm = field(init=False)
+
+    async def start(self) -> None:
+        """Start the arm process and wait until it holds."""
+        config = ArmConfig(ROBOT, CALIBRATION, self.emulator.port)
+        self.arm = Arm(config, self.states.append, self.healths.append)
+        await self.arm.start(START_TIMEOUT_S)
+        if self.arm.state.mode is not Mode.HOLDING:
+            raise RuntimeError(f"the arm does not hold: {self.arm.state}")
 
 
 def run() -> None:
-    """Drive the emulated arm and gather the lateness that its states tell."""
+    """Drive the emulated arm, and stop it in every way."""
     print_table(
-        "Servo loop at 100 Hz: start of ticks after their deadline [ms]",
-        ["machine", "ticks", "p50", "p99", "max"],
-        uvloop.run(_measure()),
+        f"Servo loop at 100 Hz, {SECONDS:g} s each [ms]",
+        LOOP_HEADER,
+        uvloop.run(_watch_loop()),
+    )
+    print_table(
+        "From an order to the servos [ms]",
+        ["order", "times", "p50", "p99", "max"],
+        [uvloop.run(_stops()), *uvloop.run(_emergency_stops())],
     )
 
 
-async def _measure() -> list[list[str]]:
-    calibration = Calibration.nominal()
-    robot = within_calibration(model.builtin(), calibration)
-    states: list[ArmState] = []
-    bus = EmulatedBus(EmulatorSettings(), None)
-    arm = Arm(ArmConfig(robot, calibration, await bus.start()), states.append)
-    await arm.start(10.0)
-    if arm.state.mode is Mode.DISCONNECTED:
-        raise RuntimeError(arm.state.reason)
-    pool = PlannerPool(robot, PLANNERS)
-    await pool.start()
-    await asyncio.gather(*(pool.ask(SEARCHED) for _ in range(PLANNERS + 1)))
-    rows = [await _watch("at rest", states)]
-    planning = asyncio.gather(*(_plan_for_ever(pool) for _ in range(PLANNERS)))
-    rows.append(await _watch(f"{PLANNERS} planners busy", states))
-    planning.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await planning
-    await arm.close()
-    await pool.close()
-    await bus.close()
+@contextlib.contextmanager
+def _emulator() -> Iterator[Rig]:
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "writes.jsonl"
+        emulator = RunningEmulator("--write-log", str(log))
+        try:
+            yield Rig(emulator, log)
+        finally:
+            emulator.end()
+
+
+async def _watch_loop() -> list[list[str]]:
+    with _emulator() as rig:
+        await rig.start()
+        pool = PlannerPool(ROBOT, PLANNERS)
+        await pool.start()
+        await asyncio.gather(*(pool.ask(SEARCHED) for _ in range(PLANNERS + 1)))
+        rows = [await _watch("all servos, machine as it is", rig)]
+        planning = asyncio.gather(*(_plan_for_ever(pool) for _ in range(PLANNERS)))
+        rows.append(await _watch(f"all servos, {PLANNERS} planners busy", rig))
+        planning.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await planning
+        rig.emulator.command(offline=[MISSING_SERVO])
+        rows.append(await _watch("one servo missing", rig))
+        await rig.arm.close()
+        await pool.close()
     return rows
 
 
-async def _watch(machine: str, states: list[ArmState]) -> list[str]:
-    states.clear()
-    await asyncio.sleep(SECONDS)
-    lateness_s = [value for state in states for value in state.lateness_s]
-    return [machine, str(len(lateness_s)), *percentiles(lateness_s, 50, 99, 100)]
+async def _watch(name: str, rig: Rig) -> list[str]:
+    process = psutil.Process(rig.arm.pid)
+    process.cpu_percent()
+    rig.states.clear()
+    rig.healths.clear()
+    from_s = time.monotonic()
+    bare_s = await _bare_ticks()
+    cpu = process.cpu_percent()
+    lateness_s = [value for state in rig.states for value in state.lateness_s]
+    trips_s = np.array([health.round_trip_s for health in rig.healths]) * 1e3
+    trips = [f"{trips_s[:, 0].mean():.2f}", f"{trips_s[:, 1].mean():.2f}", f"{trips_s[:, 2].max():.2f}"]
+    late = percentiles(lateness_s, 50, 99, 100)
+    bare = percentiles(bare_s, 99, 100)
+    return [name, str(len(lateness_s)), *late, *bare, str(_bursts(rig.log, from_s)), *trips, f"{cpu:.1f}"]
+
+
+async def _bare_ticks() -> list[float]:
+    """How late a loop is that does nothing, for as long as the other is watched [s]."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "benchmarks.bare_ticks", f"{SECONDS:g}", stdout=asyncio.subprocess.PIPE
+    )
+    printed, _ = await process.communicate()
+    return [float(value) for value in json.loads(printed)]
+
+
+def _bursts(log: Path, from_s: float) -> int:
+    times_s = [entry.at_s for entry in read_entries(log) if entry.at_s > from_s and _tells_goals(entry)]
+    return sum(last - first < BURST_S for first, last in zip(times_s, times_s[BURST - 1 :], strict=False))
+
+
+def _tells_goals(entry: Entry) -> bool:
+    return any("GOAL_POSITION" in registers for registers in entry.written.values())
 
 
 async def _plan_for_ever(pool: PlannerPool) -> None:
     while True:
         await pool.ask(SEARCHED)
+
+
+async def _stops() -> list[str]:
+    chance = np.random.default_rng(0)
+    told_s = []
+    with _emulator() as rig:
+        await rig.start()
+        await _move(rig, -REACH_RAD)
+        for number in range(STOPS):
+            motion = _move(rig, REACH_RAD if number % 2 == 0 else -REACH_RAD)
+            await asyncio.sleep(chance.uniform(FIRST_STOP_S, LAST_STOP_S))
+            told_s.append(time.monotonic())
+            rig.arm.stop()
+            await motion
+            await _move(rig, REACH_RAD if number % 2 == 0 else -REACH_RAD)
+        await rig.arm.close()
+        entries = [entry for entry in read_entries(rig.log) if _tells_goals(entry)]
+    latencies_s = [_slower_s(entries, at_s) - at_s for at_s in told_s]
+    return ["stop, to the first slower goal", str(STOPS), *percentiles(latencies_s, 50, 99, 100)]
+
+
+def _move(rig: Rig, target_rad: float) -> asyncio.Future[MotionEnded]:
+    state = rig.arm.state
+    if state.goal_rad is None:
+        raise RuntimeError(f"the arm cannot be moved: {state.reason}")
+    held_rad = float(state.goal_rad[state.joint_names.index(JOINT)])
+    return rig.arm.execute(rest_to_rest(JOINT, held_rad, target_rad, SPEED_RAD_S, ACCELERATION_RAD_S2))
+
+
+def _slower_s(entries: Iterable[Entry], told_s: float) -> float:
+    """When the joint's goal first fell behind its cruise after a moment (monotonic [s])."""
+    for before, after in itertools.pairwise(entries):
+        if after.at_s > told_s and abs(after.goal[SERVO] - before.goal[SERVO]) <= SLOWER_TICKS:
+            return after.at_s
+    raise RuntimeError("the arm did not stop")
+
+
+async def _emergency_stops() -> list[list[str]]:
+    with _emulator() as rig, RunningServer(f"--port 0 --serial {rig.emulator.port}") as server:
+        async with arm_client(server.url) as client:
+            await client.until_mode("holding")
+            rows = [await _emergency_row("emergency stop of a client, machine as it is", client, rig.log)]
+            async with _flood("benchmarks.frame_flood", server.url):
+                rows.append(await _emergency_row("the same, another client publishes without pause", client, rig.log))
+            async with _flood("benchmarks.goal_flood", str(server.port)):
+                rows.append(await _emergency_row("the same, another client sends goals without pause", client, rig.log))
+    return rows
+
+
+@contextlib.asynccontextmanager
+async def _flood(module: str, where: str) -> AsyncIterator[None]:
+    process = await asyncio.create_subprocess_exec(sys.executable, "-m", module, where, f"{FLOOD_S:g}")
+    try:
+        yield
+    finally:
+        process.kill()
+        await process.wait()
+
+
+async def _emergency_row(name: str, client: ArmClient, log: Path) -> list[str]:
+    told_s = []
+    for _ in range(EMERGENCY_STOPS):
+        await _recover(client)
+        told_s.append(time.monotonic())
+        await client.call("/arm/emergency_stop")
+    entries = read_entries(log)
+    latencies_s = [
+        next(entry.at_s for entry in entries if _cuts(entry) and entry.at_s > at_s) - at_s for at_s in told_s
+    ]
+    return [name, str(EMERGENCY_STOPS), *percentiles(latencies_s, 50, 99, 100)]
+
+
+def _cuts(entry: Entry) -> bool:
+    """Whether a write took torque off somewhere."""
+    return 0 in entry.torque.values() and any("TORQUE_ENABLE" in registers for registers in entry.written.values())
+
+
+async def _recover(client: ArmClient) -> None:
+    """Bring the arm to hold."""
+    remedies = {"fault": "/arm/reset_fault", "relaxed": "/arm/enable"}
+    async with asyncio.timeout(RECOVERY_S):
+        while (mode := values_of(client.topics["/arm/state"][-1])["mode"]) not in ("holding", "moving"):
+            if mode in remedies:
+                await client.call(remedies[mode])
+            await asyncio.sleep(0.1)

@@ -37,7 +37,7 @@ Answer = TypeVar("Answer", MotionEnded, CommandDone)
 FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)
 
 # Longer than the arm process itself takes to brake, relax and end.
-CLOSE_TIMEOUT_S = 4.5
+CLOSE_TIMEOUT_S = 5.5
 
 # A fifth of the shortest silence that the arm process takes for the server's death.
 HEARTBEAT_S = 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -49,7 +50,8 @@ class CampaignBus:
 @contextmanager
 def campaign_bus(scenario: Scenario, folder: Path) -> Iterator[CampaignBus]:
     """Start an emulator for a run; its log stays in the folder."""
-    log, link = folder / f"seed-{scenario.seed}.jsonl", folder / f"bus-{scenario.seed}"
+    # The link bears the process's id: one seed run twice at a time in one folder must not meet on one bus.
+    log, link = folder / f"seed-{scenario.seed}.jsonl", folder / f"bus-{scenario.seed}-{os.getpid()}"
     start = ",".join(str(position) for position in START_RAD)
     emulator = RunningEmulator(
         "--write-log", str(log), "--link", str(link), f"--start={start}", "--seed", str(scenario.seed)

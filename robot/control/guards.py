@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from robot.calibration import RAD_PER_TICK
 from robot.faults import Fault, FaultCode
 from robot.servos.registers import StatusBit, status_names
-from robot.servos.telemetry import Measured
+from robot.servos.telemetry import FREE_SPEED_RAD_S, JUMP_RAD, Measured
 from robot.trajectory import Vector
 
 Flags = NDArray[np.bool_]
@@ -39,10 +39,6 @@ VOLTAGE_BIT_TIME_S = 2.0
 
 # What register MAX_VOLTAGE holds in a new 7.4 V servo.
 DEFAULT_MAX_VOLTAGE_V = 8.0
-
-# No servo turns by so much in a cycle: its free speed at 7.4 V is 5.5 rad/s. Longer gaps allow for that speed.
-JUMP_RAD = 300 * RAD_PER_TICK
-FREE_SPEED_RAD_S = 5.5
 
 _STATUS_FAULTS = (
     (StatusBit.TEMPERATURE, FaultCode.OVERHEATED),

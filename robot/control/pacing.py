@@ -22,6 +22,9 @@ REAL_TIME_PRIORITY = 1
 # Where real time is not permitted, being nicer to oneself may be.
 NICENESS = -10
 
+# Far above the rounding of monotonic times in periods, far below what anything could notice.
+ROUNDING = 1e-9
+
 
 class Pacer:
     """Absolute deadlines; a tick that was missed is skipped, never made up for.
@@ -38,7 +41,8 @@ class Pacer:
         """Take note of the start of the tick that was due, and set the next deadline after it."""
         late_s = now_s - self.deadline_s
         self.lateness_s.append(late_s)
-        self.deadline_s += PERIOD_S * (1 + max(0, math.floor(late_s / PERIOD_S)))
+        # The rounding of a tick that starts exactly at the next deadline must not make it due again at once.
+        self.deadline_s += PERIOD_S * (1 + max(0, math.floor(late_s / PERIOD_S + ROUNDING)))
 
     def latest(self, count: int) -> tuple[float, ...]:
         """Lateness of the latest ticks, one value each [s]."""

@@ -44,9 +44,10 @@ log = logging.getLogger("armbridge.arm")
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
 
-# Braking takes a second at most, relaxing 1.5 s, checking that torque is off some more. Past it the process ends
-# anyway, so that the server can keep its own deadline.
-END_TIMEOUT_S = 4.0
+# Braking takes a second at most, relaxing 1.5 s, checking that torque is off up to a second where a servo does not
+# answer, and all of it longer on a busy computer. Past it the process ends anyway, so that the server can keep its own
+# deadline.
+END_TIMEOUT_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 

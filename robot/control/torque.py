@@ -42,6 +42,11 @@ LOWER_S = 1.5
 BROADCASTS = 3
 BROADCAST_INTERVAL_S = 0.002
 
+# Whoever does not confirm that torque is off is asked again after the others: a line, or a computer, that is busy for a
+# tenth of a second must not leave a servo driven.
+OFF_ROUNDS = 3
+OFF_INTERVAL_S = 0.05
+
 
 @dataclass(frozen=True)
 class TickLimits:
@@ -101,8 +106,11 @@ def enable(bus: Bus, servos: ServoMap, limits: TickLimits, ids: Sequence[int]) -
             goals[servo] = yield from _switch_on(bus, servos, servo, limits)
         start = {servo: controls[servo].torque_limit_permille for servo in ids} | dict.fromkeys(relaxed, FIRST_TORQUE)
         yield from _raise_torque(bus, servos, start)
-    except (StartupError, NoReply):
-        yield from switch_off(bus, relaxed)
+    except (StartupError, NoReply) as error:
+        left = yield from switch_off(bus, relaxed)
+        if left:
+            names = ", ".join(servos.label(servo) for servo in left)
+            raise StartupError(f"{error}; torque off could not be verified at {names}") from error
         raise
     return goals
 
@@ -233,6 +241,16 @@ def switch_off(bus: Bus, ids: list[int]) -> Steps[list[int]]:
     Raises:
         PortLost: the port is gone.
     """
+    driven = yield from _switch_off_once(bus, ids)
+    for _ in range(OFF_ROUNDS - 1):
+        if not driven:
+            break
+        yield OFF_INTERVAL_S
+        driven = yield from _switch_off_once(bus, driven)
+    return driven
+
+
+def _switch_off_once(bus: Bus, ids: list[int]) -> Steps[list[int]]:
     driven = []
     for servo in ids:
         try:

@@ -93,9 +93,9 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
         OSError: a file cannot be written, or there is no terminal to be had.
     """
     _end_on_signals(controlled=control_descriptor is not None)
-    take_priority()  # servos do not wait for a busy computer
     with contextlib.ExitStack() as resources:
         emulation = build(options, resources)
+        take_priority()  # servos do not wait for a busy computer
         if control_descriptor is None:
             serve(emulation, Control(STDIN, STDOUT, essential=False))
         else:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.calibration import RAD_PER_TICK
 from robot.servos.packets import StatusFrame
 from robot.servos.registers import Telemetry, parse_telemetry
 from robot.servos.servo_map import ServoMap
@@ -17,6 +18,14 @@ from robot.trajectory import Vector
 # as make its reading stale, so that it is not taken for lost because it was not asked.
 MISSES_UNTIL_SILENT = 10
 ASK_SILENT_EVERY = 10
+
+# Where none speaks, waiting for all of them takes most of a period. The cycles in between have room for sequences: an
+# emergency stop must be able to say that nobody confirms it.
+ASK_ALL_EVERY = 3
+
+# No servo turns by so much in a cycle: its free speed at 7.4 V is 5.5 rad/s. Longer gaps allow for that speed.
+JUMP_RAD = 300 * RAD_PER_TICK
+FREE_SPEED_RAD_S = 5.5
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,7 @@ class ServoWatch:
         self._seen: dict[int, _Seen] = {}
         self._cycle = 0
         self._misses_in_row = dict.fromkeys(servos.ids, 0)
+        self._doubted: set[int] = set()
         self.silent_cycles = dict.fromkeys(servos.ids, 0)
 
     @property
@@ -75,11 +85,12 @@ class ServoWatch:
         return len(self._seen) == len(self._servos.ids)
 
     def ids_to_ask(self) -> list[int]:
-        """Servos to ask in this cycle: silent ones last, and only now and then while others speak."""
+        """Servos to ask in this cycle: silent ones last, and only now and then."""
         self._cycle += 1
         silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
         speaking = [servo for servo in self._servos.ids if servo not in silent]
-        return speaking if speaking and self._cycle % ASK_SILENT_EVERY else speaking + silent
+        every = ASK_SILENT_EVERY if speaking else ASK_ALL_EVERY
+        return speaking if self._cycle % every else speaking + silent
 
     def is_silent(self, servo_id: int) -> bool:
         """Whether a servo has missed so many reads in a row that it is asked less often."""
@@ -88,19 +99,33 @@ class ServoWatch:
     def take(self, asked: list[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
         """Keep what one block read brought.
 
+        A reply that tells of a jump no joint can make may be another servo's with a disturbed id: it counts as none
+        the first time. Told twice in a row, it is what the servo means.
+
         Args:
             asked: the servos that were asked.
             frames: the replies that came, each with the telemetry block.
             now_s: monotonic time at which they were asked: no reading is newer than it seems [s].
         """
-        for servo, frame in frames.items():
-            reading = parse_telemetry(frame.data)
-            self._seen[servo] = _Seen(reading, reading.status | frame.error, now_s)
+        readings = {servo: parse_telemetry(frame.data) for servo, frame in frames.items()}
+        jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
+        believed = readings.keys() - (jumped - self._doubted)
+        self._doubted = (self._doubted - frames.keys()) | (jumped - believed)
+        for servo in believed:
+            self._seen[servo] = _Seen(readings[servo], readings[servo].status | frames[servo].error, now_s)
             self._misses_in_row[servo] = 0
         for servo in asked:
-            self._misses_in_row[servo] += servo not in frames
+            self._misses_in_row[servo] += servo not in believed
         for servo in self._servos.ids:
-            self.silent_cycles[servo] += servo not in frames
+            self.silent_cycles[servo] += servo not in believed
+
+    def _jumps(self, servo_id: int, reading: Telemetry, now_s: float) -> bool:
+        """Whether a servo cannot have turned from its last reading to this one."""
+        seen = self._seen.get(servo_id)
+        if seen is None:
+            return False
+        way_rad = abs(reading.position_ticks - seen.reading.position_ticks) * RAD_PER_TICK
+        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - seen.read_at_s)
 
     def reading(self, servo_id: int) -> Telemetry:
         """The last good reading of a servo that has answered."""

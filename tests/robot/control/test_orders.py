@@ -55,6 +55,14 @@ def test_a_servo_that_still_complains_keeps_the_fault(rig: ArmRig, monkeypatch: 
     assert "encoder" in answer.message
 
 
+def test_an_emergency_stop_of_an_arm_that_is_silent_is_answered(rig: ArmRig, emulator: RunningEmulator) -> None:
+    emulator.command(offline=list(rig.supervisor.servos.ids))
+    rig.run(0.2)
+    answer = rig.order(Order.EMERGENCY_STOP)
+    assert not answer.done
+    assert "could not be verified at shoulder_pan" in answer.message
+
+
 def test_without_a_fault_there_is_nothing_to_reset(rig: ArmRig) -> None:
     assert rig.order(Order.RESET_FAULT).message == "there is no fault"
 

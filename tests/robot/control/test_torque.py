@@ -9,6 +9,7 @@ import pytest
 from robot.control.torque import (
     BROADCASTS,
     FIRST_TORQUE,
+    OFF_INTERVAL_S,
     TORQUE_ON_WITHIN_TICKS,
     TickLimits,
     emergency_stop,
@@ -147,7 +148,7 @@ def test_what_was_switched_on_is_switched_off_when_a_servo_fails(emulator: Runni
     while bus.read(2, Register.TORQUE_ENABLE) == 0:
         next(steps)
     emulator.command(offline=[4])
-    with pytest.raises(TimeoutError):
+    with pytest.raises(StartupError, match="could not be verified at wrist_flex"):
         run(steps)
     assert bus.read(1, Register.TORQUE_ENABLE) == 0
 
@@ -191,6 +192,17 @@ def test_servos_whose_torque_cannot_be_verified_are_named(emulator: RunningEmula
     emulator.command(offline=[3, 5])
     assert run(emergency_stop(bus, SERVOS)) == [3, 5]
     assert run(switch_off(bus, [3])) == [3]
+
+
+def test_a_servo_that_is_deaf_for_a_moment_is_switched_off_all_the_same(emulator: RunningEmulator, bus: Bus) -> None:
+    switch_on(bus)
+    emulator.command(offline=[3])
+    steps = switch_off(bus, IDS)
+    while next(steps) != OFF_INTERVAL_S:
+        pass
+    emulator.command(online=[3])
+    assert run(steps) == []
+    assert registers(bus, Register.TORQUE_ENABLE) == [0] * 6
 
 
 def test_lost_replies_do_not_hinder_the_start(start_emulator: Start) -> None:

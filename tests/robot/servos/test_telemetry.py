@@ -2,11 +2,19 @@ from __future__ import annotations
 
 import pytest
 
+from robot.calibration import RAD_PER_TICK
 from robot.limits import JointBounds
 from robot.servos.packets import StatusFrame
 from robot.servos.registers import Register, StatusBit, encode
 from robot.servos.servo_map import ServoMap
-from robot.servos.telemetry import ASK_SILENT_EVERY, MISSES_UNTIL_SILENT, ServoWatch
+from robot.servos.telemetry import (
+    ASK_ALL_EVERY,
+    ASK_SILENT_EVERY,
+    FREE_SPEED_RAD_S,
+    JUMP_RAD,
+    MISSES_UNTIL_SILENT,
+    ServoWatch,
+)
 from tests.helpers.arm_rig import CALIBRATION, ROBOT
 
 SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints)))
@@ -52,10 +60,12 @@ def test_a_servo_that_stays_silent_is_asked_last_and_only_now_and_then() -> None
     assert watch.silent_cycles[3] == MISSES_UNTIL_SILENT + len(rounds)
 
 
-def test_all_servos_are_asked_again_at_once_when_none_has_answered() -> None:
+def test_where_none_speaks_all_are_asked_at_once_and_sequences_have_room_in_between() -> None:
     watch = ServoWatch(SERVOS)
-    for _ in range(MISSES_UNTIL_SILENT + 3):
+    for _ in range(MISSES_UNTIL_SILENT):
         assert len(answered(watch, *SERVOS.ids)) == len(SERVOS.ids)
+    asked = [len(answered(watch, *SERVOS.ids)) for _ in range(10 * ASK_ALL_EVERY)]
+    assert sorted(asked) == [0] * 10 * (ASK_ALL_EVERY - 1) + [len(SERVOS.ids)] * 10
 
 
 def test_a_servo_that_answers_again_is_asked_every_time() -> None:
@@ -80,3 +90,40 @@ def test_the_error_byte_of_the_reply_counts_as_status() -> None:
     asked = watch.ids_to_ask()
     watch.take(asked, {servo: frame(servo, error=int(StatusBit.OVERLOAD)) for servo in asked}, 0.0)
     assert watch.status(1) == StatusBit.OVERLOAD
+
+
+def told(watch: ServoWatch, servo: int, ticks: int, now_s: float) -> int:
+    """One cycle in which one servo tells a position; returns the one that is kept."""
+    watch.take([servo], {servo: frame(servo, ticks)}, now_s)
+    return watch.reading(servo).position_ticks
+
+
+FAR_TICKS = round(JUMP_RAD / RAD_PER_TICK) + 200
+
+
+def test_a_jump_that_no_joint_can_make_is_not_believed_once() -> None:
+    watch = ServoWatch(SERVOS)
+    assert told(watch, 5, 2048, 0.0) == 2048
+    assert told(watch, 5, 2048 + FAR_TICKS, 0.01) == 2048
+    assert watch.age_s(5, 0.01) == pytest.approx(0.01)
+    assert told(watch, 5, 2050, 0.02) == 2050
+
+
+def test_a_jump_that_is_told_twice_in_a_row_is_believed() -> None:
+    watch = ServoWatch(SERVOS)
+    told(watch, 5, 2048, 0.0)
+    told(watch, 5, 2048 + FAR_TICKS, 0.01)
+    assert told(watch, 5, 2048 + FAR_TICKS, 0.02) == 2048 + FAR_TICKS
+
+
+def test_jumps_with_a_good_reading_between_them_are_not_believed() -> None:
+    watch = ServoWatch(SERVOS)
+    for cycle in range(10):
+        assert told(watch, 5, 2048 + FAR_TICKS * (cycle % 2), 0.01 * cycle) == 2048
+
+
+def test_a_joint_that_was_not_heard_for_long_may_have_turned_far() -> None:
+    watch = ServoWatch(SERVOS)
+    told(watch, 5, 1000, 0.0)
+    turned = round(FREE_SPEED_RAD_S * 0.5 / RAD_PER_TICK)
+    assert told(watch, 5, 1000 + turned, 0.5) == 1000 + turned

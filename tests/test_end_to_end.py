@@ -296,7 +296,8 @@ async def test_a_planner_that_dies_costs_its_goal_only() -> None:
             for worker in workers:
                 worker.kill()
             results = await client.wait_for(RESULT, lambda all_: len(all_) == 2)
-            assert results[-1]["val"] == -29
+            # A goal that was not yet in the hands of the planner waits for the next one.
+            assert results[-1]["val"] in (-29, 1)
             # The spare was killed as well; a process of this size takes a moment to be gone.
             await asyncio.to_thread(psutil.wait_procs, workers, timeout=10)
             assert (await goal_named(client, "home"))["val"] == 1

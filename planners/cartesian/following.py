@@ -30,6 +30,9 @@ GROWTH = 0.5
 # What ends a path is looked for this closely.
 SHORTEST_STEP_M = 0.0003
 
+# What is left of a path is gone in one step where it is no longer than so many steps.
+LAST_STEP = 1.5
+
 # For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
 # does so over some centimetres.
 TURN_RAD_PER_M = 10.0
@@ -101,7 +104,8 @@ class Following:
                 step_m = 2.0 * (reach_m - along_m[-1])
                 along_m.append(reach_m)
                 points.append(point)
-            elif reach_m - along_m[-1] <= 1.001 * SHORTEST_STEP_M:
+            # A step to the path's end may be half as long again as the shortest, and is never cut in two.
+            elif reach_m - along_m[-1] <= LAST_STEP * SHORTEST_STEP_M:
                 break
             else:
                 step_m = 0.5 * (reach_m - along_m[-1])
@@ -115,7 +119,7 @@ class Following:
         # The end is no corner to be rounded.
         room_m = left_m if next_m == self.path.length_m else max(CORNER_STEP_M, GROWTH * left_m)
         step_m = max(min(step_m, self.max_step_m, room_m), min(SHORTEST_STEP_M, self.max_step_m))
-        return next_m if left_m < 1.5 * step_m and left_m <= self.max_step_m else from_m + step_m
+        return next_m if left_m < LAST_STEP * step_m and left_m <= self.max_step_m else from_m + step_m
 
     def _solved(self, point: Vector, from_m: float, reach_m: float) -> Vector:
         return self.tracker.follow(point, self.path.at(reach_m), TURN_RAD_PER_M * (reach_m - from_m))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import coal
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planners.geometry.broadphase import CONTACT_M, GJK_TOLERANCE
 from planners.geometry.hulls import convex
-from planners.geometry.shapes import link_name, on_link, urdf_shapes
+from planners.geometry.shapes import link_name, on_link, outline, urdf_shapes
 from robot.model import RobotModel
 
 Vector = NDArray[np.float64]
@@ -20,25 +20,26 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Parts:
-    """Shapes that are carried together.
+    """Shapes that are carried together, each within a box along the axes of the joint that carries them.
 
     Attributes:
-        shapes: the shapes, all carried by one joint.
-        middles_m: shape (n, 3), middle of a sphere around each, in the joint's frame [m].
-        radii_m: shape (n,), its radius [m].
+        shapes: the shapes.
+        middles_m: shape (3, n), middles of the boxes in the joint's frame [m].
+        halves_m: shape (3, n), half the edges of the boxes [m].
     """
 
     shapes: Sequence[pin.GeometryObject]
     middles_m: Vector
-    radii_m: Vector
+    halves_m: Vector
 
 
 def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
-    """Shapes of one joint with the spheres around them."""
-    for shape in shapes:
-        shape.geometry.computeLocalAABB()
-    middles_m = [shape.placement.act(shape.geometry.aabb_center) for shape in shapes]
-    return Parts(shapes, np.array(middles_m).reshape(-1, 3), np.array([s.geometry.aabb_radius for s in shapes]))
+    """Shapes of one joint with the boxes around them."""
+    points_m = [outline(shape) for shape in shapes]
+    lower_m = np.array([points.min(axis=0) for points in points_m]).reshape(-1, 3)
+    upper_m = np.array([points.max(axis=0) for points in points_m]).reshape(-1, 3)
+    # Axes first: numpy reduces a last axis of three ten times more slowly.
+    return Parts(shapes, *(np.ascontiguousarray(0.5 * each.T) for each in (lower_m + upper_m, upper_m - lower_m)))
 
 
 class ExactShapes:
@@ -88,34 +89,61 @@ def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
         at_second: where the joint that carries those is.
         margin_m: greatest distance that counts [m].
     """
-    request = coal.CollisionRequest()
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
     request.gjk_tolerance = GJK_TOLERANCE
     request.security_margin = CONTACT_M + margin_m
-    return any(
-        coal.collide(*both, request, coal.CollisionResult())
-        for both in _within_reach(first, at_first, second, at_second, margin_m)
-    )
+    boxes = _Boxes(first, second, at_first.actInv(at_second))
+    for pair in np.argwhere(boxes.apart_m <= request.security_margin):
+        result.clear()
+        if coal.collide(*boxes.placed(*pair), request, result):
+            return True
+    return False
 
 
 def overlap_m(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> float:
-    """How deep solid parts overlap at most, 0 or less where they do not [m]; arguments as for :func:`nearer_than`."""
-    request = coal.DistanceRequest()
+    """How deep solid parts overlap, below 0 how far they are apart [m]; arguments as for :func:`nearer_than`."""
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = GJK_TOLERANCE
-    near = _within_reach(first, at_first, second, at_second, 0.0)
-    return max((-coal.distance(*both, request, coal.DistanceResult()) for both in near), default=0.0)
+    boxes = _Boxes(first, second, at_first.actInv(at_second))
+    bounds_m = boxes.overlap_m.ravel()
+    deepest_m = -np.inf
+    for index in np.argsort(-bounds_m):
+        if bounds_m[index] <= deepest_m:
+            break
+        result.clear()
+        deepest_m = max(deepest_m, -coal.distance(*boxes.placed(*divmod(index, len(second.shapes))), request, result))
+    return float(deepest_m)
 
 
-def _within_reach(
-    first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float
-) -> Iterator[tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]]:
-    """Pairs of parts whose spheres come nearer than a margin, each with its place in the first joint's frame."""
-    between = at_first.actInv(at_second)
-    middles_m = second.middles_m @ between.rotation.T + between.translation
-    apart_m = np.linalg.norm(first.middles_m[:, np.newaxis] - middles_m, axis=2)
-    reach_m = first.radii_m[:, np.newaxis] + second.radii_m + margin_m
-    for i, j in np.argwhere(apart_m <= reach_m):
-        one, other = first.shapes[i], second.shapes[j]
-        yield one.geometry, _transform(one.placement), other.geometry, _transform(between * other.placement)
+class _Boxes:
+    """The boxes around two sets of parts, seen from the first one's joint.
+
+    Args:
+        first: parts there.
+        second: other parts.
+        between: where the second one's joint is.
+
+    Attributes:
+        overlap_m: how far each two boxes overlap along the axis of least overlap, shape (first, second); shapes in
+            them cannot overlap deeper. Below 0 they are at least that far apart [m].
+        apart_m: how far each two boxes are apart at least, shape (first, second) [m].
+    """
+
+    def __init__(self, first: Parts, second: Parts, between: pin.SE3) -> None:
+        self._first, self._second, self._between = first, second, between
+        middles_m = between.rotation @ second.middles_m + between.translation[:, np.newaxis]
+        halves_m = np.abs(between.rotation) @ second.halves_m
+        offset_m = first.middles_m[:, :, np.newaxis] - middles_m[:, np.newaxis]
+        overlap_m = first.halves_m[:, :, np.newaxis] + halves_m[:, np.newaxis] - np.abs(offset_m)
+        self.overlap_m: Vector = overlap_m.min(axis=0)
+        self.apart_m: Vector = np.sqrt((np.minimum(overlap_m, 0.0) ** 2).sum(axis=0))
+
+    def placed(
+        self, i: int, j: int
+    ) -> tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]:
+        """One part of each, as coal takes them."""
+        one, other = self._first.shapes[i], self._second.shapes[j]
+        return one.geometry, _transform(one.placement), other.geometry, _transform(self._between * other.placement)
 
 
 def _transform(place: pin.SE3) -> coal.Transform3s:

@@ -14,6 +14,7 @@ from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from server.errors import ServiceError
 from server.interfaces import Interfaces
+from server.node import Node
 from server.pending import Pending
 
 log = logging.getLogger("armbridge.graph")
@@ -43,22 +44,31 @@ class Call(Pending[Response]):
         type_name: canonical name of the service's type.
         request: the complete request.
         interfaces: to complete the response.
+        caller: who calls.
         dialect: which generation of ROS the caller wants to be told about; messages are in ROS 2 spelling all the same.
 
     Attributes:
         service: as given.
         type_name: as given.
         request: as given.
+        caller: as given.
         dialect: as given.
     """
 
     def __init__(
-        self, service: str, type_name: str, request: dict[str, Any], interfaces: Interfaces, dialect: Dialect = "ros2"
+        self,
+        service: str,
+        type_name: str,
+        request: dict[str, Any],
+        interfaces: Interfaces,
+        caller: Node,
+        dialect: Dialect = "ros2",
     ) -> None:
         super().__init__()
         self.service = service
         self.type_name = type_name
         self.request = request
+        self.caller = caller
         self.dialect = dialect
         self._interfaces = interfaces
 

@@ -147,7 +147,7 @@ class Services:
         except MessageError as error:
             on_response(Response(ok=False, values=f"Service {name}: {error}"))
             return
-        call = Call(name, offer.type_name, request, self._interfaces, dialect)
+        call = Call(name, offer.type_name, request, self._interfaces, caller, dialect)
         self._bound(call, offer, caller, timeout_s)
         call.when_ended(on_response)
         offer.start(call)

@@ -1,15 +1,9 @@
 from __future__ import annotations
 
 import json
-import warnings
 
 import numpy as np
 import pytest
-
-with warnings.catch_warnings():
-    # It imports coal under its deprecated name as well.
-    warnings.filterwarnings("ignore", "Please update your 'hppfcl' imports", DeprecationWarning)
-    import pinocchio  # noqa: F401
 
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace

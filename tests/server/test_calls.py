@@ -10,13 +10,14 @@ from protocol.registry import Registry
 from server.calls import Call, Response, answer
 from server.errors import ServiceError
 from server.interfaces import Interfaces
+from server.node import Node
 
 INTERFACES = Interfaces(Registry.load())
 
 
 @pytest.fixture
 def call() -> Call:
-    return Call("/switch", "std_srvs/srv/SetBool", {"data": True}, INTERFACES)
+    return Call("/switch", "std_srvs/srv/SetBool", {"data": True}, INTERFACES, Node("caller"))
 
 
 @pytest.fixture

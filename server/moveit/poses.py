@@ -1,0 +1,91 @@
+"""Poses: geometry_msgs/Pose, the planners' Pose and 4 x 4 matrices, one into the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import Pose
+from robot.trajectory import Vector
+
+Message = Mapping[str, Any]
+
+# A quaternion shorter than this says nothing about an orientation; ROS 1 clients leave it all zero for "none".
+LEAST_NORM = 1e-6
+
+
+def read_pose(message: Message, where: str) -> Pose | PlanningFailure:
+    """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation.
+
+    Args:
+        message: the pose.
+        where: path of the field, for the refusal.
+    """
+    point, quaternion = message["position"], message["orientation"]
+    for field, part in (("position", point), ("orientation", quaternion)):
+        for axis, value in part.items():
+            if not math.isfinite(value):
+                return PlanningFailure(
+                    MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
+                    f"{where}.{field}.{axis} must be a finite number, not {value}",
+                    {"field": f"{where}.{field}.{axis}"},
+                )
+    norm = math.hypot(*(quaternion[axis] for axis in "xyzw"))
+    x, y, z, w = (quaternion[axis] / norm for axis in "xyzw") if norm > LEAST_NORM else (0.0, 0.0, 0.0, 1.0)
+    return Pose((float(point["x"]), float(point["y"]), float(point["z"])), (x, y, z, w))
+
+
+def write_pose(pose: Pose) -> dict[str, Any]:
+    """The geometry_msgs/Pose of a pose."""
+    return {
+        "position": dict(zip("xyz", pose.position_m, strict=True)),
+        "orientation": dict(zip("xyzw", pose.orientation, strict=True)),
+    }
+
+
+def matrix_of(pose: Pose) -> Vector:
+    """The transform from the pose's frame to the one it is given in, shape (4, 4) [m]."""
+    x, y, z, w = pose.orientation
+    transform = np.eye(4)
+    transform[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    transform[:3, 3] = pose.position_m
+    return transform
+
+
+def pose_of(transform: Vector) -> Pose:
+    """The pose of a transform, shape (4, 4); the quaternion by Shepperd's method, its w not negative."""
+    r = transform[:3, :3]
+    squares = np.array([1 + r[0, 0] - r[1, 1] - r[2, 2], 1 - r[0, 0] + r[1, 1] - r[2, 2],
+                        1 - r[0, 0] - r[1, 1] + r[2, 2], 1 + r[0, 0] + r[1, 1] + r[2, 2]])  # fmt: skip
+    sums = np.array([[r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+                     [r[1, 0] + r[0, 1], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+                     [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[1, 0] - r[0, 1]],
+                     [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]])  # fmt: skip
+    largest = int(np.argmax(squares))
+    quaternion = np.insert(sums[largest], largest, squares[largest])
+    quaternion *= math.copysign(1.0, quaternion[3]) / float(np.linalg.norm(quaternion))
+    x, y, z, w = quaternion.tolist()
+    px, py, pz = transform[:3, 3].tolist()
+    return Pose((px, py, pz), (x, y, z, w))
+
+
+def composed(outer: Pose, inner: Pose) -> Pose:
+    """The pose of a frame that is given by ``inner`` in the frame that ``outer`` gives."""
+    return pose_of(matrix_of(outer) @ matrix_of(inner))
+
+
+def inverse(pose: Pose) -> Pose:
+    """The pose of the frame, in which a pose is given, as seen from that pose."""
+    transform = matrix_of(pose)
+    back = np.eye(4)
+    back[:3, :3] = transform[:3, :3].T
+    back[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
+    return pose_of(back)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
 
 from planners.geometry.collision import CollidingPair
 from planners.ik.goal_checks import check_constraints, check_goal, invalid_goal
@@ -118,9 +120,9 @@ def describe_pairs(pairs: Sequence[CollidingPair]) -> str:
     return ", ".join(f"{pair.first} and {pair.second} by {1000.0 * pair.depth_m:.1f} mm" for pair in pairs)
 
 
-def pairs_as_data(pairs: Sequence[CollidingPair]) -> list[dict[str, str | float]]:
+def pairs_as_data(pairs: Sequence[CollidingPair]) -> list[dict[str, Any]]:
     """The pairs as plain values."""
-    return [{"first": pair.first, "second": pair.second, "depth_m": pair.depth_m} for pair in pairs]
+    return [asdict(pair) for pair in pairs]
 
 
 def _number_flaws(problem: PlanningProblem) -> Iterator[PlanningFailure]:

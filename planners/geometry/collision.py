@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.broadphase import Broadphase
-from planners.geometry.exact import ExactShapes, Parts, nearer_than, overlap_m, parts_of
-from planners.geometry.pairs import Body, Rules, held_by, links_of, padding, standing
+from planners.geometry.exact import ExactShapes, Parts, deeper_than, nearer_than, nearest, overlap_m, parts_of
+from planners.geometry.nearness import Nearest, NearPair
+from planners.geometry.pairs import Rules, held_by, links_of, padding, standing
 from planners.geometry.shapes import robot_shapes
 from planners.geometry.skeleton import kinematic_urdf
 from planners.geometry.travel import Reach, approach
-from planners.geometry.world import check_scene
+from planners.goals import ZERO
 from planners.problem import PlanningFailure
-from planners.scene import EMPTY_SCENE, Scene
+from planners.scene import EMPTY_SCENE, Point, Scene
+from planners.scene_checks import check_scene
 from robot.model import RobotModel
 
 Vector = NDArray[np.float64]
@@ -25,17 +27,30 @@ Vector = NDArray[np.float64]
 # Depths of the same contact differ by this much between runs of the penetration algorithm.
 DEPTH_ACCURACY_M = 0.0002
 
+# By so much a hull reaches beyond what it encloses.
+HULL_EXCESS_M = 0.02
+
 NO_CONTACT: Mapping[frozenset[str], float] = {}
 NO_PAIRS: frozenset[frozenset[str]] = frozenset()
 
 
 @dataclass(frozen=True)
 class CollidingPair:
-    """Two links, or a link and an object, that overlap by ``depth_m`` [m]."""
+    """Two links, or a link and an object, that overlap.
+
+    Attributes:
+        first: one of them.
+        second: the other.
+        depth_m: how deep [m].
+        point_m: the middle of the overlap, in the robot's root link [m].
+        normal: unit vector there, the way that the second one would have to give.
+    """
 
     first: str
     second: str
     depth_m: float
+    point_m: Point = ZERO
+    normal: Point = ZERO
 
     @property
     def links(self) -> frozenset[str]:
@@ -114,30 +129,53 @@ class CollisionModel:
         self._broadphase.place(q)
         return not all(self._excused(pair, 0.0, allowed, by_mesh) for pair in self._broadphase.touching())
 
-    def free_around(
-        self,
-        configurations: Vector,
-        joint_travel: Vector,
-        allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
-    ) -> list[bool]:
-        """Around which configurations nothing can touch, wherever the joints are in a range around each.
+    def margins_m(self, joint_travel: Vector) -> Vector:
+        """How much nearer the shapes of each pair can come where the joints move so far.
 
         Args:
-            configurations: shape (m, n) [rad].
-            joint_travel: how far each joint may be from each configuration, shape (n,) [rad].
+            joint_travel: shape (m, n) [rad].
+
+        Returns:
+            Shape (m, pairs) [m].
+        """
+        margins_m: Vector = joint_travel @ self._approach_m.T
+        return margins_m
+
+    def threats(
+        self,
+        q: Vector,
+        margin_m: Vector,
+        among: Sequence[int] | None = None,
+        allowed: Mapping[frozenset[str], float] = NO_CONTACT,
+        by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
+    ) -> tuple[int, ...]:
+        """Which pairs of shapes are nearer than they may be and a margin.
+
+        Args:
+            q: configuration.
+            margin_m: of each pair, shape (pairs,) [m].
+            among: indices of the pairs to look at; None for all.
             allowed: as for :meth:`in_collision`.
             by_mesh: as for :meth:`in_collision`.
         """
-        margin_m = self._approach_m @ joint_travel
-        self._broadphase.watch(margin_m)
-        clear = [not self._broadphase.near(q) for q in configurations]
-        if allowed or by_mesh:
-            for i in (i for i, free in enumerate(clear) if not free):
-                self._broadphase.place(configurations[i])
-                close = self._broadphase.close()
-                clear[i] = all(self._excused(pair, float(margin_m[pair]), allowed, by_mesh) for pair in close)
-        return clear
+        broadphase = self._broadphase
+        near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
+        if near and (allowed or by_mesh):
+            broadphase.place(q)
+            near = [pair for pair in near if not self._excused(pair, float(margin_m[pair]), allowed, by_mesh)]
+        return tuple(near)
+
+    def touch_among(
+        self,
+        q: Vector,
+        among: Sequence[int],
+        allowed: Mapping[frozenset[str], float] = NO_CONTACT,
+        by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
+    ) -> bool:
+        """As :meth:`in_collision`, of the pairs of shapes with some indices only."""
+        self._broadphase.place(q)
+        touching = self._broadphase.touching_among(among)
+        return not all(self._excused(pair, 0.0, allowed, by_mesh) for pair in touching)
 
     def colliding_pairs(self, q: Vector, by_mesh: frozenset[frozenset[str]] | None = None) -> list[CollidingPair]:
         """Every pair of links or objects that overlaps, deepest first.
@@ -156,7 +194,8 @@ class CollisionModel:
                 continue
             if (by_mesh is None or pair.links in by_mesh) and self._apart_by_mesh(index, 0.0):
                 continue
-            deepest[pair.links] = pair
+            point_m, normal = map(_point, self._broadphase.contact(index))
+            deepest[pair.links] = replace(pair, point_m=point_m, normal=normal)
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
 
     def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
@@ -171,6 +210,13 @@ class CollisionModel:
                 deepest_m[names] = max(deepest_m.get(names, 0.0), self._overlap_m(pair))
         return deepest_m
 
+    def collides(self, q: Vector) -> bool:
+        """Whether anything overlaps by the closest shapes that are known, whatever the hulls do."""
+        if not self._broadphase.touches(q):
+            return False
+        self._broadphase.place(q)
+        return any(not self._apart_by_mesh(pair, 0.0) for pair in self._broadphase.touching())
+
     def tight_pairs(self, q: Vector) -> frozenset[frozenset[str]]:
         """Pairs of names of which only the hulls overlap and not the meshes: to be passed on as ``by_mesh``."""
         if not self._exact.available or not self._broadphase.touches(q):
@@ -178,15 +224,17 @@ class CollisionModel:
         self._broadphase.place(q)
         return frozenset(self._names(pair) for pair in self._broadphase.touching() if self._apart_by_mesh(pair, 0.0))
 
-    def tip_position(self, q: Vector, link: str) -> Vector:
-        """Origin of a link in the root link's frame, shape (3,) [m].
+    def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
+        """Pairs that are nearer than a distance, and how that changes: by their hulls while these are apart.
 
         Args:
             q: configuration.
-            link: a link of the robot.
+            within_m: the distance, beyond what they must be apart anyway [m].
         """
-        position_m: Vector = self.tip_positions([q], link)[0]
-        return position_m
+        self._broadphase.turn(q)
+        found = [(index, self._nearest(index)) for index in self._broadphase.within(within_m).tolist()]
+        near = [self._near_pair(index, nearest) for index, nearest in found]
+        return [pair for pair in near if pair.distance_m < within_m]
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:
         """Origin of a link in each configuration, shape (n, 3) [m]."""
@@ -207,6 +255,7 @@ class CollisionModel:
         resting = np.zeros((len(around), len(self.joint_names)))
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
         self._version, self._scaled, self._bodies = scene.version, frozenset(scene.link_scale), [*movers, *around]
+        self._known_parts: dict[int, Parts] = {}
         self._pairs = Rules(self._robot, scene.allowed).pairs(movers, around)
         self._apart_m = padding(self._bodies, self._pairs)
         self._approach_m = approach(reach_m, self._pairs)
@@ -221,8 +270,11 @@ class CollisionModel:
     ) -> bool:
         """Whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
         names = self._names(pair)
-        if names in allowed and self._overlap_m(pair) + margin_m <= allowed[names] + DEPTH_ACCURACY_M:
+        depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m if names in allowed else -margin_m
+        if names in allowed and -self._broadphase.distance_m(pair) <= depth_m:
             return True
+        if names in allowed and self._exact.solid and not names & self._scaled:
+            return not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair]))
         return names in by_mesh and self._apart_by_mesh(pair, margin_m)
 
     def _overlap_m(self, pair: int) -> float:
@@ -231,17 +283,44 @@ class CollisionModel:
         if by_hulls_m <= 0.0 or not self._exact.solid or self._names(pair) & self._scaled:
             return by_hulls_m
         # What overlaps is within both.
-        (first, at_first), (second, at_second) = (self._exact_parts(self._bodies[i]) for i in self._pairs[pair])
-        return min(by_hulls_m, overlap_m(first, at_first, second, at_second) + float(self._apart_m[pair]))
+        return min(by_hulls_m, overlap_m(*self._parts_of_pair(pair)) + float(self._apart_m[pair]))
+
+    def _nearest(self, pair: int) -> Nearest:
+        """Where the shapes of a pair are nearest; by their parts where only their hulls may be in the way."""
+        by_hulls = self._broadphase.nearest(pair)
+        if by_hulls.distance_m > HULL_EXCESS_M or not self._exact.solid or self._names(pair) & self._scaled:
+            return by_hulls
+        return nearest(*self._parts_of_pair(pair))
+
+    def _near_pair(self, pair: int, nearest: Nearest) -> NearPair:
+        first, second = (self._bodies[i] for i in self._pairs[pair])
+        return NearPair(
+            first.name,
+            second.name,
+            not (first.is_link and second.is_link),
+            nearest.distance_m - float(self._apart_m[pair]),
+            self._broadphase.slope_m_per_rad(pair, nearest),
+        )
 
     def _apart_by_mesh(self, pair: int, margin_m: float) -> bool:
         """Whether the meshes behind a pair's hulls are known and further apart than a margin [m]."""
         names = self._names(pair)
         if not self._exact.available or names & self._scaled:
             return False
-        (first, at_first), (second, at_second) = (self._exact_parts(self._bodies[i]) for i in self._pairs[pair])
-        return not nearer_than(first, at_first, second, at_second, margin_m + float(self._apart_m[pair]))
+        return not nearer_than(*self._parts_of_pair(pair), margin_m + float(self._apart_m[pair]))
 
-    def _exact_parts(self, body: Body) -> tuple[Parts, pin.SE3]:
-        parts = self._exact.of_link(body.name) if body.is_link else parts_of([body.shape])
-        return parts, self._broadphase.placement(body.shape.parentJoint)
+    def _parts_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
+        first, second = self._pairs[pair].tolist()
+        return *self._exact_parts(first), *self._exact_parts(second)
+
+    def _exact_parts(self, index: int) -> tuple[Parts, pin.SE3]:
+        body = self._bodies[index]
+        # Measuring an object takes ten times as long as a look at its pairs.
+        if index not in self._known_parts:
+            self._known_parts[index] = self._exact.of_link(body.name) if body.is_link else parts_of([body.shape])
+        return self._known_parts[index], self._broadphase.placement(body.shape.parentJoint)
+
+
+def _point(vector: Vector) -> Point:
+    x, y, z = vector.tolist()
+    return x, y, z

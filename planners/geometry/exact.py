@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planners.geometry.broadphase import CONTACT_M, GJK_TOLERANCE
 from planners.geometry.hulls import convex
+from planners.geometry.nearness import Nearest
 from planners.geometry.shapes import link_name, on_link, outline, urdf_shapes
 from robot.model import RobotModel
 
@@ -26,11 +27,15 @@ class Parts:
         shapes: the shapes.
         middles_m: shape (3, n), middles of the boxes in the joint's frame [m].
         halves_m: shape (3, n), half the edges of the boxes [m].
+        places: where shapes are in the joint's frame, each place once: those of a link mostly share one.
+        place_of: index of each shape's place.
     """
 
     shapes: Sequence[pin.GeometryObject]
     middles_m: Vector
     halves_m: Vector
+    places: Sequence[pin.SE3]
+    place_of: Sequence[int]
 
 
 def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
@@ -39,7 +44,11 @@ def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
     lower_m = np.array([points.min(axis=0) for points in points_m]).reshape(-1, 3)
     upper_m = np.array([points.max(axis=0) for points in points_m]).reshape(-1, 3)
     # Axes first: numpy reduces a last axis of three ten times more slowly.
-    return Parts(shapes, *(np.ascontiguousarray(0.5 * each.T) for each in (lower_m + upper_m, upper_m - lower_m)))
+    middles_m, halves_m = (np.ascontiguousarray(0.5 * each.T) for each in (lower_m + upper_m, upper_m - lower_m))
+    places = {shape.placement.homogeneous.tobytes(): shape.placement for shape in shapes}
+    order = list(places)
+    place_of = [order.index(shape.placement.homogeneous.tobytes()) for shape in shapes]
+    return Parts(shapes, middles_m, halves_m, list(places.values()), place_of)
 
 
 class ExactShapes:
@@ -93,26 +102,48 @@ def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
     request.gjk_tolerance = GJK_TOLERANCE
     request.security_margin = CONTACT_M + margin_m
     boxes = _Boxes(first, second, at_first.actInv(at_second))
-    for pair in np.argwhere(boxes.apart_m <= request.security_margin):
+    for pair in np.argwhere(boxes.apart_m <= request.security_margin).tolist():
         result.clear()
         if coal.collide(*boxes.placed(*pair), request, result):
             return True
     return False
 
 
-def overlap_m(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> float:
-    """How deep solid parts overlap, below 0 how far they are apart [m]; arguments as for :func:`nearer_than`."""
+def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:
+    """Whether solid parts overlap deeper than so much, below 0 whether they are less than that apart [m]."""
+    if depth_m < 0.0:
+        return nearer_than(first, at_first, second, at_second, -depth_m)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = GJK_TOLERANCE
     boxes = _Boxes(first, second, at_first.actInv(at_second))
-    bounds_m = boxes.overlap_m.ravel()
-    deepest_m = -np.inf
+    for pair in np.argwhere(boxes.overlap_m > depth_m).tolist():
+        result.clear()
+        if -coal.distance(*boxes.placed(*pair), request, result) > depth_m:
+            return True
+    return False
+
+
+def overlap_m(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> float:
+    """How deep solid parts overlap, below 0 how far they are apart [m]; arguments as for :func:`nearer_than`."""
+    return -nearest(first, at_first, second, at_second).distance_m
+
+
+def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> Nearest:
+    """Where solid parts are nearest or overlap deepest, in the root link's frame; as for :func:`nearer_than`."""
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    request.gjk_tolerance = GJK_TOLERANCE
+    boxes = _Boxes(first, second, at_first.actInv(at_second))
+    bounds_m = np.where(boxes.overlap_m > 0.0, boxes.overlap_m, -boxes.apart_m).ravel()
+    found = Nearest(np.inf, np.zeros(3), np.zeros(3))
     for index in np.argsort(-bounds_m):
-        if bounds_m[index] <= deepest_m:
+        if bounds_m[index] <= -found.distance_m:
             break
         result.clear()
-        deepest_m = max(deepest_m, -coal.distance(*boxes.placed(*divmod(index, len(second.shapes))), request, result))
-    return float(deepest_m)
+        distance_m = coal.distance(*boxes.placed(*divmod(index, len(second.shapes))), request, result)
+        if distance_m < found.distance_m:
+            # What the result shows of itself changes with the next pair.
+            found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
+    return found.seen_from(at_first)
 
 
 class _Boxes:
@@ -130,7 +161,9 @@ class _Boxes:
     """
 
     def __init__(self, first: Parts, second: Parts, between: pin.SE3) -> None:
-        self._first, self._second, self._between = first, second, between
+        self._first, self._second = first, second
+        self._first_places = [_transform(place) for place in first.places]
+        self._second_places = [_transform(between * place) for place in second.places]
         middles_m = between.rotation @ second.middles_m + between.translation[:, np.newaxis]
         halves_m = np.abs(between.rotation) @ second.halves_m
         offset_m = first.middles_m[:, :, np.newaxis] - middles_m[:, np.newaxis]
@@ -142,8 +175,9 @@ class _Boxes:
         self, i: int, j: int
     ) -> tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]:
         """One part of each, as coal takes them."""
-        one, other = self._first.shapes[i], self._second.shapes[j]
-        return one.geometry, _transform(one.placement), other.geometry, _transform(self._between * other.placement)
+        first, second = self._first, self._second
+        at_first, at_second = self._first_places[first.place_of[i]], self._second_places[second.place_of[j]]
+        return first.shapes[i].geometry, at_first, second.shapes[j].geometry, at_second
 
 
 def _transform(place: pin.SE3) -> coal.Transform3s:

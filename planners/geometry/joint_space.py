@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
-from planners.geometry.sweep import Cubics, first_contact, line_is_free
+from planners.geometry.sweep import ANYTHING, Cubics, Threats, first_contact, line_is_free
 from robot.model import Group
 
 Vector = NDArray[np.float64]
@@ -22,6 +22,9 @@ LEAVING = 0.05
 
 # Conditions have no margin as contacts have, so they are asked this often, in travel of the fastest point.
 CONDITION_STEP_M = 0.01
+
+# Stands for the condition among what threatens a range, beside the indices of pairs.
+CONDITION = -1
 
 
 class JointSpace:
@@ -76,31 +79,30 @@ class JointSpace:
             return False
         return self._holds is None or self._holds(self._q)
 
-    def free_around(self, points: Vector, joint_travel: Vector) -> list[bool]:
-        """Around which points the robot touches nothing, wherever the joints are in a range around each.
-
-        Args:
-            points: shape (m, n) [rad].
-            joint_travel: how far each joint may be from each point, shape (n,) [rad].
-        """
-        if self._holds is not None and joint_travel @ self.travel_m_per_rad > CONDITION_STEP_M:
-            return [False] * len(points)
-        configurations = np.empty((len(points), len(self._q)))
-        configurations[:] = self._q
+    def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
+        """As :class:`planners.geometry.sweep.Surroundings` has it: pairs that may touch, and the condition."""
+        configurations, travel = np.tile(self._q, (len(points), 1)), np.zeros((len(points), len(self._q)))
         configurations[:, self._columns] = points
-        travel = np.zeros(len(self._q))
-        travel[self._columns] = joint_travel
-        if self._allowed:
-            away = joint_travel + np.abs(points - self._start)
-            clear = [
-                self._collision.free_around(q[np.newaxis], travel, self._allowed_near(each), self._by_mesh)[0]
-                for q, each in zip(configurations, away, strict=True)
-            ]
-        else:
-            clear = self._collision.free_around(configurations, travel, NO_CONTACT, self._by_mesh)
-        if self._holds is None:
-            return clear
-        return [free and self._holds(q) for free, q in zip(clear, configurations, strict=True)]
+        travel[:, self._columns] = joint_travel
+        margins_m = self._collision.margins_m(travel)
+        away = joint_travel + np.abs(points - self._start)
+        found: list[Threats] = []
+        for i, q in enumerate(configurations):
+            allowed = self._allowed and self._allowed_near(away[i])
+            known = among[i]
+            pairs = self._collision.threats(q, margins_m[i], known and _pairs(known), allowed, self._by_mesh)
+            found.append(pairs if self._holds_around(q, joint_travel[i], among[i]) else (*pairs, CONDITION))
+        return found
+
+    def touches_any(self, point: Vector, among: Threats) -> bool:
+        """As :class:`planners.geometry.sweep.Surroundings` has it."""
+        if among is ANYTHING:
+            return not self.free(point)
+        self._q[self._columns] = point
+        allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
+        if self._collision.touch_among(self._q, _pairs(among), allowed, self._by_mesh):
+            return True
+        return self._holds is not None and CONDITION in among and not self._holds(self._q)
 
     def line_free(self, start: Vector, end: Vector, step_m: float = CHECK_STEP_M) -> bool:
         """Whether the robot touches nothing on a straight line.
@@ -145,11 +147,22 @@ class JointSpace:
             if pair.links not in allowed or overlaps_m.get(pair.links, 0.0) > allowed[pair.links] + DEPTH_ACCURACY_M
         )
 
+    def _holds_around(self, q: Vector, joint_travel: Vector, among: Threats) -> bool:
+        """Whether the condition holds where the joints move by so much at most, shape (n,) [rad]."""
+        if self._holds is None or (among is not ANYTHING and CONDITION not in among):
+            return True
+        return bool(joint_travel @ self.travel_m_per_rad <= CONDITION_STEP_M) and self._holds(q)
+
     def _allowed_near(self, joint_travel: Vector) -> dict[frozenset[str], float]:
         """What may still overlap, and how deep, so far from the start, shape (n,) [rad]."""
         shrunk_m = LEAVING * float(joint_travel @ self.travel_m_per_rad)
         left_m = {names: depth_m - shrunk_m for names, depth_m in self._allowed.items()}
         return {names: depth_m for names, depth_m in left_m.items() if depth_m > -DEPTH_ACCURACY_M}
+
+
+def _pairs(threats: tuple[int, ...]) -> tuple[int, ...]:
+    """The pairs among what threatens a range."""
+    return threats[:-1] if threats[-1:] == (CONDITION,) else threats
 
 
 def _columns(collision: CollisionModel, group: Group) -> slice | NDArray[np.int64]:

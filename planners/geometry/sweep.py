@@ -1,26 +1,31 @@
 """Is a curve free between its points? Bisection with margins as wide as things can move.
 
 Where nothing is nearer to anything than the joints can bring it on a piece of the curve, that piece is free as a whole.
-Pieces of which that cannot be said are halved. No distance is computed: a check with a margin costs as much as one
-without, and most pieces are long.
+Pieces of which that cannot be said are halved, and a half is asked about what threatened the whole only: a few of many
+pairs. No distance is computed: a check with a margin costs as much as one without, and most pieces are long.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# What can be touched in a range, by the numbers that the surroundings give it; ANYTHING where nothing was asked yet.
+Threats = tuple[int, ...] | None
+ANYTHING: None = None
+NOTHING: Threats = ()
 
 # Contacts deeper than half of this are found: the range between two free checks that nothing more is asked about.
 FINEST_STEP_M = 0.0001
 
 # On longer pieces than this something is near nearly always: only their middle is looked at.
 WIDEST_MARGIN_M = 0.1
-
 
 # Once there is a contact, earlier ones are looked for this finely only: it is said when, and that is a sample's time.
 EARLIEST_STEP_M = 0.01
@@ -41,8 +46,21 @@ class Surroundings(Protocol):
         """Whether nothing touches at a point."""
         ...
 
-    def free_around(self, points: Vector, joint_travel: Vector) -> list[bool]:
-        """Around which points, shape (m, n), nothing can touch within a range of each joint, shape (n,) [rad]."""
+    def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
+        """What can be touched around points, wherever the joints are in a range around each.
+
+        Args:
+            points: shape (m, n) [rad].
+            joint_travel: how far each joint may be from each point, shape (m, n) [rad].
+            among: for each point what threatens a range with this one in it: nothing else is looked at.
+
+        Returns:
+            For each point; where it is empty, the range is free.
+        """
+        ...
+
+    def touches_any(self, point: Vector, among: Threats) -> bool:
+        """Whether any of what threatens a range around a point, shape (n,), is touched there."""
         ...
 
 
@@ -60,15 +78,17 @@ def line_is_free(around: Surroundings, start: Vector, end: Vector, step_m: float
     joint_travel = 0.5 * np.abs(end - start)
     travel_m = float(joint_travel @ around.travel_m_per_rad)
     at, half = np.array([0.5]), 0.5
+    threats: list[Threats] = [ANYTHING]
     while len(at) and 2.0 * travel_m > step_m:
         points = start + at[:, np.newaxis] * (end - start)
         if travel_m <= WIDEST_MARGIN_M:
-            unsure = np.logical_not(around.free_around(points, joint_travel))
-            at, points = at[unsure], points[unsure]
-        if not all(around.free(point) for point in points):
+            threats = around.threats(points, np.tile(joint_travel, (len(at), 1)), threats)
+            unsure = [i for i, threat in enumerate(threats) if threat != NOTHING]
+            at, points, threats = at[unsure], points[unsure], [threats[i] for i in unsure]
+        if any(around.touches_any(point, threat) for point, threat in zip(points, threats, strict=True)):
             return False
         half, joint_travel, travel_m = 0.5 * half, 0.5 * joint_travel, 0.5 * travel_m
-        at = np.concatenate((at - half, at + half))
+        at, threats = np.concatenate((at - half, at + half)), threats + threats
     return True
 
 
@@ -98,22 +118,78 @@ class Cubics:
         outside = max(-float(along.min()), float(along.max()) - length, float(np.abs(beside).max()))
         return outside <= STRAIGHT_RAD
 
-    def middle(self, first: int, last: int) -> tuple[Vector, Vector]:
-        """A point of the pieces from ``first`` up to ``last``, and how far each joint may be from it on them."""
-        if last - first == 1:
-            point = np.array([0.125, 0.375, 0.375, 0.125]) @ self.coefficients[first]
-        else:
-            point = self.coefficients[(first + last) // 2, 0]
-        lower, upper = self._lower[first:last].min(axis=0), self._upper[first:last].max(axis=0)
-        return point, np.maximum(upper - point, point - lower)
+    def spans(self) -> Spans:
+        """The whole curve as one span."""
+        ranges = (len(self) - 1).bit_length()
+        bounds = [(self._lower, self._upper)]
+        for _ in range(ranges):
+            lower, upper = (np.concatenate((each, each[-1:])) if len(each) % 2 else each for each in bounds[-1])
+            bounds.append((np.minimum(lower[::2], lower[1::2]), np.maximum(upper[::2], upper[1::2])))
+        if ranges == 0:
+            return _Parts(self.coefficients, np.zeros(1), 1.0)
+        return _Ranges(self.coefficients, bounds, np.zeros(1, dtype=np.int64))
 
-    def halves(self, piece: int) -> Cubics:
-        """One piece as two, each of half its range (de Casteljau)."""
-        a, b, c, d = self.coefficients[piece]
+
+class Spans(Protocol):
+    """Ranges of a curve that do not overlap, and a point in each.
+
+    Attributes:
+        at: where the points are, in pieces of the curve from its start, shape (m,).
+        start: where the ranges start, in the same measure, shape (m,).
+        points: shape (m, n) [rad].
+        joint_travel: how far each joint may be from the point in the range, shape (m, n) [rad].
+    """
+
+    at: Vector
+    start: Vector
+    points: Vector
+    joint_travel: Vector
+
+    def halves(self, of: Indices) -> tuple[Spans, Indices]:
+        """Some of them cut in two; and for each of the new ones the index of the old one."""
+        ...
+
+
+class _Ranges:
+    """Pieces in a row, a power of two of them, by the pieces' bounds for each power."""
+
+    def __init__(self, coefficients: Vector, bounds: list[tuple[Vector, Vector]], index: Indices) -> None:
+        self._coefficients, self._bounds, self._index = coefficients, bounds, index
+        self._size = 1 << (len(bounds) - 1)
+        first = index * self._size
+        middle = np.minimum(first + self._size // 2, len(coefficients) - 1)
+        self.start, self.at = first.astype(np.float64), middle.astype(np.float64)
+        self.points = coefficients[middle, 0]
+        lower, upper = (each[index] for each in bounds[-1])
+        self.joint_travel = np.maximum(upper - self.points, self.points - lower)
+
+    def halves(self, of: Indices) -> tuple[Spans, Indices]:
+        index = np.concatenate((2 * self._index[of], 2 * self._index[of] + 1))
+        there = index * (self._size // 2) < len(self._coefficients)
+        index, parents = index[there], np.concatenate((of, of))[there]
+        if self._size == 2:
+            return _Parts(self._coefficients[index], index.astype(np.float64), 1.0), parents
+        return _Ranges(self._coefficients, self._bounds[:-1], index), parents
+
+
+class _Parts:
+    """Parts of single pieces, each as long as the others, by their Bernstein coefficients, shape (m, 4, n)."""
+
+    def __init__(self, coefficients: Vector, start: Vector, length: float) -> None:
+        self._coefficients, self._length = coefficients, length
+        self.start, self.at = start, start + 0.5 * length
+        self.points = np.array([0.125, 0.375, 0.375, 0.125]) @ coefficients
+        self.joint_travel = np.abs(coefficients - self.points[:, np.newaxis]).max(axis=1)
+
+    def halves(self, of: Indices) -> tuple[Spans, Indices]:
+        # De Casteljau.
+        a, b, c, d = np.moveaxis(self._coefficients[of], 1, 0)
         ab, bc, cd = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + d)
         abc, bcd = 0.5 * (ab + bc), 0.5 * (bc + cd)
         middle = 0.5 * (abc + bcd)
-        return Cubics(np.array([[a, ab, abc, middle], [middle, bcd, cd, d]]))
+        halves = np.concatenate((np.stack((a, ab, abc, middle), axis=1), np.stack((middle, bcd, cd, d), axis=1)))
+        length, start = 0.5 * self._length, self.start[of]
+        return _Parts(halves, np.concatenate((start, start + length)), length), np.concatenate((of, of))
 
 
 def first_contact(around: Surroundings, curve: Cubics, step_m: float, *, earliest: bool) -> float | None:
@@ -129,25 +205,29 @@ def first_contact(around: Surroundings, curve: Cubics, step_m: float, *, earlies
         In pieces from the start, or None.
     """
     found: float | None = None
-    todo = deque([(curve, 0, len(curve), 0.0, 1.0)])
-    while todo:
-        part, first, last, origin, scale = todo.popleft()
-        if found is not None and origin + first * scale >= found:
-            continue
-        point, joint_travel = part.middle(first, last)
-        travel_m = float(joint_travel @ around.travel_m_per_rad)
-        if travel_m <= WIDEST_MARGIN_M and around.free_around(point[np.newaxis], joint_travel)[0]:
-            continue
-        single = last - first == 1
-        at = origin + scale * (first + 0.5 if single else (first + last) // 2)
-        if not around.free(point) and (found is None or at < found):
-            if not earliest:
-                return at
-            found = at
-        if 2.0 * travel_m <= (step_m if found is None else max(step_m, EARLIEST_STEP_M)):
-            continue
-        if single:
-            part, origin, scale, first, last = part.halves(first), origin + scale * first, 0.5 * scale, 0, 2
-        cut = (first + last) // 2
-        todo += [(part, first, cut, origin, scale), (part, cut, last, origin, scale)]
+    spans = curve.spans()
+    threats: list[Threats] = [ANYTHING]
+    while len(spans.at):
+        travel_m = spans.joint_travel @ around.travel_m_per_rad
+        threats = _narrowed(around, spans, travel_m, threats)
+        unsure = [i for i, threat in enumerate(threats) if threat != NOTHING]
+        for i in unsure:
+            if (found is None or spans.at[i] < found) and around.touches_any(spans.points[i], threats[i]):
+                found = float(spans.at[i])
+                if not earliest:
+                    return found
+        least_m = step_m if found is None else max(step_m, EARLIEST_STEP_M)
+        going_on = (2.0 * travel_m > least_m) & (spans.start < (np.inf if found is None else found))
+        spans, parents = spans.halves(np.array([i for i in unsure if going_on[i]], dtype=np.int64))
+        threats = [threats[i] for i in parents]
     return found
+
+
+def _narrowed(around: Surroundings, spans: Spans, travel_m: Vector, threats: Sequence[Threats]) -> list[Threats]:
+    """What threatens each span of what threatened a wider one; the widest are left as they are."""
+    asked = np.flatnonzero(travel_m <= WIDEST_MARGIN_M)
+    left = around.threats(spans.points[asked], spans.joint_travel[asked], [threats[i] for i in asked])
+    narrowed = list(threats)
+    for i, threat in zip(asked, left, strict=True):
+        narrowed[i] = threat
+    return narrowed

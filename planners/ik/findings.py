@@ -60,21 +60,21 @@ class _End:
     Attributes:
         q: the configuration.
         tight: whether the robot's hulls touch something there.
-        pairs: what touches there.
+        collides: whether more than the hulls does.
         beyond_m: how far all that is required is from holding.
         less_liked_m: how far the preferences are.
     """
 
     q: Vector
     tight: bool
-    pairs: tuple[CollidingPair, ...]
+    collides: bool
     beyond_m: float
     less_liked_m: float
 
     @property
     def solves(self) -> bool:
         """Whether all that is required holds and nothing touches."""
-        return self.beyond_m == 0.0 and not self.pairs
+        return self.beyond_m == 0.0 and not self.collides
 
 
 class Findings:
@@ -112,7 +112,7 @@ class Findings:
     @property
     def only_colliding(self) -> bool:
         """Whether nothing free was found, neither in tolerance nor near it."""
-        return all(end.pairs for end in self._ends)
+        return all(end.collides for end in self._ends)
 
     def add(self, q: Vector) -> None:
         """Take the end of one descent."""
@@ -130,12 +130,12 @@ class Findings:
 
     def result(self, move_time_s: Callable[[Vector], float]) -> Found:
         """Sum up."""
-        nearest = min(self._ends, key=lambda end: (bool(end.pairs), end.beyond_m, end.less_liked_m))
+        nearest = min(self._ends, key=lambda end: (end.collides, end.beyond_m, end.less_liked_m))
         deviation = self._both.deviation(nearest.q)
         solving = [end for end in self._ends if end.solves]
         if not solving:
-            colliding = next((end.pairs for end in self._ends if end.beyond_m == 0.0), ())
-            return Found((), colliding, nearest.q, deviation)
+            meeting = next((end for end in self._ends if end.beyond_m == 0.0), None)
+            return Found((), self._pairs(meeting), nearest.q, deviation)
         # Where only parts within the hulls are apart, motions are slow to check and rarely found.
         roomy = [end for end in solving if not end.tight] or solving
         most_m = min(end.less_liked_m for end in roomy) + ROTATION_ARM_M * AS_GOOD_RAD
@@ -144,5 +144,8 @@ class Findings:
 
     def _judged(self, q: Vector) -> _End:
         tight = self._collision is not None and self._collision.in_collision(q)
-        pairs = tuple(self._collision.colliding_pairs(q)) if self._collision is not None and tight else ()
-        return _End(q, tight, pairs, self._required.beyond_m(q), self._preferred.beyond_m(q))
+        collides = tight and self._collision is not None and self._collision.collides(q)
+        return _End(q, tight, collides, self._required.beyond_m(q), self._preferred.beyond_m(q))
+
+    def _pairs(self, end: _End | None) -> tuple[CollidingPair, ...]:
+        return tuple(self._collision.colliding_pairs(end.q)) if self._collision is not None and end is not None else ()

@@ -62,7 +62,8 @@ def out_of_reach(
     position_m, tolerance_m = _asked(goal)
     degrees = math.degrees(nearest.orientation_rad)
     if isinstance(goal, PositionGoal) or nearest.position_m > tolerance_m:
-        orientation = "whatever its orientation" if isinstance(goal, PositionGoal) else "in the orientation asked for"
+        any_will_do = isinstance(goal, PositionGoal) or (isinstance(goal, PoseGoal) and not goal.strict)
+        orientation = "whatever its orientation" if any_will_do else "in the orientation asked for"
         said = f"cannot reach {in_words(position_m)} m, {orientation}: the nearest point it can reach is"
         said += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
     else:
@@ -70,6 +71,28 @@ def out_of_reach(
         said += f" the nearest one that it can have there is {degrees:.1f}° off"
     return PlanningFailure(
         MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {said}", {**details, "tolerance_m": tolerance_m}
+    )
+
+
+def out_of_time(
+    goal: TaskGoal, failure: PlanningFailure, nearest_m: Sequence[float], nearest: Deviation
+) -> PlanningFailure:
+    """The search was ended before it knew; tell how near it had come.
+
+    Args:
+        goal: the goal.
+        failure: why it was ended.
+        nearest_m: where the link is in the configuration that comes nearest so far [m].
+        nearest: the deviation there.
+    """
+    if isinstance(goal, ConstraintGoal):
+        return failure
+    point = [round(float(value), 4) for value in nearest_m]
+    message = (
+        f"{failure.message}; the nearest point so far is {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
+    )
+    return PlanningFailure(
+        failure.code, message, {**failure.details, "nearest_m": point, "distance_m": nearest.position_m}
     )
 
 

@@ -14,7 +14,7 @@ from planners.goals import AnyOf, AxisGoal, Constraints, Goal, JointGoal, PoseGo
 from planners.ik.conditions import Condition
 from planners.ik.constraints import ConditionSet, Joints, Wish, conditions, wish
 from planners.ik.findings import MAX_SOLUTIONS, Found
-from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates, none_of, out_of_reach
+from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates, none_of, out_of_reach, out_of_time
 from planners.ik.goal_search import GoalSearch
 from planners.problem import Deviation, PlanningFailure
 from robot.model import Group, RobotModel
@@ -143,7 +143,8 @@ class GoalStates:
     ) -> PlanningFailure:
         """Why nothing was found."""
         if asker.budget.used_up():
-            return asker.budget.failure()
+            nearest_m = self._point_m(goal, found.nearest_q)
+            return out_of_time(goal, asker.budget.failure(), nearest_m, found.nearest)
         if found.colliding:
             return goal_in_collision(found.colliding)
         if also:
@@ -158,7 +159,8 @@ class GoalStates:
         if isinstance(goal, PoseGoal | AxisGoal):
             # The point with the nearest orientation there says more than a compromise between both.
             point, *turns = wanted.required
-            found = self._find(Wish((point,), (*turns, *wanted.preferred)), asker)
+            if turns:
+                found = self._find(Wish((point,), (*turns, *wanted.preferred)), asker)
             q = found.solutions[0] if found.solutions else found.nearest_q
         asked = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
         nearest = asked.deviation(q)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.sweep import line_is_free
+from planners.geometry.sweep import ANYTHING, NOTHING, Threats, line_is_free
 from planners.motions.curve import Curve
 
 Vector = NDArray[np.float64]
@@ -23,6 +24,19 @@ WIDEST_MARGIN_M = 0.05
 def checks_in(time_s: float) -> int:
     """The checks that so much time is worth."""
     return int(time_s * NOMINAL_CHECKS_PER_S)
+
+
+@lru_cache
+def coarse_first(pieces: int) -> Vector:
+    """Where a line of so many pieces has the ends of its pieces but its start, shape (pieces, 1).
+
+    The end comes first, and the others so that they are spread well at any time: what is in the way is found soon.
+    """
+    bits = pieces.bit_length()
+    turned = [int(f"{i:0{bits}b}"[::-1], 2) for i in range(pieces)]
+    shares = 1.0 - np.argsort(turned)[:, np.newaxis] / pieces
+    shares.flags.writeable = False
+    return shares
 
 
 class CountedSpace:
@@ -52,14 +66,31 @@ class CountedSpace:
         self.checks += 1
         return self._space.free(point)
 
-    def free_around(self, points: Vector, joint_travel: Vector) -> list[bool]:
-        """Around which points, shape (m, n), nothing can touch within a range of each joint, shape (n,) [rad]."""
+    def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
+        """As :meth:`JointSpace.threats`."""
         self.checks += len(points)
-        return self._space.free_around(points, joint_travel)
+        return self._space.threats(points, joint_travel, among)
+
+    def touches_any(self, point: Vector, among: Threats) -> bool:
+        """As :meth:`JointSpace.touches_any`."""
+        self.checks += 1
+        return self._space.touches_any(point, among)
 
     def line_free(self, start: Vector, end: Vector, step_m: float) -> bool:
         """As :meth:`JointSpace.line_free`."""
         return not self._should_stop() and line_is_free(self, start, end, step_m)
+
+    def glance(self, start: Vector, end: Vector, step_m: float) -> bool:
+        """Whether nothing touches in points of a straight line.
+
+        Args:
+            start: first point, taken to be free.
+            end: last point, looked at as well.
+            step_m: nothing moves further than this from one point to the next [m].
+        """
+        travel_m = float(np.abs(end - start) @ self.travel_m_per_rad)
+        points = start + coarse_first(max(1, int(np.ceil(travel_m / step_m)))) * (end - start)
+        return all(self.free(point) for point in points)
 
     def curve_free(self, curve: Curve, step_m: float) -> bool:
         """Whether all joints stay in their ranges and nothing touches along a curve; its ends are taken to be free.
@@ -73,14 +104,19 @@ class CountedSpace:
         points = self._evenly(curve, step_m)
         half = len(points) // 2
         middles = np.array([half])
+        threats: list[Threats] = [ANYTHING]
         while half and len(middles):
-            joint_travel = np.abs(points[half:] - points[:-half])[::half].max(axis=0)
-            if joint_travel @ self.travel_m_per_rad <= WIDEST_MARGIN_M:
-                middles = middles[np.logical_not(self.free_around(points[middles], joint_travel))]
-            if self._should_stop() or not all(self.free(points[i]) for i in middles):
+            here = points[middles]
+            joint_travel = np.maximum(np.abs(points[middles - half] - here), np.abs(points[middles + half] - here))
+            if np.max(joint_travel @ self.travel_m_per_rad) <= WIDEST_MARGIN_M:
+                threats = self.threats(here, joint_travel, threats)
+                unsure = [i for i, threat in enumerate(threats) if threat != NOTHING]
+                middles, threats = middles[unsure], [threats[i] for i in unsure]
+            touching = (self.touches_any(points[i], threat) for i, threat in zip(middles, threats, strict=True))
+            if self._should_stop() or any(touching):
                 return False
             half //= 2
-            middles = np.concatenate((middles - half, middles + half))
+            middles, threats = np.concatenate((middles - half, middles + half)), threats + threats
         return True
 
     def _evenly(self, curve: Curve, step_m: float) -> Vector:

@@ -35,9 +35,12 @@ GLANCE_STEP_M = 0.2
 SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
 CURVE_STEPS_M = (0.01, 0.005, 0.0025, 0.001)
 
+# Another path found as coarsely costs less than one found more finely, but where something is thin all are blocked.
+BLOCKED_PATHS_A_STEP = 3
+
 # Some trees take ten times as long as most, so a search is given up for another after this many checks, and the next
 # ones after twice, three times as many and so on.
-CHECKS_A_SEARCH = 1500
+CHECKS_A_SEARCH = 3000
 
 
 @dataclass(frozen=True)
@@ -175,7 +178,7 @@ class _Searching:
         self._space = CountedSpace(task.space, budget.used_up)
         self._rng = np.random.default_rng(task.seed)
         self._searches = count()
-        self._finer = 0
+        self._finer = self._blocked_paths = 0
         self._window = jerk.window_ticks(task.limits)
         self._lead = lead
         self._enough_checks: int | None = None
@@ -212,7 +215,7 @@ class _Searching:
         """What one search finds, without its detours."""
         most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
         start = self._task.start if self._lead is None else self._lead.positions_rad[-1]
-        query = Query(self._space, start, self._task.goals, SEARCH_STEPS_M[self._finer])
+        query = Query(self._space, start, self._task.goals, self._search_step_m())
         seed, project = self._task.seed + number, self._task.project
 
         def should_stop() -> bool:
@@ -222,7 +225,15 @@ class _Searching:
             path = search(query, self._name, seed, should_stop)
         else:
             path = projected_search(query, project, seed, should_stop)
-        return None if path is None else without_detours(self._space, path, CURVE_STEPS_M[self._finer])
+        if path is None:
+            return None
+        shorter = without_detours(self._space, path, CURVE_STEPS_M[self._finer])
+        self._blocked_paths += shorter is None
+        return shorter
+
+    def _search_step_m(self) -> float:
+        finer = self._finer + self._blocked_paths // BLOCKED_PATHS_A_STEP
+        return SEARCH_STEPS_M[min(finer, len(SEARCH_STEPS_M) - 1)]
 
     def _free(self, curve: Curve) -> bool:
         return self._space.curve_free(curve, CURVE_STEPS_M[self._finer])

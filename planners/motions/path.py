@@ -15,12 +15,14 @@ from planners.motions.effort import CountedSpace
 
 Vector = NDArray[np.float64]
 
-# Longer tree edges mean fewer nodes; past this most edges of a folded arm collide.
-TREE_EDGE_RAD = 1.0
+# Longer tree edges mean fewer nodes and fewer checks until a path is there; past this they grow again.
+TREE_EDGE_RAD = 1.7
+
+RRT_CONNECT = "RRTConnect"
 
 # OMPL's searches with edges of a length to choose, by their names; see planners.problem.PLANNER_IDS.
 TREES = {
-    "RRTConnect": og.RRTConnect,
+    RRT_CONNECT: og.RRTConnect,
     "RRT": og.RRT,
     "RRTstar": og.RRTstar,
     "InformedRRTstar": og.InformedRRTstar,
@@ -67,7 +69,10 @@ def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) 
     ou.RNG.setSeed(seed + 1)  # OMPL refuses 0
     size = len(query.start)
     setup = _setup(query)
-    setup.setPlanner(_planner(name, setup.getSpaceInformation()))
+    information = setup.getSpaceInformation()
+    if name == RRT_CONNECT:
+        information.setMotionValidator(_Edges(information, query))
+    setup.setPlanner(_planner(name, information))
     # A condition with a period of its own would abort the process at exit.
     setup.solve(ob.PlannerTerminationCondition(should_stop))
     if not setup.haveExactSolutionPath():
@@ -76,7 +81,7 @@ def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) 
     return np.array([path.getState(i)[0:size] for i in range(path.getStateCount())])
 
 
-def without_detours(space: CountedSpace, path: Vector, step_m: float) -> Vector:
+def without_detours(space: CountedSpace, path: Vector, step_m: float) -> Vector | None:
     """Leave out the vertices that a free straight line can pass by, from each vertex to the furthest it can reach.
 
     Args:
@@ -85,14 +90,30 @@ def without_detours(space: CountedSpace, path: Vector, step_m: float) -> Vector:
         step_m: the most that any robot point moves from one check to the next [m].
 
     Returns:
-        Shape (k, n) with the same ends.
+        Shape (k, n) with the same ends, or None: looked at so finely, the path itself is not free.
     """
     kept = [0]
     while kept[-1] < len(path) - 1:
         here = kept[-1]
-        further = range(len(path) - 1, here + 1, -1)
-        kept.append(next((i for i in further if space.line_free(path[here], path[i], step_m)), here + 1))
+        further = range(len(path) - 1, here, -1)
+        reached = next((i for i in further if space.line_free(path[here], path[i], step_m)), None)
+        if reached is None:
+            return None
+        kept.append(reached)
     return path[kept]
+
+
+class _Edges(ob.MotionValidator):
+    """Tree edges checked in one go: a call from C++ for each configuration takes as long as the check itself."""
+
+    def __init__(self, information: ob.SpaceInformation, query: Query) -> None:
+        super().__init__(information)
+        self._query = query
+        self._size = len(query.start)
+
+    def checkMotion(self, first: ob.RealVectorStateType, second: ob.RealVectorStateType) -> bool:  # noqa: N802
+        start, end = np.array(first[0 : self._size]), np.array(second[0 : self._size])
+        return self._query.space.glance(start, end, self._query.step_m)
 
 
 def _planner(name: str, information: ob.SpaceInformation) -> ob.Planner:

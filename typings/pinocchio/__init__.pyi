@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from enum import Enum
 
 import numpy as np
-from coal import CollisionGeometry, CollisionRequest, DistanceRequest, DistanceResult
+from coal import CollisionGeometry, CollisionRequest, CollisionResult, DistanceRequest, DistanceResult
 from numpy.typing import NDArray
 
 _Vector = NDArray[np.float64]
@@ -19,6 +19,7 @@ class Quaternion:
 class SE3:
     rotation: _Vector
     translation: _Vector
+    homogeneous: _Vector
     def __init__(self, rotation: _Vector | Quaternion, translation: _Vector) -> None: ...
     @staticmethod
     def Identity() -> SE3: ...
@@ -85,7 +86,9 @@ class _CollisionPairs:
 
 class GeometryData:
     collisionRequests: Sequence[CollisionRequest]
+    collisionResults: Sequence[CollisionResult]
     distanceRequests: Sequence[DistanceRequest]
+    distanceResults: Sequence[DistanceResult]
     def setSecurityMargins(
         self, geometry_model: GeometryModel, margins: _Vector, upper: bool, sync_distance_upper_bound: bool
     ) -> None: ...
@@ -129,4 +132,6 @@ class ReferenceFrame(Enum):
     LOCAL_WORLD_ALIGNED = ...
 
 def computeJointJacobians(model: Model, data: Data, q: _Vector) -> _Vector: ...
+def SE3ToXYZQUAT(place: SE3) -> _Vector: ...
+def getJointJacobian(model: Model, data: Data, joint_id: int, reference_frame: ReferenceFrame) -> _Vector: ...
 def getFrameJacobian(model: Model, data: Data, frame_id: int, reference_frame: ReferenceFrame) -> _Vector: ...

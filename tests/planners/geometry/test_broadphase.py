@@ -46,13 +46,15 @@ def test_near_is_nearer_than_the_margin(crowded, margin_m):
     build, states = crowded
     broadphase = build(0.0)
     count = len(broadphase._pairs)
-    broadphase.watch(np.full(count, margin_m))
     for q in states:
-        nearest_m = distances_m(broadphase, count, q).min()
+        apart_m = distances_m(broadphase, count, q)
         # Distances of touching meshes are those of single triangles.
-        if abs(nearest_m - margin_m) > 1e-5:
-            assert broadphase.near(q) == (nearest_m < margin_m)
-            assert bool(broadphase.close()) == (nearest_m < margin_m)
+        if np.abs(apart_m - margin_m).min() > 1e-5:
+            near = np.flatnonzero(apart_m < margin_m).tolist()
+            assert broadphase.near(q, np.full(count, margin_m)) == near
+            assert broadphase.near_among(q, range(0, count, 2), np.full(count, margin_m)) == [
+                pair for pair in near if pair % 2 == 0
+            ]
 
 
 def test_each_pair_has_a_margin_of_its_own(crowded):
@@ -60,11 +62,10 @@ def test_each_pair_has_a_margin_of_its_own(crowded):
     broadphase = build(0.0)
     count = len(broadphase._pairs)
     margins_m = np.random.default_rng(4).uniform(0.0, 0.1, count)
-    broadphase.watch(margins_m)
     for q in states:
         slack_m = distances_m(broadphase, count, q) - margins_m
         if np.abs(slack_m).min() > 1e-5:
-            assert broadphase.near(q) == bool((slack_m < 0.0).any())
+            assert broadphase.near(q, margins_m) == np.flatnonzero(slack_m < 0.0).tolist()
 
 
 def test_what_must_stay_apart_touches_before_it_overlaps(crowded):

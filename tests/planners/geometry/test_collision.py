@@ -90,7 +90,7 @@ def test_links_of_a_pair_have_no_order():
 
 def test_tip_of_the_stretched_arm_is_where_it_was_measured(collision):
     # Figures of the official description at all joints zero.
-    tip_m = collision.tip_position(np.zeros(6), "gripper_frame_link")
+    tip_m = collision.tip_positions([np.zeros(6)], "gripper_frame_link")[0]
     np.testing.assert_allclose(tip_m, (0.391, 0.0, 0.226), atol=1e-3)
 
 
@@ -163,6 +163,14 @@ def test_padding_makes_a_contact_and_its_depth(changing):
     (pair,) = changing.colliding_pairs(np.zeros(6))
     assert pair.links == {"gripper_link", "thing"}
     assert 0.0 < pair.depth_m < 0.1
+
+
+def test_a_contact_is_where_both_things_are(changing):
+    box = thing(Box((0.1, 0.1, 0.1)), 0.42, 0.0, 0.226)
+    changing.set_scene(scene(box))
+    (pair,) = [pair for pair in changing.colliding_pairs(np.zeros(6)) if "gripper_link" in pair.links]
+    assert np.all(np.abs(np.array(pair.point_m) - (0.42, 0.0, 0.226)) <= 0.05 + pair.depth_m)
+    assert np.linalg.norm(pair.normal) == pytest.approx(1.0)
 
 
 def test_contacts_by_parts_are_contacts_by_hulls(changing, random_states):

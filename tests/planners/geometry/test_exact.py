@@ -8,7 +8,7 @@ import pytest
 import robot.description as robot_description
 from planners.geometry import exact
 from planners.geometry.collision import CollisionModel
-from planners.geometry.exact import ExactShapes, nearer_than, overlap_m, parts_of
+from planners.geometry.exact import ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
 from planners.geometry.hulls import convex
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.shapes import urdf_shapes
@@ -79,6 +79,23 @@ def test_solid_parts_overlap_as_deep_as_the_deepest_two():
     assert overlap_m(cubes, pin.SE3.Identity(), post, beside) <= 0.0
 
 
+@pytest.mark.parametrize("deepest_m", [-0.005, 0.001, 0.004])
+def test_deeper_than_compares_the_deepest_two_with_a_depth(deepest_m):
+    cubes = parts_of([_box(0.1, 0.1, 0.1, at_x=0.0), _box(0.1, 0.1, 0.1, at_x=0.003)])
+    post = parts_of([_box(0.02, 0.02, 0.5, at_x=0.0)])
+    at_post = pin.SE3(np.eye(3), np.array([0.063 - deepest_m, 0.0, 0.0]))
+    for depth_m in (-0.008, -0.002, 0.0, 0.002, 0.008):
+        assert deeper_than(cubes, pin.SE3.Identity(), post, at_post, depth_m) == (deepest_m > depth_m)
+
+
+def test_shapes_with_places_of_their_own_are_where_they_are():
+    crossed = parts_of([_box(0.02, 0.02, 0.5, at_x=x) for x in (0.0, 0.2, 0.0)])
+    cube = parts_of([_box(0.01, 0.01, 0.01, at_x=0.0)])
+    for at_x, near in ((0.0, True), (0.1, False), (0.2, True)):
+        at_cube = pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.2]))
+        assert nearer_than(cube, at_cube, crossed, pin.SE3.Identity(), 0.01) == near
+
+
 def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
     collision = CollisionModel(robot)
     collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
@@ -97,6 +114,7 @@ def test_what_only_a_hull_touches_is_no_contact(crane):
     # coal misses that the hull overlaps it by 14 mm.
     collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)))
     assert collision.in_collision(q)
+    assert not collision.collides(q)
     assert collision.colliding_pairs(q) == []
     assert collision.tight_pairs(q) == {BETWEEN}
     assert not collision.in_collision(q, by_mesh=frozenset((BETWEEN,)))
@@ -105,6 +123,7 @@ def test_what_only_a_hull_touches_is_no_contact(crane):
 def test_what_the_mesh_touches_is_a_contact(crane):
     collision, q = CollisionModel(crane), np.zeros(3)
     collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.285, 0.005, 0.275)))
+    assert collision.collides(q)
     assert [pair.links for pair in collision.colliding_pairs(q)] == [BETWEEN]
     assert collision.tight_pairs(q) == frozenset()
     assert collision.in_collision(q, by_mesh=frozenset((BETWEEN,)))

@@ -8,7 +8,9 @@ def test_links_are_where_collision_checks_have_them(robot, collision):
     for q in np.random.default_rng(2).uniform(collision.lower_rad, collision.upper_rad, (10, 6)):
         forward.place(q)
         for link in robot.links:
-            np.testing.assert_allclose(forward.placement(link).translation, collision.tip_position(q, link), atol=1e-12)
+            np.testing.assert_allclose(
+                forward.placement(link).translation, collision.tip_positions([q], link)[0], atol=1e-12
+            )
 
 
 def test_joints_may_come_in_any_order(robot, collision):
@@ -37,7 +39,8 @@ def test_jacobian_is_the_derivative_of_the_position(robot, collision):
     jacobian = forward.jacobian(q, "gripper_frame_link")
     for joint in range(6):
         moved = q + step * np.eye(6)[joint]
-        difference_m = collision.tip_position(moved, "gripper_frame_link") - collision.tip_position(
-            q, "gripper_frame_link"
+        difference_m = (
+            collision.tip_positions([moved], "gripper_frame_link")[0]
+            - collision.tip_positions([q], "gripper_frame_link")[0]
         )
         np.testing.assert_allclose(jacobian[:3, joint], difference_m / step, atol=1e-5)

@@ -3,6 +3,7 @@ import pytest
 
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import CONDITION_STEP_M, JointSpace
+from planners.geometry.sweep import ANYTHING, NOTHING
 from planners.scene import Box, Pose, SceneObject
 from robot import model
 from tests.planners.invariants import BLOCKED_LINES
@@ -43,12 +44,25 @@ def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
     free = 0
     for _ in range(100):
         point, joint_travel = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad), rng.uniform(0.0, 0.1, 5)
-        if space.free_around(point[None], joint_travel)[0]:
+        if space.threats(point[None], joint_travel[None], [ANYTHING]) == [NOTHING]:
             free += 1
             corners = point + joint_travel * rng.choice([-1.0, 1.0], (20, 5))
             inside = point + joint_travel * rng.uniform(-1.0, 1.0, (20, 5))
             assert all(space.free(other) for other in (*corners, *inside))
     assert free > 5
+
+
+def test_what_threatens_a_wide_range_is_all_that_threatens_one_in_it(robot, arm):
+    collision = CollisionModel(robot)
+    collision.set_scene(around_the_arm(1))
+    space, rng = JointSpace(collision, arm, np.zeros(6)), np.random.default_rng(0)
+    for _ in range(50):
+        point = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad)
+        wide, narrow = np.full((1, 5), 0.1), np.full((1, 5), 0.05)
+        within = point + rng.uniform(-0.05, 0.05, 5)
+        around = space.threats(point[None], wide, [ANYTHING])
+        assert space.threats(within[None], narrow, around) == space.threats(within[None], narrow, [ANYTHING])
+        assert space.touches_any(within, around[0]) == (not space.free(within))
 
 
 def test_a_condition_holds_in_every_free_point(collision, arm):
@@ -91,7 +105,7 @@ def test_an_allowed_contact_does_not_come_again_further_on(robot, arm):
     # Two posts of one object: a turn of the base alone brings the arm as deep into the second as it is in the first.
     collision = CollisionModel(robot)
     turned = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
-    axis_m = collision.tip_position(np.zeros(6), "shoulder_link")[:2]
+    axis_m = collision.tip_positions([np.zeros(6)], "shoulder_link")[0][:2]
     posts = [Pose((*(axis_m + _turned([0.35, 0.0], pan)), 0.16), _about_z(pan)) for pan in (0.0, -turned[0])]
     collision.set_scene(scene(SceneObject("posts", tuple((Box((0.1, 0.1, 0.1)), pose) for pose in posts), Pose())))
     q, there = np.zeros(6), np.append(turned, 0.0)
@@ -102,7 +116,7 @@ def test_an_allowed_contact_does_not_come_again_further_on(robot, arm):
     space = JointSpace(collision, arm, q, overlaps_m)
     assert space.free(HOME)
     assert not space.free(turned)
-    assert not space.free_around(turned[np.newaxis], np.zeros(5))[0]
+    assert space.threats(turned[np.newaxis], np.zeros((1, 5)), [ANYTHING]) != [NOTHING]
 
 
 def test_joints_of_a_group_need_not_stand_in_a_row():

@@ -15,15 +15,28 @@ class Discs:
         self.discs = discs
         self.asked = 0
 
-    def distance(self, point):
-        return min((np.hypot(point[0] - x, point[1] - y) - radius for x, y, radius in self.discs), default=np.inf)
+    def distance(self, point, number=None):
+        discs = self.discs if number is None else [self.discs[number]]
+        return min((np.hypot(point[0] - x, point[1] - y) - radius for x, y, radius in discs), default=np.inf)
 
     def free(self, point):
         self.asked += 1
         return self.distance(point) > 0.0
 
-    def free_around(self, points, joint_travel):
-        return [self.distance(point) > joint_travel.sum() for point in points]
+    def threats(self, points, joint_travel, among):
+        return [
+            tuple(
+                number
+                for number in (range(len(self.discs)) if known is None else known)
+                if self.distance(point, number) <= travel.sum()
+            )
+            for point, travel, known in zip(points, joint_travel, among, strict=True)
+        ]
+
+    def touches_any(self, point, among):
+        if among is None:
+            return not self.free(point)
+        return any(self.distance(point, number) <= 0.0 for number in among)
 
 
 def line(start, end):
@@ -105,21 +118,47 @@ def test_the_earliest_of_several_contacts_is_told():
     assert -1.0 + 2.0 * at == pytest.approx(-0.55, abs=2.0 * EARLIEST_STEP_M)
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.integers(0, 10_000), st.integers(0, 5), st.integers(1, 6))
-def test_pieces_stay_in_the_range_that_is_told_of_them(seed, first, count):
-    curve = wavy(seed)
-    last = min(first + count, len(curve))
-    middle, joint_travel = curve.middle(first, last)
-    on_pieces = np.array([point_on(curve, at) for at in np.linspace(first, last, 100)])
-    assert np.all(np.abs(on_pieces - middle) <= joint_travel + 1e-12)
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 9))
+def test_a_curve_stays_in_the_range_that_is_told_of_each_span(seed, pieces):
+    curve = wavy(seed, pieces)
+    spans, covered = curve.spans(), []
+    while len(spans.at) < 40:
+        ends = np.append(np.sort(spans.start)[1:], pieces)
+        for i, end in zip(np.argsort(spans.start), ends, strict=True):
+            inside = np.array([point_on(curve, at) for at in np.linspace(spans.start[i], end, 20)])
+            assert np.all(np.abs(inside - spans.points[i]) <= spans.joint_travel[i] + 1e-12)
+            np.testing.assert_allclose(point_on(curve, spans.at[i]), spans.points[i], atol=1e-12)
+            assert spans.start[i] <= spans.at[i] <= end
+        covered.append(spans.start.min())
+        spans, _ = spans.halves(np.arange(len(spans.at)))
+    assert not any(covered)
 
 
-def test_halves_of_a_piece_are_the_piece():
-    curve = wavy(1)
-    halves = curve.halves(2)
-    for share in np.linspace(0.0, 1.0, 21):
-        np.testing.assert_allclose(point_on(halves, 2.0 * share), point_on(curve, 2.0 + share), atol=1e-12)
+def test_halves_know_what_they_are_halves_of():
+    spans = wavy(1, 7).spans()
+    while len(spans.at) < 40:
+        halves, parents = spans.halves(np.arange(len(spans.at))[::2])
+        starts = np.append(np.sort(spans.start), np.inf)
+        for start, parent in zip(halves.start, parents, strict=True):
+            end = starts[np.searchsorted(starts, spans.start[parent], side="right")]
+            assert parent % 2 == 0
+            assert spans.start[parent] <= start < end
+        spans, _ = spans.halves(np.arange(len(spans.at)))
+
+
+def test_only_what_threatened_a_wider_range_is_looked_at_again():
+    looked_at = []
+
+    class Watched(Discs):
+        def threats(self, points, joint_travel, among):
+            looked_at.extend(known for known in among if known is not None)
+            return super().threats(points, joint_travel, among)
+
+    around = Watched((0.0, 0.02, 0.01), (5.0, 5.0, 0.1))
+    assert line_is_free(around, np.array([-1.0, 0.0]), np.array([1.0, 0.0]), FINEST_STEP_M)
+    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M, earliest=False) is None
+    assert set(looked_at) == {(0,)}
 
 
 def test_a_line_run_through_at_any_speed_is_straight():

@@ -20,7 +20,7 @@ def no_time(_):
 @pytest.fixture
 def findings(goal_states, collision, joints):
     def make(center, tolerance_m=0.1):
-        goal = PositionGoal(TIP, tuple(collision.tip_position(center, TIP)), tolerance_m)
+        goal = PositionGoal(TIP, tuple(collision.tip_positions([center], TIP)[0]), tolerance_m)
         return Findings(goal_states.forward, collision, wish(goal, joints))
 
     return make
@@ -71,7 +71,7 @@ def test_nearest_is_free_even_if_one_in_contact_is_nearer(findings):
 
 
 def test_contacts_count_only_where_they_are_minded(goal_states, collision, joints):
-    goal = PositionGoal(TIP, tuple(collision.tip_position(FOLDED, TIP)), 0.1)
+    goal = PositionGoal(TIP, tuple(collision.tip_positions([FOLDED], TIP)[0]), 0.1)
     found = Findings(goal_states.forward, None, wish(goal, joints))
     found.add(FOLDED)
     assert len(found.result(no_time).solutions) == 1
@@ -94,7 +94,7 @@ def test_patience_ends_sooner_once_there_is_a_solution(findings):
 def test_of_preferences_only_the_best_met_stay(goal_states, collision, joints):
     forward = goal_states.forward
     forward.place(HOME)
-    position_m = tuple(collision.tip_position(HOME, TIP))
+    position_m = tuple(collision.tip_positions([HOME], TIP)[0])
     rotation = forward.placement(TIP).rotation
     goal = PoseGoal(TIP, Pose(position_m, tuple(_quaternion(rotation))), 0.05, (0.02, 0.02, 0.02))
     found = Findings(forward, collision, wish(goal, joints))

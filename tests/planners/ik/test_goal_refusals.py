@@ -5,7 +5,14 @@ import pytest
 from planners.geometry.collision import CollidingPair
 from planners.goals import ConstraintGoal, Constraints, PoseGoal, PositionGoal
 from planners.ik.constraints import Violation
-from planners.ik.goal_refusals import goal_in_collision, goal_violates, none_of, out_of_reach, start_violates
+from planners.ik.goal_refusals import (
+    goal_in_collision,
+    goal_violates,
+    none_of,
+    out_of_reach,
+    out_of_time,
+    start_violates,
+)
 from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 
@@ -16,10 +23,12 @@ VIOLATION = Violation("joint 'a' is at 1 rad, outside 0 to 0.5 rad", {"joint": "
 
 
 def test_collision_names_links_and_objects_with_depth():
-    failure = goal_in_collision([CollidingPair("gripper_link", "mug", 0.011)])
+    pair = CollidingPair("gripper_link", "mug", 0.011, point_m=(0.2, 0.0, 0.1), normal=(0.0, 0.0, 1.0))
+    failure = goal_in_collision([pair])
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert "gripper_link and mug by 11.0 mm" in failure.message
-    assert failure.details["pairs"] == [{"first": "gripper_link", "second": "mug", "depth_m": 0.011}]
+    said = {"first": "gripper_link", "second": "mug", "depth_m": 0.011}
+    assert failure.details["pairs"] == [said | {"point_m": (0.2, 0.0, 0.1), "normal": (0.0, 0.0, 1.0)}]
 
 
 @pytest.mark.parametrize(
@@ -62,3 +71,12 @@ def test_constraints_out_of_reach_are_answered_with_what_does_not_hold():
     failure = out_of_reach(ConstraintGoal(Constraints()), (0.0, 0.0, 0.0), Deviation(), [VIOLATION])
     assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
     assert VIOLATION.sentence in failure.message
+
+
+def test_who_runs_out_of_time_tells_how_near_it_had_come():
+    late = PlanningFailure(MoveItErrorCode.TIMED_OUT, "too late", {"allowed_time_s": 0.01})
+    failure = out_of_time(POINT, late, (0.25, 0.0, 0.2), Deviation(0.05))
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+    assert "5.0 cm" in failure.message
+    assert failure.details == {"allowed_time_s": 0.01, "nearest_m": [0.25, 0.0, 0.2], "distance_m": 0.05}
+    assert out_of_time(ConstraintGoal(Constraints()), late, (0.0, 0.0, 0.0), Deviation()) is late

@@ -51,7 +51,7 @@ def test_joint_goal_within_its_tolerance_beyond_a_limit_is_at_the_limit(find, jo
 def test_pose_on_five_joints_is_at_its_point_with_the_orientations_deviation_told(find, collision):
     states = find(PoseGoal(TIP, Pose((0.25, 0.1, 0.15)), 0.001, (0.01, 0.01, 0.01)))
     for state in states:
-        assert np.linalg.norm(collision.tip_position(state.q, TIP) - (0.25, 0.1, 0.15)) <= 0.001
+        assert np.linalg.norm(collision.tip_positions([state.q], TIP)[0] - (0.25, 0.1, 0.15)) <= 0.001
         assert state.deviation.position_m <= 0.001
         assert 0.01 < state.deviation.orientation_rad < math.pi
 
@@ -101,7 +101,7 @@ def test_constraint_goal_holds_where_it_is_met(find, joints, collision):
     )
     for state in find(ConstraintGoal(constraints)):
         assert abs(state.q[joints.names.index("wrist_roll")] - 0.5) <= 0.051
-        assert np.all(np.abs(collision.tip_position(state.q, TIP) - (0.25, 0.1, 0.2)) <= (0.0501, 0.0501, 0.0101))
+        assert np.all(np.abs(collision.tip_positions([state.q], TIP)[0] - (0.25, 0.1, 0.2)) <= (0.0501, 0.0501, 0.0101))
 
 
 def test_goal_of_joint_constraints_alone_is_at_their_positions(find, joints):

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from planners.motions.effort import CountedSpace, checks_in
+from planners.geometry.sweep import ANYTHING
+from planners.motions.effort import CountedSpace, checks_in, coarse_first
 from planners.motions.timing import line, polyline
 from planners.rates import RateLimits
 from tests.planners.invariants import BLOCKED_LINES
@@ -20,8 +21,10 @@ def counted(joint_space):
 def test_every_question_counts(counted):
     counted.free(HOME)
     assert counted.checks == 1
-    counted.free_around(np.array([HOME, READY]), np.full(5, 0.01))
+    counted.threats(np.array([HOME, READY]), np.full((2, 5), 0.01), [ANYTHING, ANYTHING])
     assert counted.checks == 3
+    counted.touches_any(HOME, ANYTHING)
+    assert counted.checks == 4
 
 
 def test_the_same_questions_count_the_same(joint_space):
@@ -67,3 +70,16 @@ def test_finer_steps_take_more_checks_near_something(joint_space):
 def test_time_is_worth_checks_in_proportion():
     assert checks_in(0.0) == 0
     assert checks_in(0.02) == 2 * checks_in(0.01) > 0
+
+
+@pytest.mark.parametrize("pieces", [1, 2, 3, 7, 16])
+def test_every_piece_of_a_line_is_looked_at_once_and_its_end_first(pieces):
+    shares = coarse_first(pieces).ravel()
+    assert shares[0] == 1.0
+    assert sorted(shares) == pytest.approx(np.arange(1, pieces + 1) / pieces)
+
+
+@pytest.mark.parametrize("blocked", BLOCKED_LINES)
+def test_a_glance_at_a_line_sees_what_is_as_wide_as_its_steps(counted, blocked):
+    assert not counted.glance(*map(np.array, blocked), STEP_M)
+    assert counted.glance(HOME, READY, STEP_M)

@@ -104,3 +104,7 @@ def test_detours_around_something_stay(space, joint_space, blocked):
     assert 2 < len(shorter) <= len(path)
     assert length(shorter) <= length(path) + 1e-9
     assert joint_space.curve_free(shorter, STEP_M)
+
+
+def test_a_path_that_is_not_free_after_all_is_none(space, blocked):
+    assert without_detours(space, np.array(blocked), STEP_M) is None

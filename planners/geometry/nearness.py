@@ -1,0 +1,97 @@
+"""How near two shapes are, and how that changes with the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """Where two shapes are nearest to each other, or overlap deepest.
+
+    Attributes:
+        distance_m: between them, below 0 how deep they overlap [m].
+        point_m: a point of the first one there, shape (3,) [m].
+        normal: unit vector from the first to the second, shape (3,): against it the first one gets away.
+    """
+
+    distance_m: float
+    point_m: Vector
+    normal: Vector
+
+    def seen_from(self, place: pin.SE3) -> Nearest:
+        """The same in the frame in which ``place`` gives the present one."""
+        return Nearest(self.distance_m, place.rotation @ self.point_m + place.translation, place.rotation @ self.normal)
+
+
+@dataclass(frozen=True)
+class NearPair:
+    """Two links, or a link and an object, that are near each other.
+
+    Attributes:
+        first: name of the one.
+        second: name of the other.
+        by_object: whether one of them is no link.
+        distance_m: beyond what they must be apart anyway [m].
+        slope_m_per_rad: how the distance grows with each joint, shape (n,) [m/rad].
+    """
+
+    first: str
+    second: str
+    by_object: bool
+    distance_m: float
+    slope_m_per_rad: Vector
+
+
+def slope_m_per_rad(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:
+    """How the distance between two shapes grows with each joint, shape (n,) [m/rad].
+
+    Args:
+        model: the robot's joints.
+        data: with their Jacobians at the present configuration.
+        nearest: where the shapes are nearest, in the root link's frame.
+        first: the joint that carries the first one; 0 for what stands.
+        second: the joint that carries the second one.
+    """
+    slopes = np.zeros(model.nv)
+    second_m = nearest.point_m + nearest.distance_m * nearest.normal
+    for joint, point_m, sign in ((first, nearest.point_m, -1.0), (second, second_m, 1.0)):
+        if joint:
+            rows = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            arm_m = point_m - data.oMi[joint].translation
+            slopes += sign * (nearest.normal @ rows[:3] + np.cross(arm_m, nearest.normal) @ rows[3:])
+    return slopes
+
+
+class Spheres:
+    """A sphere around each shape, to leave out quickly what is far.
+
+    Args:
+        shapes: what there is.
+        pairs: indices of shapes, shape (pairs, 2).
+    """
+
+    def __init__(self, shapes: Sequence[pin.GeometryObject], pairs: NDArray[np.int64]) -> None:
+        for shape in shapes:
+            shape.geometry.computeLocalAABB()
+        self._pairs = pairs
+        self._carriers = np.array([shape.parentJoint for shape in shapes], dtype=np.intp)
+        self._middles_m = np.array([shape.placement.act(shape.geometry.aabb_center) for shape in shapes]).reshape(-1, 3)
+        radii_m = np.array([shape.geometry.aabb_radius for shape in shapes])
+        self._reach_m = radii_m[pairs].sum(axis=1)
+
+    def within(self, data: pin.Data, margin_m: Vector) -> NDArray[np.intp]:
+        """Indices of the pairs whose spheres are nearer than a margin for each, shape (pairs,) [m]."""
+        middles_m = self._middles_m.copy()
+        for joint in np.unique(self._carriers):
+            carried, place = self._carriers == joint, data.oMi[int(joint)]
+            middles_m[carried] = self._middles_m[carried] @ place.rotation.T + place.translation
+        apart_m = np.linalg.norm(middles_m[self._pairs[:, 0]] - middles_m[self._pairs[:, 1]], axis=1)
+        return np.flatnonzero(apart_m < self._reach_m + margin_m)

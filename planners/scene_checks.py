@@ -1,0 +1,195 @@
+"""What is refused of a scene: names, links, sizes, poses and counts, before any planning library sees it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+
+import numpy as np
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Scene, SceneObject, Shape, Sphere
+
+# A tree over this many triangles takes half a second to build and 100 MB; a scan of a workshop has fewer.
+MAX_TRIANGLES = 200_000
+
+# All meshes of a scene together: their trees leave a planner process four fifths of its memory.
+MAX_SCENE_TRIANGLES = 400_000
+
+# Each shape adds a pair with every link; this many still build within 50 ms.
+MAX_SHAPES = 1000
+
+# Shapes further off or larger than this are no concern of an arm, and the search for common points loses its digits.
+MAX_LENGTH_M = 100.0
+
+# A quaternion shorter than this has no direction left; others are brought to length 1.
+SHORTEST_QUATERNION = 1e-6
+
+# Twice the area of a triangle that has none [m^2].
+NO_AREA_M2 = 1e-14
+
+
+def check_scene(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
+    """What is wrong with a scene, or None.
+
+    Args:
+        scene: the scene.
+        links: names of the robot's links.
+    """
+    objects = [*scene.objects, *(held.object for held in scene.attached)]
+    return check_whole(scene, links) or next(
+        (refusal for thing in objects for refusal in _object_refusals(thing)), None
+    )
+
+
+def check_whole(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
+    """What is wrong with a scene apart from the shapes and poses in it, or None: quick, for many small changes.
+
+    Args:
+        scene: the scene.
+        links: names of the robot's links.
+    """
+    objects = [*scene.objects, *(held.object for held in scene.attached)]
+    return (
+        _check_names([thing.name for thing in objects], links)
+        or _check_links(scene, links)
+        or _check_count(objects)
+        or _check_thickness(scene)
+    )
+
+
+def pose_fault(pose: Pose) -> str | None:
+    """What is wrong with a pose, as the end of a sentence about the thing that has it; None for nothing."""
+    if not _within(pose.position_m, -MAX_LENGTH_M):
+        return f"has a position that is not finite or beyond {MAX_LENGTH_M:g} m: {pose.position_m}"
+    length = math.hypot(*pose.orientation)
+    if not (math.isfinite(length) and length >= SHORTEST_QUATERNION):
+        return f"has an orientation that is no quaternion: {pose.orientation}"
+    return None
+
+
+def shape_fault(shape: Shape) -> str | None:
+    """What is wrong with a shape, as the end of a sentence about the thing that has it; None for nothing."""
+    match shape:
+        case Box():
+            return _size_fault("box", shape.size_m)
+        case Sphere():
+            return _size_fault("sphere", (shape.radius_m,))
+        case Cylinder():
+            return _size_fault("cylinder", (shape.radius_m, shape.height_m))
+        case Cone():
+            return _size_fault("cone", (shape.radius_m, shape.height_m))
+        case Plane():
+            return _plane_fault(shape)
+        case Mesh():
+            return _mesh_fault(shape)
+
+
+def _check_names(names: list[str], links: Collection[str]) -> PlanningFailure | None:
+    seen: set[str] = set()
+    for name in names:
+        if not name:
+            return PlanningFailure(MoveItErrorCode.INVALID_OBJECT_NAME, "an object of the scene has no name")
+        if name in seen or name in links:
+            other = "another object of the scene" if name in seen else "a link of the robot"
+            return PlanningFailure(
+                MoveItErrorCode.INVALID_OBJECT_NAME, f"the object {name!r} has the name of {other}", {"object": name}
+            )
+        seen.add(name)
+    return None
+
+
+def _check_links(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
+    named = [(f"the link that holds {held.object.name!r}", held.link) for held in scene.attached]
+    named += [
+        (f"a link that may touch {held.object.name!r}", link) for held in scene.attached for link in held.touch_links
+    ]
+    named += [("a padded link", link) for link in scene.link_padding_m]
+    named += [("a scaled link", link) for link in scene.link_scale]
+    for what, link in named:
+        if link not in links:
+            known = ", ".join(links)
+            return PlanningFailure(
+                MoveItErrorCode.INVALID_LINK_NAME,
+                f"{what} is {link!r}, which the robot does not have; it has: {known}",
+                {"link": link},
+            )
+    return None
+
+
+def _check_count(objects: list[SceneObject]) -> PlanningFailure | None:
+    count = sum(len(thing.shapes) for thing in objects)
+    if count > MAX_SHAPES:
+        return _refusal(f"the scene has {count} shapes, more than {MAX_SHAPES}", shapes=count, limit=MAX_SHAPES)
+    triangles = sum(len(shape.triangles) for thing in objects for shape, _ in thing.shapes if isinstance(shape, Mesh))
+    if triangles > MAX_SCENE_TRIANGLES:
+        return _refusal(
+            f"the scene's meshes have {triangles} triangles, more than {MAX_SCENE_TRIANGLES}",
+            triangles=triangles,
+            limit=MAX_SCENE_TRIANGLES,
+        )
+    return None
+
+
+def _check_thickness(scene: Scene) -> PlanningFailure | None:
+    for link, padding_m in scene.link_padding_m.items():
+        if not 0.0 <= padding_m <= MAX_LENGTH_M:
+            return _refusal(
+                f"the padding of link {link!r} must be 0 to {MAX_LENGTH_M:g} m, not {padding_m:g}", link=link
+            )
+    for link, factor in scene.link_scale.items():
+        if not (math.isfinite(factor) and factor > 0.0):
+            return _refusal(f"the scale of link {link!r} must be a finite number above 0, not {factor:g}", link=link)
+    return None
+
+
+def _object_refusals(thing: SceneObject) -> Iterator[PlanningFailure]:
+    """Everything that is wrong with one object, one sentence each."""
+    subject = f"the object {thing.name!r}"
+    if not thing.shapes:
+        yield _refusal(f"{subject} has no shape", object=thing.name)
+    said = [pose_fault(thing.pose)]
+    for shape, pose in thing.shapes:
+        said += [shape_fault(shape), pose_fault(pose)]
+    for fault in said:
+        if fault is not None:
+            yield _refusal(f"{subject} {fault}", object=thing.name)
+
+
+def _size_fault(kind: str, sizes_m: tuple[float, ...]) -> str | None:
+    if _within(sizes_m, 0.0) and all(size_m > 0.0 for size_m in sizes_m):
+        return None
+    return f"is a {kind} whose sizes are not all above 0 and at most {MAX_LENGTH_M:g} m: {sizes_m}"
+
+
+def _plane_fault(plane: Plane) -> str | None:
+    length = math.hypot(*plane.normal)
+    if not (math.isfinite(length) and length >= SHORTEST_QUATERNION):
+        return f"is a plane whose normal has no direction: {plane.normal}"
+    if not _within((plane.offset_m,), -MAX_LENGTH_M):
+        return f"is a plane whose offset is not finite or beyond {MAX_LENGTH_M:g} m: {plane.offset_m}"
+    return None
+
+
+def _mesh_fault(mesh: Mesh) -> str | None:
+    vertices_m, triangles = np.asarray(mesh.vertices_m), np.asarray(mesh.triangles)
+    if vertices_m.ndim != 2 or triangles.ndim != 2 or vertices_m.shape[1] != 3 or triangles.shape[1] != 3:
+        return f"is a mesh of vertices {vertices_m.shape} and triangles {triangles.shape}, not (n, 3) and (m, 3)"
+    if not 0 < len(triangles) <= MAX_TRIANGLES:
+        return f"is a mesh of {len(triangles)} triangles, not 1 to {MAX_TRIANGLES}"
+    if not np.all(np.abs(vertices_m) <= MAX_LENGTH_M):
+        return f"is a mesh with vertices that are not finite or beyond {MAX_LENGTH_M:g} m"
+    if triangles.min() < 0 or triangles.max() >= len(vertices_m):
+        return f"is a mesh whose triangles name vertices {triangles.min()} to {triangles.max()} of {len(vertices_m)}"
+    a, b, c = (vertices_m[triangles[:, k]] for k in range(3))
+    if not np.any(np.linalg.norm(np.cross(b - a, c - a), axis=1) > NO_AREA_M2):
+        return "is a mesh whose triangles have no area"
+    return None
+
+
+def _within(values: tuple[float, ...], lowest: float) -> bool:
+    return all(lowest <= value <= MAX_LENGTH_M for value in values)
+
+
+def _refusal(message: str, **details: str | float) -> PlanningFailure:
+    return PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, details)

@@ -31,6 +31,8 @@ from planners.questions import answer_ik, answer_state
 from planners.rates import RateLimits
 from planners.recheck import recheck
 from planners.scene import Scene
+from planners.servo.question import ServoQuestion
+from planners.servo.steering import answer_servo
 from robot.model import RobotModel
 
 Vector = NDArray[np.float64]
@@ -89,6 +91,8 @@ class Planner:
                 return answer_state(request, robot, self._states, collision)
             case RecheckQuestion():
                 return recheck(request, robot, collision)
+            case ServoQuestion():
+                return answer_servo(request, robot, collision, self._states.forward)
 
     def plan(self, problem: PlanningProblem, should_stop: Callable[[], bool] = never) -> Plan | PlanningFailure:
         """Plan one motion.

@@ -30,6 +30,7 @@ from planners.problem import (
     StateQuestion,
 )
 from planners.scene import EMPTY_SCENE, Scene
+from planners.servo.question import ServoAnswer, ServoQuestion
 from planners.worker_process import WorkerProcess, allowed_time_s
 from robot.model import RobotModel
 
@@ -102,11 +103,17 @@ class PlannerPool:
     @overload
     async def ask(self, request: CartesianProblem, scene: Scene = ...) -> CartesianPlan | PlanningFailure: ...
     @overload
+    async def ask(
+        self, request: PlanningProblem | CartesianProblem, scene: Scene = ...
+    ) -> Plan | CartesianPlan | PlanningFailure: ...
+    @overload
     async def ask(self, request: IkQuestion, scene: Scene = ...) -> IkAnswer | PlanningFailure: ...
     @overload
     async def ask(self, request: StateQuestion, scene: Scene = ...) -> StateAnswer | PlanningFailure: ...
     @overload
     async def ask(self, request: RecheckQuestion, scene: Scene = ...) -> RecheckAnswer | PlanningFailure: ...
+    @overload
+    async def ask(self, request: ServoQuestion, scene: Scene = ...) -> ServoAnswer | PlanningFailure: ...
 
     async def ask(self, request: Request, scene: Scene = EMPTY_SCENE) -> Answer:
         """Have a planner process answer, in a scene.

@@ -14,6 +14,7 @@ from typing import Any
 
 from planners.goals import Constraints, Goal
 from planners.scene import Pose
+from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.trajectory import Trajectory
 
 
@@ -214,7 +215,7 @@ class RecheckQuestion:
     from_s: float
 
 
-Request = PlanningProblem | CartesianProblem | IkQuestion | StateQuestion | RecheckQuestion
+Request = PlanningProblem | CartesianProblem | IkQuestion | StateQuestion | RecheckQuestion | ServoQuestion
 
 
 @dataclass(frozen=True)
@@ -311,4 +312,4 @@ class RecheckAnswer:
     contact_s: float | None = None
 
 
-Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | PlanningFailure
+Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure

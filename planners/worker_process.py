@@ -35,6 +35,7 @@ from planners.problem import (
     StateQuestion,
 )
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
+from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.model import RobotModel
 from robot.processes import Child
 
@@ -70,6 +71,7 @@ ANSWER_TO: Mapping[type[Request], type[Answer]] = {
     IkQuestion: IkAnswer,
     StateQuestion: StateAnswer,
     RecheckQuestion: RecheckAnswer,
+    ServoQuestion: ServoAnswer,
 }
 
 
@@ -220,7 +222,7 @@ def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]
 def allowed_time_s(request: Request) -> float:
     """How long a planner may take by the request's own word, within reason [s]; it refuses what is no time itself."""
     match request:
-        case StateQuestion() | RecheckQuestion():
+        case StateQuestion() | RecheckQuestion() | ServoQuestion():
             return CHECK_TIME_S
         case _ if 0.0 <= request.allowed_time_s <= MAX_ALLOWED_TIME_S:
             return request.allowed_time_s

@@ -11,12 +11,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from robot.arm_stream import ArmStream
 from robot.messages import (
     ArmConfig,
     ArmHealth,
     ArmState,
+    ChangePace,
     Command,
     CommandDone,
+    Commanded,
+    Continuation,
     Execute,
     Heartbeat,
     Mode,
@@ -25,6 +29,7 @@ from robot.messages import (
     Outcome,
     Shutdown,
     Stop,
+    Stream,
 )
 from robot.processes import Child
 from robot.trajectory import Trajectory
@@ -44,6 +49,9 @@ HEARTBEAT_S = 0.1
 
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
+
+# Motions are numbered from 1 on.
+NO_MOTION = 0
 
 # A process that dies at once must not be restarted in a tight loop.
 RESTART_DELAY_S = 0.5
@@ -73,6 +81,7 @@ class Arm:
         self._on_health = on_health
         self._child: Child | None = None
         self._motions: dict[int, asyncio.Future[MotionEnded]] = {}
+        self._streams: dict[int, ArmStream] = {}
         self._orders: dict[int, asyncio.Future[CommandDone]] = {}
         self._held: list[MotionEnded | CommandDone] = []
         self._ids = itertools.count(1)
@@ -82,6 +91,7 @@ class Arm:
         self._first_state = asyncio.Event()
         self._state_at_s = time.monotonic()
         self.stops = 0
+        self._speed_factor = 1.0
         self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason="the arm process is starting")
 
     async def start(self, timeout_s: float) -> None:
@@ -105,7 +115,12 @@ class Arm:
         return time.monotonic() - self._state_at_s
 
     def execute(
-        self, trajectory: Trajectory, *, gripping: bool = False, torque_share: float = 1.0
+        self,
+        trajectory: Trajectory,
+        *,
+        gripping: bool = False,
+        torque_share: float = 1.0,
+        continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory to the arm, at once and in order with :meth:`stop`; the future is its one end.
 
@@ -113,16 +128,34 @@ class Arm:
             trajectory: of some joints, the others hold.
             gripping: whether to stall means to have gripped something.
             torque_share: share of its torque limit that each joint may use, in (0, 1].
+            continues: a motion in progress whose place it takes without a stop, and the time on it at which the
+                trajectory begins [s]; for some time from now on both are the same.
         """
         motion_id = next(self._ids)
-        ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
-        if self._child is None or not self._child.running:
-            ended.set_result(MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process is not running"))
-            return ended
-        self._motions[motion_id] = ended
-        ended.add_done_callback(lambda _: self._motions.pop(motion_id, None))
-        self._child.send(Execute(motion_id, trajectory, gripping, torque_share))
-        return ended
+        continuation = None if continues is None else Continuation(self._number(continues[0]), continues[1])
+        return self._begin(Execute(motion_id, trajectory, gripping, torque_share, continuation))
+
+    def stream(self, joint_names: tuple[str, ...]) -> ArmStream:
+        """Begin to steer joints by their velocities; they stay at rest until the first."""
+        motion_id = next(self._ids)
+        ended = self._begin(Stream(motion_id, joint_names))
+        stream = ArmStream(motion_id, joint_names, ended, self._send)
+        self._streams[motion_id] = stream
+        ended.add_done_callback(lambda _: self._streams.pop(motion_id, None))
+        return stream
+
+    def _number(self, motion: asyncio.Future[MotionEnded]) -> int:
+        """The number of a motion; one that no motion has when it has ended."""
+        return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
+
+    async def end_streams(self, timeout_s: float) -> bool:
+        """Bring every stream to rest; returns whether all have ended within ``timeout_s``."""
+        ends = [stream.ended for stream in self._streams.values()]
+        for ended in ends:
+            self.stop(ended)
+        if ends:
+            await asyncio.wait(ends, timeout=timeout_s)
+        return all(ended.done() for ended in ends)
 
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
         """Brake along the path: one motion in progress, or all of them."""
@@ -131,8 +164,13 @@ class Arm:
             self.stops += 1
             numbers = [None]
         for number in numbers:
-            if self._child is not None:
-                self._child.send(Stop(number))
+            self._send(Stop(number))
+
+    def change_pace(self, change: ChangePace) -> None:
+        """Have motions played otherwise from now on."""
+        if change.speed_factor is not None:
+            self._speed_factor = change.speed_factor
+        self._send(change)
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion in progress has ended; returns whether they have within ``timeout_s``."""
@@ -181,11 +219,32 @@ class Arm:
             if self._child is not None:
                 self._child.send(Heartbeat())
 
+    def _send(self, message: object) -> None:
+        if self._child is not None:
+            self._child.send(message)
+
+    def _begin(self, command: Execute | Stream) -> asyncio.Future[MotionEnded]:
+        """Send a motion's command; the future is its one end."""
+        ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
+        motion_id = command.motion_id
+        if self._child is None or not self._child.running:
+            ended.set_result(MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process is not running"))
+            return ended
+        self._motions[motion_id] = ended
+        ended.add_done_callback(lambda _: self._motions.pop(motion_id, None))
+        # Told each time: the arm process may be another than the last.
+        self._child.send(ChangePace(speed_factor=self._speed_factor))
+        self._child.send(command)
+        return ended
+
     def _received(self, message: Any) -> None:
         if isinstance(message, ArmState):
             self._take_state(message)
         elif isinstance(message, ArmHealth):
             self._on_health(message)
+        elif isinstance(message, Commanded):
+            if message.motion_id in self._streams:
+                self._streams[message.motion_id].commanded = message
         elif isinstance(message, MotionEnded | CommandDone):
             # Told with the next state: who hears of a fault, or that the arm is enabled, must find it so.
             if self._shows_in_state(message):

@@ -5,6 +5,7 @@ For those who only want to show or to name places; planning has its own, faster 
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -89,10 +90,16 @@ def rotation_about(axis: Vector, angle_rad: float) -> Vector:
         axis: unit vector, shape (3,).
         angle_rad: right-handed about it [rad].
     """
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: Vector = np.eye(3) + np.sin(angle_rad) * cross + (1.0 - np.cos(angle_rad)) * (cross @ cross)
-    return rotation
+    x, y, z = axis.tolist()
+    sin, cos = math.sin(angle_rad), math.cos(angle_rad)
+    rest = 1.0 - cos
+    return np.array(
+        [
+            [cos + x * x * rest, x * y * rest - z * sin, x * z * rest + y * sin],
+            [x * y * rest + z * sin, cos + y * y * rest, y * z * rest - x * sin],
+            [x * z * rest - y * sin, y * z * rest + x * sin, cos + z * z * rest],
+        ]
+    )
 
 
 def _moved(step: _Step, position: float) -> Vector:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot.calibration import Calibration, JointCalibration
 from robot.errors import DescriptionError
@@ -57,6 +58,12 @@ class JointBounds:
             upper_rad=np.array([joint.upper for joint in joints]),
             max_velocity=np.array([joint.max_velocity for joint in joints]),
             max_acceleration=np.array([joint.max_acceleration for joint in joints]),
+        )
+
+    def of_columns(self, columns: NDArray[np.intp]) -> JointBounds:
+        """The limits of some of the joints, by their places in the arrays."""
+        return JointBounds(
+            self.lower_rad[columns], self.upper_rad[columns], self.max_velocity[columns], self.max_acceleration[columns]
         )
 
     def within_servos(self, calibration: Calibration, angle_limits_ticks: Mapping[int, tuple[int, int]]) -> JointBounds:

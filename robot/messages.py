@@ -4,12 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
+
+import numpy as np
 
 from robot.calibration import Calibration
 from robot.faults import Fault
 from robot.model import RobotModel
 from robot.servos.counters import BusCounters
 from robot.trajectory import Trajectory, Vector
+
+
+class Frequent:
+    """A message sent many times a second: its arrays travel as lists, a third of the work of pickling them."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What travels."""
+        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what has travelled."""
+        vars(self).update((name, np.array(value) if type(value) is list else value) for name, value in state.items())
 
 
 class Mode(Enum):
@@ -87,6 +102,19 @@ class ArmConfig:
 
 
 @dataclass(frozen=True)
+class Continuation:
+    """Where a motion takes the place of another one without a stop: for some time both are the same.
+
+    Attributes:
+        motion_id: the other, which is in progress.
+        from_s: the time on it at which this one begins [s].
+    """
+
+    motion_id: int
+    from_s: float
+
+
+@dataclass(frozen=True)
 class Execute:
     """Play a trajectory; the arm must hold, near its first position.
 
@@ -94,12 +122,14 @@ class Execute:
         gripping: whether a joint that stalls on the way has gripped something, which ends the motion well; else a
             stall is a fault.
         torque_share: share of its torque limit that the joints of the motion may use, in (0, 1].
+        continues: the motion whose place it takes; None to begin at rest.
     """
 
     motion_id: int
     trajectory: Trajectory
     gripping: bool = False
     torque_share: float = 1.0
+    continues: Continuation | None = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +141,71 @@ class Stop:
     """
 
     motion_id: int | None = None
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Follow the velocities that come as :class:`Setpoint` under the same number, at rest until the first."""
+
+    motion_id: int
+    joint_names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """Velocities for a stream's joints, in its order, shape (joints,) [rad/s].
+
+    They hold until the next ones come, for a short time: then the joints are brought to rest, and the stream ends.
+    Setpoints for a stream that has ended are not heeded.
+    """
+
+    motion_id: int
+    velocity_rad_s: Vector
+
+
+@dataclass(frozen=True)
+class Commanded(Frequent):
+    """Where the joints of a stream were told to be, at every tick.
+
+    Attributes:
+        at_s: time since the stream began [s].
+        position_rad: in the stream's order, shape (joints,) [rad].
+        velocity_rad_s: shape (joints,) [rad/s].
+    """
+
+    motion_id: int
+    at_s: float
+    position_rad: Vector
+    velocity_rad_s: Vector
+
+
+class Course(Enum):
+    """Which way a motion is played along its path."""
+
+    FORWARD = "forward"
+    PAUSED = "paused"
+    BACK = "back"
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How motions are played; grips are not concerned.
+
+    Attributes:
+        speed_factor: share of the planned speed, 0 to 1.
+        course: which way; forward again when no motion is in progress any more.
+    """
+
+    speed_factor: float = 1.0
+    course: Course = Course.FORWARD
+
+
+@dataclass(frozen=True)
+class ChangePace:
+    """Play motions otherwise from now on; None leaves as it is. The speed factor also holds for motions to come."""
+
+    speed_factor: float | None = None
+    course: Course | None = None
 
 
 @dataclass(frozen=True)
@@ -151,7 +246,7 @@ class Shutdown:
 
 @dataclass(frozen=True)
 class MotionEnded:
-    """The one answer to an :class:`Execute`."""
+    """The one answer to an :class:`Execute`, and to a :class:`Stream`."""
 
     motion_id: int
     outcome: Outcome
@@ -159,7 +254,7 @@ class MotionEnded:
 
 
 @dataclass(frozen=True)
-class ArmState:
+class ArmState(Frequent):
     """The arm at one moment.
 
     Attributes:
@@ -177,6 +272,7 @@ class ArmState:
         motion_id: the motion in progress, of several the one with most joints; or None.
         fraction: share of the motion that is done, 0..1.
         remaining_s: time left to the end of the motion [s].
+        pace: how motions are played.
         lateness_s: by how much the latest ticks started late, one value each [s].
     """
 
@@ -193,6 +289,7 @@ class ArmState:
     motion_id: int | None = None
     fraction: float = 0.0
     remaining_s: float = 0.0
+    pace: Pace = Pace()
     lateness_s: tuple[float, ...] = field(default=())
     fault: Fault | None = None
 

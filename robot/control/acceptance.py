@@ -59,12 +59,23 @@ def _joint_refusal(trajectory: Trajectory, column: int, bounds: JointBounds, joi
     return ""
 
 
+def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
+    """Why joints of these names cannot be moved together, or an empty text.
+
+    Args:
+        names: what is asked for.
+        known: the arm's joints.
+    """
+    if names and set(names) <= set(known) and len(set(names)) == len(names):
+        return ""
+    return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
+
+
 def _malformed(trajectory: Trajectory, known: tuple[str, ...]) -> str:
     """What is wrong with the form of a trajectory, or an empty text."""
     names = trajectory.joint_names
-    unknown = [name for name in names if name not in known]
-    if unknown or not names or len(set(names)) != len(names):
-        return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
+    if reason := names_refusal(names, known):
+        return reason
     samples = trajectory.time_s.shape[0]
     if not 1 <= samples <= MAX_SAMPLES:
         return f"the motion has {samples} samples; 1 to {MAX_SAMPLES} are allowed"

@@ -8,8 +8,6 @@ from __future__ import annotations
 import time
 from collections import deque
 
-import numpy as np
-
 from robot.control.driver import Driver
 from robot.control.torque import TickLimits
 from robot.control.upkeep import Upkeep
@@ -52,6 +50,8 @@ class ArmOnBus:
         self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)
         self.measured: Measured | None = None
         self.telling = True
+        self._goal_rad: list[float] = []
+        self._goal_blocks: dict[int, bytes] = {}
 
     def begin(self, driver: Driver, upkeep: Upkeep, limits: TickLimits) -> None:
         """Drive the servos that were found."""
@@ -69,7 +69,7 @@ class ArmOnBus:
             return []
         ended = driver.step(measured, time.monotonic())
         if driver.driven and self.telling:
-            self.bus.sync_write(GOAL_ADDRESS, self.servos.goal_blocks(driver.goal_rad))
+            self._tell_goals(driver)
             self._write_torque_limits(driver)
         return ended + self._read_back(driver, measured)
 
@@ -81,8 +81,8 @@ class ArmOnBus:
 
     def torque_permille(self, driver: Driver) -> dict[int, int]:
         """The torque limits that the driver wants, by servo id [0.1 %]."""
-        permille = np.rint(driver.torque_limit * PERMILLE).astype(int).tolist()
-        return dict(zip(self.servos.ids, permille, strict=True))
+        limits = zip(self.servos.ids, driver.torque_limit.tolist(), strict=True)
+        return {servo: round(limit * PERMILLE) for servo, limit in limits}
 
     def _read(self) -> None:
         asked = self.watch.ids_to_ask()
@@ -93,6 +93,13 @@ class ArmOnBus:
             self.watch.take(asked, frames, started_s)
         if self.watch.complete:
             self.measured = self.watch.measured(time.monotonic(), time.time())
+
+    def _tell_goals(self, driver: Driver) -> None:
+        goal_rad = driver.goal_rad.tolist()
+        if goal_rad != self._goal_rad:
+            self._goal_rad, self._goal_blocks = goal_rad, self.servos.goal_blocks(driver.goal_rad)
+        # Told again and again, also while the arm rests: a servo may have missed it.
+        self.bus.sync_write(GOAL_ADDRESS, self._goal_blocks)
 
     def _write_torque_limits(self, driver: Driver) -> None:
         if self.upkeep is None:

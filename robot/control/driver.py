@@ -7,14 +7,19 @@ trusts no reading either: the guards look at each, and what they find ends every
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
-from robot.control.acceptance import refusal
+from robot.control import succession
+from robot.control.acceptance import names_refusal, refusal
 from robot.control.guards import Flags, Guards, Temperatures
 from robot.control.motion import GOAL_TOLERANCE_RAD, Motion
+from robot.control.streaming import Streaming
 from robot.faults import Fault, FaultCode
 from robot.limits import JointBounds
-from robot.messages import Execute, Mode, MotionEnded, Outcome
+from robot.messages import ChangePace, Commanded, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
 from robot.servos.telemetry import Measured
 from robot.trajectory import Vector
 
@@ -26,6 +31,8 @@ MAX_TICK_GAP_S = 0.02
 
 # Rate of motions while a servo is hot.
 SLOW_RATE = 0.5
+
+_DIRECTION = {Course.FORWARD: 1.0, Course.PAUSED: 0.0, Course.BACK: -1.0}
 
 # How a gripper goes on holding: its goal so far beyond the object, at a share of its torque that it can give for long.
 SQUEEZE_RAD = 0.05
@@ -73,11 +80,12 @@ class Driver:
         self.guards = guards
         self._full_torque = full_torque
         self._slow_c = temperatures.slow_c
-        self._share = np.ones(len(joint_names))
+        self._torque_limit = full_torque.copy()
         self._goal_rad = self._hold_rad = np.zeros(len(joint_names))
         self._last_step_s: float | None = None
-        self._motions: list[Motion] = []
+        self._motions: list[Motion | Streaming] = []
         self._pending: Fault | None = None
+        self.pace = Pace()
         self.driven = False
         self.fault = fault
 
@@ -103,10 +111,10 @@ class Driver:
     @property
     def torque_limit(self) -> Vector:
         """Share of full duty that each joint may use now, shape (joints,)."""
-        return self._full_torque * self._share
+        return self._torque_limit
 
     @property
-    def motion(self) -> Motion | None:
+    def motion(self) -> Motion | Streaming | None:
         """The motion in progress; of several the one with most joints."""
         return max(self._motions, key=lambda motion: len(motion.columns), default=None)
 
@@ -120,7 +128,7 @@ class Driver:
         self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
         if measured is not None:
             self._yield_to(measured)
-        self._share = np.ones(len(self._names))
+        self._torque_limit = self._full_torque.copy()
         self.guards.restart()
         self.driven = True
 
@@ -129,34 +137,69 @@ class Driver:
         self.driven = False
 
     def execute(self, command: Execute) -> MotionEnded | None:
-        """Begin a motion; returns the refusal, or None when it began."""
+        """Begin a motion; returns the end of the one whose place it takes, if any, or the refusal."""
         reason = self._refusal(command)
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
+        self._forget_course()
         motion = Motion(command, self._names, self.bounds)
+        ended = succession.succeed(self._motions, motion)
         self._motions.append(motion)
-        self._share[motion.columns] = command.torque_share
-        return None
+        self._torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
+        return ended
 
     def _refusal(self, command: Execute) -> str:
         """Why a motion may not begin, or an empty text."""
-        if self.fault is not None or self._pending is not None:
-            return f"the arm has a fault: {self.fault or self._pending}"
-        if not self.driven:
-            return "the arm is relaxed: enable it first"
+        if reason := self._unready():
+            return reason
         if not 0.0 < command.torque_share <= 1.0:
             return f"torque_share is {command.torque_share}; it must be above 0 and at most 1"
+        if command.continues is not None:
+            return succession.refusal(self._motions, command, self._names, self.bounds, self._goal_rad)
+        return self._occupied(command.trajectory.joint_names) or refusal(
+            command.trajectory, self._names, self.bounds, self._goal_rad
+        )
+
+    def _unready(self) -> str:
+        """Why the arm can begin nothing now, or an empty text."""
+        if self.fault is not None or self._pending is not None:
+            return f"the arm has a fault: {self.fault or self._pending}"
+        return "" if self.driven else "the arm is relaxed: enable it first"
+
+    def _occupied(self, names: tuple[str, ...]) -> str:
+        """Which motion moves some of the joints already, or an empty text."""
         for motion in self._motions:
-            both = set(motion.command.trajectory.joint_names) & set(command.trajectory.joint_names)
+            both = set(motion.joint_names) & set(names)
             if both:
                 return f"motion {motion.motion_id} of joint {min(both)} is in progress"
-        return refusal(command.trajectory, self._names, self.bounds, self._goal_rad)
+        return ""
+
+    def stream(self, command: Stream) -> MotionEnded | None:
+        """Begin a stream; returns the refusal, or None when it began."""
+        names = command.joint_names
+        reason = self._unready() or names_refusal(names, self._names) or self._occupied(names)
+        if reason:
+            return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
+        self._forget_course()
+        self._motions.append(Streaming(command, self._names, self.bounds, self._goal_rad))
+        return None
+
+    def steer(self, setpoint: Setpoint) -> None:
+        """Take new velocities for a stream in progress."""
+        for motion in self._motions:
+            if isinstance(motion, Streaming) and motion.motion_id == setpoint.motion_id:
+                motion.steer(setpoint.velocity_rad_s)
+
+    @property
+    def commanded(self) -> list[Commanded]:
+        """Where the joints of each stream are told to be."""
+        return [motion.commanded for motion in self._motions if isinstance(motion, Streaming)]
 
     def stop(self, motion_id: int | None = None) -> None:
         """Brake a motion along its path, or all of them."""
         for motion in self._motions:
             if motion_id in (None, motion.motion_id):
-                motion.playback.stop()
+                motion.stop()
 
     def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
         """Advance one tick: sets :attr:`goal_rad`, and returns the motions that this tick ends."""
@@ -165,39 +208,63 @@ class Driver:
         if not self.driven:
             self._goal_rad = self._hold_rad = measured.position_rad
             return []
+        self._forget_course()
         self._advance(measured, elapsed_s)
         yielding = self._yielding()
         found = self.guards.check(self._goal_rad, measured, self.torque_limit, now_s, yielding)
-        ended = self._end_gripped(measured, yielding) if yielding.any() else []
+        ended = self._end_gripped(measured, yielding) if yielding is not None else []
         if found is not None:
             ended += self.react(found, measured)
         return ended + self._end_finished(measured, now_s)
 
+    def change_pace(self, change: ChangePace) -> None:
+        """Play motions so from now on; a factor that is no share of the planned speed changes nothing."""
+        if change.speed_factor is not None and 0.0 <= change.speed_factor <= 1.0:
+            self.pace = replace(self.pace, speed_factor=change.speed_factor)
+        if change.course is not None:
+            self.pace = replace(self.pace, course=change.course)
+
+    def _forget_course(self) -> None:
+        """A pause ends with the motion it paused."""
+        if self.pace.course is not Course.FORWARD and all(motion.gripping for motion in self._motions):
+            self.pace = replace(self.pace, course=Course.FORWARD)
+
+    @property
+    def _rate(self) -> float:
+        """Seconds of a motion to play a second, below 0 to go back."""
+        return self.pace.speed_factor * _DIRECTION[self.pace.course]
+
     def _advance(self, measured: Measured, elapsed_s: float) -> None:
-        hot = bool((measured.temperature_c >= self._slow_c).any())
+        if not self._motions and self._hold_rad.tolist() == self._goal_rad.tolist():
+            return
+        hot = max(measured.temperature_c.tolist()) >= self._slow_c
         wanted = self._hold_rad.copy()
+        fastest = SLOW_RATE if hot else 1.0
         for motion in self._motions:
-            motion.playback.ceiling = SLOW_RATE if hot else 1.0
-            wanted[motion.columns] = motion.playback.advance(elapsed_s)
+            wanted[motion.columns] = motion.advance(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
         self._goal_rad = self._guarded(wanted, elapsed_s)
         for motion in self._motions:
             self._hold_rad[motion.columns] = self._goal_rad[motion.columns]
 
     def _guarded(self, goal_rad: Vector, elapsed_s: float) -> Vector:
         """The goal within the step bound of the last one, and not further outside the soft limits than that."""
-        finite = np.where(np.isfinite(goal_rad), goal_rad, self._goal_rad)
-        step = self.bounds.max_velocity * elapsed_s * STEP_MARGIN
-        bounded = np.clip(finite, self._goal_rad - step, self._goal_rad + step)
-        lower = np.minimum(self.bounds.lower_rad, self._goal_rad)
-        upper = np.maximum(self.bounds.upper_rad, self._goal_rad)
-        return np.clip(bounded, lower, upper)
+        bounds, last_rad = self.bounds, self._goal_rad.tolist()
+        limits = zip(bounds.lower_rad.tolist(), bounds.upper_rad.tolist(), bounds.max_velocity.tolist(), strict=True)
+        guarded = []
+        for goal, last, (lower, upper, speed) in zip(goal_rad.tolist(), last_rad, limits, strict=True):
+            step = speed * elapsed_s * STEP_MARGIN
+            lowest, highest = max(min(lower, last), last - step), min(max(upper, last), last + step)
+            guarded.append(min(max(goal, lowest), highest) if math.isfinite(goal) else last)
+        return np.array(guarded)
 
-    def _yielding(self) -> Flags:
-        """Joints whose stall means that they have gripped something."""
+    def _yielding(self) -> Flags | None:
+        """Joints whose stall means that they have gripped something; None where nothing is being gripped."""
+        gripping = [motion for motion in self._motions if motion.gripping]
+        if not gripping:
+            return None
         yielding = np.zeros(len(self._names), dtype=bool)
-        for motion in self._motions:
-            if motion.command.gripping:
-                yielding[motion.columns] = True
+        for motion in gripping:
+            yielding[motion.columns] = True
         return yielding
 
     def _end_gripped(self, measured: Measured, yielding: Flags) -> list[MotionEnded]:
@@ -217,19 +284,20 @@ class Driver:
             if end is not None and self._pending is None:
                 ended.append(end)
                 self._drop(motion, measured if end.outcome is Outcome.GRIPPED else None)
-        if self._pending is not None and all(motion.playback.finished for motion in self._motions):
+        if self._pending is not None and all(motion.finished for motion in self._motions):
             fault, self._pending = self._pending, None
             ended += self.latch(fault, measured)
         return ended
 
-    def _drop(self, motion: Motion, gripped: Measured | None) -> None:
+    def _drop(self, motion: Motion | Streaming, gripped: Measured | None) -> None:
         """Forget a motion; its joints hold their goals, or squeeze what they have gripped."""
         self._motions.remove(motion)
         columns = motion.columns
         if gripped is None:
-            self._share[columns] = 1.0
+            self._torque_limit[columns] = self._full_torque[columns]
             return
-        self._share[columns] = np.minimum(self._share[columns], GRIP_TORQUE_SHARE)
+        grip_torque = self._full_torque[columns] * GRIP_TORQUE_SHARE
+        self._torque_limit[columns] = np.minimum(self._torque_limit[columns], grip_torque)
         position = gripped.position_rad[columns]
         squeeze = np.clip(self._goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
         self._hold_rad[columns] = position + squeeze
@@ -276,5 +344,5 @@ class Driver:
         """End every motion in progress without moving on."""
         ended = [motion.ended(outcome, message) for motion in self._motions]
         self._motions = []
-        self._share = np.ones(len(self._names))
+        self._torque_limit = self._full_torque.copy()
         return ended

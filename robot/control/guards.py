@@ -29,6 +29,9 @@ STALL_LOAD_SHARE = 0.8
 STALL_CURRENT_A = 1.5
 STALL_TIME_S = 0.3
 
+# No joint nearer to its goal can be stalled or lost.
+NEAR_GOAL_RAD = min(STALL_ERROR_RAD, TRACKING_ERROR_RAD)
+
 # Ten missed cycles. The servos still follow their last goals meanwhile.
 STALE_AFTER_S = 0.1
 
@@ -46,6 +49,19 @@ _STATUS_FAULTS = (
     (StatusBit.CURRENT, FaultCode.OVERCURRENT),
     (StatusBit.ENCODER, FaultCode.ENCODER_ERROR),
 )
+
+_SENTENCES = {
+    FaultCode.OVERHEATED: "joint {name} is at {temperature_c:.0f} degC",
+    FaultCode.OVERLOAD: "joint {name} is overloaded, and its servo has cut its torque",
+    FaultCode.OVERCURRENT: "joint {name} draws too much current, {current_a:.1f} A at last",
+    FaultCode.ENCODER_ERROR: "joint {name} has a servo that complains of its encoder",
+    FaultCode.POSITION_JUMP: "joint {name} seems to have jumped: its encoder or horn has slipped",
+    FaultCode.SERVO_SILENT: "joint {name} has a servo that has not answered for {age_s:.2f} s",
+    FaultCode.VOLTAGE_LOW: f"joint {{name}} has {{volts:.1f}} V; it needs {MIN_VOLTAGE_V} V at least",
+    FaultCode.VOLTAGE_HIGH: "joint {name} has {volts:.1f} V, above the {most_volts:.1f} V of its servo",
+    FaultCode.STALLED: "joint {name} pushes in vain, {error_rad:.2f} rad short of its goal",
+    FaultCode.TRACKING_LOST: "joint {name} is {error_rad:.2f} rad behind its goal: blocked, or too weak for the load",
+}
 
 
 @dataclass(frozen=True)
@@ -93,8 +109,7 @@ class Guards:
         joints = len(joint_names)
         self._max_voltage_v = np.full(joints, DEFAULT_MAX_VOLTAGE_V) if max_voltage_v is None else max_voltage_v
         self._none: Flags = np.zeros(joints, dtype=bool)
-        self._last_position_rad: Vector | None = None
-        self._last_read_s: Vector = np.zeros(joints)
+        self._last: tuple[Measured, float] | None = None
         self.restart()
 
     def restart(self) -> None:
@@ -104,6 +119,9 @@ class Guards:
         self._low, self._complaining = Persistence(joints), Persistence(joints)
         self.stalled = self._none
         self.lost = self._none
+        self._fresh = True
+        self._silent: list[bool] = []
+        self._silent_fault: Fault | None = None
 
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None
@@ -122,23 +140,28 @@ class Guards:
         Returns:
             The gravest fault, or None.
         """
-        error = np.abs(measured.position_rad - goal_rad)
-        self.stalled = self._stalling(error, measured, torque_limit, now_s)
-        self.lost = self._behind.lasting(error > TRACKING_ERROR_RAD, now_s) >= TRACKING_TIME_S
+        last, self._last = self._last, (measured, now_s)
+        if last is not None and self._well_but_silent(goal_rad, measured, last[0]):
+            if not self._fresh:
+                self.restart()
+            return self._silence(goal_rad, measured)
+        self._fresh = False
+        jumped = self._none if last is None else _jumped(measured, now_s, *last)
+        self._mind_errors(goal_rad, measured, torque_limit, now_s)
         resisting = self._none if yielding is None else yielding
         complaints = _STATUS_FAULTS if measured.status.any() else ()
         findings = (
             *((measured.status & bit != 0, code) for bit, code in complaints),
             (measured.temperature_c >= self._temperatures.stop_c, FaultCode.OVERHEATED),
-            (self._jumped(measured, now_s), FaultCode.POSITION_JUMP),
-            (measured.age_s > STALE_AFTER_S, FaultCode.SERVO_SILENT),
+            (jumped, FaultCode.POSITION_JUMP),
+            (_silent(measured), FaultCode.SERVO_SILENT),
             (self._badly_supplied(measured, now_s), FaultCode.VOLTAGE_LOW),
             (self.stalled & ~resisting, FaultCode.STALLED),
             (self.lost & ~resisting, FaultCode.TRACKING_LOST),
         )
         for flags, code in findings:
             if flags.any():
-                return self._fault(code, int(np.argmax(np.where(flags, error + 1.0, 0.0))), error, measured)
+                return self._fault(code, flags, goal_rad, measured)
         return None
 
     def warnings(self, measured: Measured, joint: int) -> tuple[str, ...]:
@@ -153,6 +176,33 @@ class Guards:
         if measured.age_s[joint] > STALE_AFTER_S:
             said.append(f"no answer for {measured.age_s[joint]:.1f} s")
         return tuple(said)
+
+    def _well_but_silent(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
+        """Whether nothing but silence is a fault, or would be one if it lasted; nearly every tick ends here.
+
+        In plain numbers: a handful of operations on arrays would cost more than all of them for six joints.
+        """
+        positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), before.position_rad.tolist(), strict=True)
+        if not all(abs(at - goal) <= NEAR_GOAL_RAD and abs(at - was) <= JUMP_RAD for at, goal, was in positions):
+            return False
+        return (
+            max(measured.temperature_c.tolist()) < self._temperatures.stop_c
+            and min(measured.voltage_v.tolist()) >= MIN_VOLTAGE_V
+            and not any(measured.status.tolist())
+        )
+
+    def _silence(self, goal_rad: Vector, measured: Measured) -> Fault | None:
+        """The fault of a silent servo; worded once, as such an arm is held for as long as it takes."""
+        silent = [age_s > STALE_AFTER_S for age_s in measured.age_s.tolist()]
+        if silent != self._silent:
+            fault = self._fault(FaultCode.SERVO_SILENT, _silent(measured), goal_rad, measured) if any(silent) else None
+            self._silent, self._silent_fault = silent, fault
+        return self._silent_fault
+
+    def _mind_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
+        error = np.abs(measured.position_rad - goal_rad)
+        self.stalled = self._stalling(error, measured, torque_limit, now_s)
+        self.lost = self._behind.lasting(error > TRACKING_ERROR_RAD, now_s) >= TRACKING_TIME_S
 
     def _stalling(self, error: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> Flags:
         far = error > STALL_ERROR_RAD
@@ -169,29 +219,31 @@ class Guards:
         low_s, complaining_s = self._low.lasting(low, now_s), self._complaining.lasting(complaining, now_s)
         return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (complaining_s >= VOLTAGE_BIT_TIME_S))
 
-    def _jumped(self, measured: Measured, now_s: float) -> Flags:
-        """Joints that cannot have turned from their last reading to this one in the time between."""
-        read_s = now_s - measured.age_s
-        last_rad, gap_s = self._last_position_rad, np.maximum(read_s - self._last_read_s, 0.0)
-        self._last_position_rad, self._last_read_s = measured.position_rad, read_s
-        if last_rad is None:
-            return self._none
-        return np.asarray(np.abs(measured.position_rad - last_rad) > JUMP_RAD + FREE_SPEED_RAD_S * gap_s)
-
-    def _fault(self, code: FaultCode, joint: int, error: Vector, measured: Measured) -> Fault:
-        name, volts = self._names[joint], measured.voltage_v[joint]
-        if code is FaultCode.VOLTAGE_LOW and volts > self._max_voltage_v[joint]:
+    def _fault(self, code: FaultCode, flags: Flags, goal_rad: Vector, measured: Measured) -> Fault:
+        """The fault of the flagged joint that is farthest from its goal."""
+        errors = [abs(at - goal) for at, goal in zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)]
+        joint = max((joint for joint, flag in enumerate(flags.tolist()) if flag), key=errors.__getitem__)
+        volts, most_volts = measured.voltage_v[joint], self._max_voltage_v[joint]
+        if code is FaultCode.VOLTAGE_LOW and volts > most_volts:
             code = FaultCode.VOLTAGE_HIGH
-        says = {
-            FaultCode.OVERHEATED: f"is at {measured.temperature_c[joint]:.0f} degC",
-            FaultCode.OVERLOAD: "is overloaded, and its servo has cut its torque",
-            FaultCode.OVERCURRENT: f"draws too much current, {measured.current_a[joint]:.1f} A at last",
-            FaultCode.ENCODER_ERROR: "has a servo that complains of its encoder",
-            FaultCode.POSITION_JUMP: "seems to have jumped: its encoder or horn has slipped",
-            FaultCode.SERVO_SILENT: f"has a servo that has not answered for {measured.age_s[joint]:.2f} s",
-            FaultCode.VOLTAGE_LOW: f"has {volts:.1f} V; it needs {MIN_VOLTAGE_V} V at least",
-            FaultCode.VOLTAGE_HIGH: f"has {volts:.1f} V, above the {self._max_voltage_v[joint]:.1f} V of its servo",
-            FaultCode.STALLED: f"pushes in vain, {error[joint]:.2f} rad short of its goal",
-            FaultCode.TRACKING_LOST: f"is {error[joint]:.2f} rad behind its goal: blocked, or too weak for the load",
-        }
-        return Fault(code, f"joint {name} {says[code]}", name, measured.stamp_s)
+        sentence = _SENTENCES[code].format(
+            name=self._names[joint],
+            error_rad=errors[joint],
+            temperature_c=measured.temperature_c[joint],
+            current_a=measured.current_a[joint],
+            age_s=measured.age_s[joint],
+            volts=volts,
+            most_volts=most_volts,
+        )
+        return Fault(code, sentence, self._names[joint], measured.stamp_s)
+
+
+def _silent(measured: Measured) -> Flags:
+    return np.asarray(measured.age_s > STALE_AFTER_S)
+
+
+def _jumped(measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:
+    """Joints that cannot have turned from their last reading to this one in the time between."""
+    gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
+    way_rad = np.abs(measured.position_rad - before.position_rad)
+    return np.asarray(way_rad > JUMP_RAD + FREE_SPEED_RAD_S * gap_s)

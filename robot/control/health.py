@@ -9,7 +9,7 @@ import numpy as np
 from robot.control.arm_on_bus import ArmOnBus
 from robot.control.pacing import Pacer, percentiles
 from robot.faults import Fault
-from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
+from robot.messages import ArmHealth, ArmState, Mode, Pace, ServoHealth
 from robot.servos.servo_map import ServoMap
 
 
@@ -36,8 +36,9 @@ def arm_state(arm: ArmOnBus, mode: Mode, fault: Fault | None, reason: str, laten
         current_a=measured.current_a,
         goal_rad=driver.goal_rad if driver is not None and driver.driven else measured.position_rad,
         motion_id=motion.motion_id if motion is not None else None,
-        fraction=motion.playback.fraction if motion is not None else 0.0,
-        remaining_s=motion.playback.remaining_s if motion is not None else 0.0,
+        fraction=motion.fraction if motion is not None else 0.0,
+        remaining_s=motion.remaining_s if motion is not None else 0.0,
+        pace=driver.pace if driver is not None else Pace(),
         lateness_s=lateness_s,
         fault=fault,
     )

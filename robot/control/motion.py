@@ -41,6 +41,49 @@ class Motion:
         """The number its end is told under."""
         return self.command.motion_id
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints that move."""
+        return self.command.trajectory.joint_names
+
+    @property
+    def gripping(self) -> bool:
+        """Whether a stall on the way is a grip."""
+        return self.command.gripping
+
+    @property
+    def finished(self) -> bool:
+        """Whether the goal no longer moves."""
+        return self.playback.finished
+
+    @property
+    def fraction(self) -> float:
+        """Share of the motion that is done, 0..1."""
+        return self.playback.fraction
+
+    @property
+    def remaining_s(self) -> float:
+        """Time to the end of the trajectory [s]."""
+        return self.playback.remaining_s
+
+    def stop(self) -> None:
+        """Begin to brake along the path."""
+        self.playback.stop()
+
+    def advance(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
+        """Let time pass.
+
+        Args:
+            elapsed_s: how much [s].
+            rate: seconds of the motion to play a second, below 0 to go back.
+            fastest: the greatest rate allowed.
+
+        Returns:
+            The goals of its joints then, shape (joints,) [rad].
+        """
+        self.playback.pace, self.playback.ceiling = rate, fastest
+        return self.playback.advance(elapsed_s)
+
     def ended(self, outcome: Outcome, message: str) -> MotionEnded:
         """Tell its end."""
         return MotionEnded(self.motion_id, outcome, message)

@@ -24,6 +24,7 @@ from robot.limits import JointBounds
 from robot.messages import (
     ArmConfig,
     ArmHealth,
+    ChangePace,
     Command,
     CommandDone,
     EndState,
@@ -32,8 +33,10 @@ from robot.messages import (
     MotionEnded,
     Order,
     Outcome,
+    Setpoint,
     Shutdown,
     Stop,
+    Stream,
 )
 from robot.servos.bus import Bus
 from robot.servos.servo_map import ServoMap
@@ -155,10 +158,14 @@ class Supervisor:
         """
         self._watchdog.hear(now_s)
         driver = self.arm.driver if self.arm is not None else None
-        if isinstance(message, Execute):
-            self._execute(message)
+        if isinstance(message, Execute | Stream):
+            self._move(message)
+        elif isinstance(message, Setpoint) and driver is not None:
+            driver.steer(message)
         elif isinstance(message, Stop) and driver is not None:
             driver.stop(message.motion_id)
+        elif isinstance(message, ChangePace) and driver is not None:
+            driver.change_pace(message)
         elif isinstance(message, Command):
             self._command(message, now_s)
         elif isinstance(message, Shutdown):
@@ -174,6 +181,8 @@ class Supervisor:
         if arm is None:
             return
         self._report(arm.tick())
+        for each in arm.driver.commanded if arm.driver is not None else ():
+            self._send(each, True)
         self._mind_server(now_s, server_gone=server_gone)
         self._mind_fault(now_s)
         if arm.driver is None and self._task is None and now_s >= self._check_at_s and self._orders is not None:
@@ -224,7 +233,7 @@ class Supervisor:
             log.warning("the server is gone: stopping")
             self._end = self._config.on_server_lost
 
-    def _execute(self, command: Execute) -> None:
+    def _move(self, command: Execute | Stream) -> None:
         refused, reason = Outcome.REFUSED, ""
         driver = self.arm.driver if self.arm is not None else None
         if self.arm is None:
@@ -234,8 +243,8 @@ class Supervisor:
         elif self._end is not None or self._runs(RELAXING_ARM):
             reason = "the arm is being relaxed" if self._end is None else "the arm process is ending"
         else:
-            refusal = driver.execute(command)
-            self._report([refusal] if refusal is not None else [])
+            ended = driver.execute(command) if isinstance(command, Execute) else driver.stream(command)
+            self._report([ended] if ended is not None else [])
             return
         self._report([MotionEnded(command.motion_id, refused, reason)])
 

@@ -49,6 +49,8 @@ class Upkeep:
 
     def limits_to_write(self, permille: dict[int, int]) -> dict[int, int]:
         """Those of the wanted torque limits that the servos were not told yet [0.1 %]."""
+        if permille == self._wanted:
+            return {}
         changed = {servo: limit for servo, limit in permille.items() if self._wanted.get(servo) != limit}
         self._wanted.update(changed)
         return changed

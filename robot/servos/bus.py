@@ -191,6 +191,8 @@ class Bus:
         asked_length = max(length, SYNC_READ_MIN_LENGTH) + self._choose_padding()
         packet = instruction_packet(BROADCAST_ID, INST_SYNC_READ, (address, asked_length, *ids))
         frames = self._exchange(packet, ids, asked_length)
+        if asked_length == length:
+            return frames
         return {servo_id: StatusFrame(servo_id, frame.error, frame.data[:length]) for servo_id, frame in frames.items()}
 
     def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
@@ -234,32 +236,33 @@ class Bus:
         """Send an instruction and collect the replies: the one way in which anything is received."""
         self._send(packet)
         received, frames = self._collect(ids, data_length)
-        self.counters.replies += len(frames)
-        self.counters.timeouts += len(ids) - len(frames)
-        surplus = len(received) - status_bytes(data_length, len(frames))
+        replies = len(frames)
+        missing, surplus = len(ids) - replies, len(received) - status_bytes(data_length, replies)
+        self.counters.replies += replies
+        self.counters.timeouts += missing
         self.counters.discarded_bytes += surplus
-        if surplus or len(frames) < len(ids):
+        if missing or surplus:
             self._note_disturbance()
         return frames
 
     def _collect(self, ids: Sequence[int], data_length: int) -> tuple[bytes, dict[int, StatusFrame]]:
         """Receive until every servo has answered, the replies have stopped, or their time is over."""
-        wire_s = wire_time_s(status_bytes(data_length, len(ids)), self._port.baudrate)
-        deadline_s = self._line_free_s + wire_s + self._port.latency_s
+        whole_bytes = status_bytes(data_length, len(ids))
+        deadline_s = self._line_free_s + wire_time_s(whole_bytes, self._port.baudrate) + self._port.latency_s
         received = b""
         frames: dict[int, StatusFrame] = {}
         while len(frames) < len(ids) and len(received) < MAX_BURST_BYTES:
-            now_s = time.monotonic()
             until_s = min(deadline_s, self._last_byte_s + QUIET_S) if received else deadline_s
-            chunk = self._port.receive(max(0.0, until_s - now_s))
+            chunk = self._port.receive(max(0.0, until_s - time.monotonic()))
             if not chunk:
                 break
             self._last_byte_s = time.monotonic()
             received += chunk
-            frames = parse_status_frames(received, ids, data_length)
+            if len(received) >= whole_bytes:
+                frames = parse_status_frames(received, ids, data_length)
             if self._last_byte_s >= deadline_s:
                 break
-        return received, frames
+        return received, frames or parse_status_frames(received, ids, data_length)
 
     def _send(self, packet: list[int]) -> None:
         discarded = self._port.discarded_bytes
@@ -292,9 +295,8 @@ class Bus:
         """Discard what nobody asked for, and after a disturbance wait until no more comes."""
         limit_s = time.monotonic() + QUIET_LIMIT_S
         while True:
-            now_s = time.monotonic()
-            wait_s = self._last_byte_s + QUIET_S - now_s if self._disturbed else 0.0
-            chunk = self._port.receive(max(0.0, wait_s))
+            wait_s = max(0.0, self._last_byte_s + QUIET_S - time.monotonic()) if self._disturbed else 0.0
+            chunk = self._port.receive(wait_s)
             if not chunk:
                 break
             self.counters.discarded_bytes += len(chunk)

@@ -7,12 +7,15 @@ CHK is the inverted sum of everything from ID on (Feetech SCS/STS protocol).
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 HEADER = b"\xff\xff"
 
 # Bytes of a status packet besides its data: header, id, LEN, ERR, checksum.
 STATUS_OVERHEAD_BYTES = 6
+
+# Low byte of the sum of all that follows the header: the checksum is the inverse of what precedes it.
+SOUND_SUM = 0xFF
 
 # Bytes that follow LEN besides the data: ERR and checksum.
 LENGTH_OVERHEAD = 2
@@ -27,8 +30,7 @@ INSTRUCTION_OVERHEAD_BYTES = 6
 BITS_PER_BYTE = 10
 
 
-@dataclass(frozen=True)
-class StatusFrame:
+class StatusFrame(NamedTuple):
     """A servo's valid reply.
 
     Attributes:
@@ -63,7 +65,7 @@ def sync_write_parameters(address: int, data_by_id: dict[int, bytes]) -> list[in
     Raises:
         ValueError: there is no data, or the servos' data differ in length.
     """
-    lengths = {len(data) for data in data_by_id.values()}
+    lengths = set(map(len, data_by_id.values()))
     if len(lengths) != 1:
         raise ValueError(f"a sync write needs data of one length for every servo, not of {sorted(lengths)} bytes")
     parameters = [address, lengths.pop()]
@@ -99,6 +101,30 @@ def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_lengt
     Returns:
         The frames by servo id.
     """
+    frames = _parse_clean(received, expected_ids, data_length)
+    return _parse_disturbed(received, expected_ids, data_length) if frames is None else frames
+
+
+def _parse_clean(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame] | None:
+    """The replies of all servos in their turn, or None if anything else could be among or in them."""
+    size = status_bytes(data_length)
+    # As many headers as replies: none is hidden in the data.
+    if len(received) != size * len(expected_ids) or received.count(HEADER) != len(expected_ids):
+        return None
+    frames = {}
+    for at, servo_id in zip(range(0, len(received), size), expected_ids, strict=True):
+        packet = received[at : at + size]
+        header, body = packet[:2], packet[2:]
+        if header != HEADER or body[0] != servo_id or body[1] != data_length + LENGTH_OVERHEAD:
+            return None
+        if sum(body) & 0xFF != SOUND_SUM:
+            return None
+        frames[servo_id] = StatusFrame(servo_id, body[2], body[3:-1])
+    return frames
+
+
+def _parse_disturbed(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
+    """Find the sound replies among whatever else came."""
     frames: dict[int, StatusFrame] = {}
     contradicted: set[int] = set()
     at = received.find(HEADER)

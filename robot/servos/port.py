@@ -15,7 +15,7 @@ import os
 import select
 import termios
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import serial
 from scservo_sdk import PortHandler
@@ -41,6 +41,9 @@ NETWORK_LATENCY_S = 0.05
 
 # Pseudo terminals: their other end keeps them open, and with that a claim whose owner has died.
 PSEUDO_TERMINALS = "/dev/pts/"
+
+# What an unplugged adapter raises; ``termios.error`` is not an OSError.
+DEVICE_ERRORS = (OSError, termios.error)
 
 _NOT_FOUND = frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV})
 _PERMISSION = frozenset({errno.EACCES, errno.EPERM})
@@ -124,8 +127,15 @@ class SerialPort(PortHandler):
         Raises:
             PortLost: the device does not take it.
         """
-        with self._losing_port():
-            return self._open_line().write(bytes(packet)) or 0
+        data = bytes(packet)
+        try:
+            written = self._write_at_once(data)
+            if written < len(data):
+                # pyserial waits until the device takes more, for WRITE_TIMEOUT_S at most.
+                written += self._open_line().write(data[written:]) or 0
+        except DEVICE_ERRORS as error:
+            raise PortLost(self.port_name, str(error)) from error
+        return written
 
     def receive(self, timeout_s: float) -> bytes:
         """Return what has arrived, as soon as something has; nothing after ``timeout_s``.
@@ -133,18 +143,28 @@ class SerialPort(PortHandler):
         Raises:
             PortLost: the device is gone.
         """
-        with self._losing_port():
+        try:
             if self._descriptor is None:
                 return self._receive_blocking(timeout_s)
             if not self._poll.poll(timeout_s * 1000.0):
                 return b""
-            try:
-                data = os.read(self._descriptor, READ_BYTES)
-            except BlockingIOError:
-                return b""
+            data = os.read(self._descriptor, READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except DEVICE_ERRORS as error:
+            raise PortLost(self.port_name, str(error)) from error
         if not data:
             raise PortLost(self.port_name, "the other end closed it")
         return data
+
+    def _write_at_once(self, data: bytes) -> int:
+        """Write what the device takes now; returns how many bytes."""
+        if self._descriptor is None:
+            return 0
+        try:
+            return os.write(self._descriptor, data)
+        except BlockingIOError:
+            return 0
 
     def _receive_blocking(self, timeout_s: float) -> bytes:
         line = self._open_line()
@@ -161,14 +181,6 @@ class SerialPort(PortHandler):
         if self.ser is None:
             raise PortLost(self.port_name, "it is not open")
         return self.ser
-
-    @contextlib.contextmanager
-    def _losing_port(self) -> Iterator[None]:
-        """Turn what an unplugged adapter raises into PortLost; ``termios.error`` is not an OSError."""
-        try:
-            yield
-        except (OSError, termios.error) as error:
-            raise PortLost(self.port_name, str(error)) from error
 
 
 def _open_line(port: str, baudrate: int) -> serial.Serial:

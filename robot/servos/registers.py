@@ -10,6 +10,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
+from functools import cache
 from types import MappingProxyType
 
 
@@ -163,6 +164,7 @@ def status_names(status: int) -> list[str]:
     return [str(bit.name).lower() for bit in StatusBit if status & bit]
 
 
+@cache
 def value_range(register: Register) -> tuple[int, int]:
     """Lowest and highest value that a register can hold."""
     layout = LAYOUT[register]
@@ -207,7 +209,8 @@ _TELEMETRY = struct.Struct("<HHHBBBBBHH")
 _SIGN_10, _SIGN_15 = 1 << 10, 1 << 15
 
 
-@dataclass(frozen=True)
+# Six hundred a second; frozen ones take three times as long to make.
+@dataclass(slots=True)
 class Telemetry:
     """What a servo measures, from one read of its registers 56 to 70.
 
@@ -244,23 +247,19 @@ def parse_telemetry(data: bytes) -> Telemetry:
         raise ValueError(f"the telemetry block has {TELEMETRY_BYTES} bytes, not {len(data)}")
 
     position, velocity, load, volts, temperature, _, status, moving, echo, current = _TELEMETRY.unpack(data)
+    # Sign and magnitude; bits above the sign are ignored.
+    magnitude = load & (_SIGN_10 - 1)
     return Telemetry(
-        position_ticks=_signed(position, _SIGN_15),
-        velocity_ticks_s=_signed(velocity, _SIGN_15),
-        load_permille=_signed(load, _SIGN_10),
+        position_ticks=position if position < _SIGN_15 else _SIGN_15 - position,
+        velocity_ticks_s=velocity if velocity < _SIGN_15 else _SIGN_15 - velocity,
+        load_permille=-magnitude if load & _SIGN_10 else magnitude,
         voltage_v=volts * VOLT_PER_UNIT,
         temperature_c=temperature,
         status=status,
         moving=moving != 0,
-        goal_ticks_echo=_signed(echo, _SIGN_15),
-        current_a=_signed(current, _SIGN_15) * AMPERE_PER_UNIT,
+        goal_ticks_echo=echo if echo < _SIGN_15 else _SIGN_15 - echo,
+        current_a=(current if current < _SIGN_15 else _SIGN_15 - current) * AMPERE_PER_UNIT,
     )
-
-
-def _signed(raw: int, sign: int) -> int:
-    """Value of a sign-magnitude number of 16 bits with its sign at the bit ``sign``; higher bits are ignored."""
-    magnitude = raw & (sign - 1)
-    return -magnitude if raw & sign else magnitude
 
 
 def goal_block(goal_ticks: int, velocity_ticks_s: int, acceleration: int = 254) -> bytes:

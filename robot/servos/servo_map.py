@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -45,8 +45,8 @@ class ServoMap:
             joint.servo_id: _velocity_cap(joint, float(speed))
             for joint, speed in zip(self.joints, bounds.max_velocity, strict=True)
         }
-        self._offset_rad = np.array([joint.rad_from_ticks(0.0) for joint in self.joints])
-        self._rad_per_tick = np.array([joint.rad_s_from_ticks_s(1.0) for joint in self.joints])
+        self._offset_rad = [joint.rad_from_ticks(0.0) for joint in self.joints]
+        self._rad_per_tick = [joint.rad_s_from_ticks_s(1.0) for joint in self.joints]
         blocks = {servo: goal_block(0, cap, SERVO_ACCELERATION) for servo, cap in self.cap_ticks_s.items()}
         self._around_goal = {servo: (block[:GOAL_AT], block[GOAL_AT + 2 :]) for servo, block in blocks.items()}
         self.full_torque = np.array([GRIPPER_TORQUE if joint.is_gripper else FULL_TORQUE for joint in self.joints])
@@ -62,20 +62,21 @@ class ServoMap:
 
     def goal_blocks(self, goal_rad: Vector) -> dict[int, bytes]:
         """Registers 41 to 47 of every servo for goals, shape (joints,) [rad]."""
-        ticks = np.rint((goal_rad - self._offset_rad) / self._rad_per_tick).astype(int).tolist()
-        return {servo: self.goal_block(servo, goal) for servo, goal in zip(self.ids, ticks, strict=True)}
+        each = zip(self.ids, goal_rad.tolist(), self._offset_rad, self._rad_per_tick, strict=True)
+        return {servo: self.goal_block(servo, round((goal - offset) / scale)) for servo, goal, offset, scale in each}
 
-    def positions_rad(self, ticks: Sequence[int]) -> Vector:
-        """Positions [ticks] in the order of the joints as radians, shape (joints,)."""
-        return np.asarray(self._offset_rad + np.array(ticks) * self._rad_per_tick)
+    def positions_rad(self, ticks: Iterable[int]) -> list[float]:
+        """Positions [ticks] in the order of the joints as radians."""
+        each = zip(ticks, self._offset_rad, self._rad_per_tick, strict=True)
+        return [offset + position * scale for position, offset, scale in each]
 
-    def velocities_rad_s(self, ticks_s: Sequence[int]) -> Vector:
-        """Velocities [ticks/s] in the order of the joints as rad/s, shape (joints,)."""
-        return np.asarray(np.array(ticks_s) * self._rad_per_tick)
+    def velocities_rad_s(self, ticks_s: Iterable[int]) -> list[float]:
+        """Velocities [ticks/s] in the order of the joints as rad/s."""
+        return [speed * scale for speed, scale in zip(ticks_s, self._rad_per_tick, strict=True)]
 
     def rad_from_ticks(self, ticks: dict[int, int]) -> Vector:
         """Positions by servo id [ticks] as an array, shape (joints,) [rad]."""
-        return self.positions_rad([ticks[servo] for servo in self.ids])
+        return np.array(self.positions_rad([ticks[servo] for servo in self.ids]))
 
     def ticks_range(self, bounds: JointBounds) -> dict[int, tuple[int, int]]:
         """Lowest and highest tick of each servo within the soft limits."""

@@ -66,7 +66,7 @@ class Setting:
 
     def tip_m(self, positions_rad):
         q = np.array([positions_rad[name] for name in self.collision.joint_names])
-        return tuple(self.collision.tip_position(q, TIP).tolist())
+        return tuple(self.collision.tip_positions([q], TIP)[0].tolist())
 
     def tip_pose(self, positions_rad):
         return pose_of(self.forward, np.array([positions_rad[name] for name in self.collision.joint_names]), self.tip)

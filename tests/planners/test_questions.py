@@ -15,7 +15,7 @@ def at_home(robot):
 
 
 def tip_m(collision, positions_rad):
-    return collision.tip_position(np.array([positions_rad[name] for name in collision.joint_names]), TIP)
+    return collision.tip_positions([np.array([positions_rad[name] for name in collision.joint_names])], TIP)[0]
 
 
 def test_configuration_for_a_point_is_one_by_name_for_every_joint(planner, collision, at_home):

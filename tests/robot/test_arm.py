@@ -10,13 +10,14 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.limits import within_calibration
-from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, Order, Outcome
+from robot.messages import ArmConfig, ArmHealth, ArmState, ChangePace, Mode, Order, Outcome, Pace
 from robot.trajectory import Trajectory
 from tests.helpers.server import read_write_log
 from tests.helpers.trajectories import smooth_move
@@ -197,6 +198,17 @@ async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(r
     assert joint.rad_from_ticks(first[1] | first[2] << 8) == pytest.approx(held_rad, abs=0.1)
 
 
+async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew(rig: ArmOnBus) -> None:
+    rig.arm.change_pace(ChangePace(speed_factor=0.5))
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGKILL)
+    await rig.until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert rig.arm.state.pace == Pace()
+    await rig.arm.execute(to(rig.pan_rad + 0.05, duration_s=0.2, start_rad=rig.pan_rad))
+    assert rig.arm.state.pace == Pace(0.5)
+
+
 async def test_ticks_that_were_missed_are_not_made_up_for(rig: ArmOnBus) -> None:
     assert rig.arm.pid is not None
     os.kill(rig.arm.pid, signal.SIGSTOP)
@@ -246,3 +258,26 @@ async def test_a_port_that_does_not_exist_is_told_and_tried_again() -> None:
         while len(states) < 3:
             await asyncio.sleep(0.01)
     await arm.close()
+
+
+async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig: ArmOnBus) -> None:
+    stream = rig.arm.stream(("shoulder_pan",))
+    for _ in range(25):
+        stream.steer(np.array([0.5]))
+        await asyncio.sleep(0.02)
+    assert stream.commanded is not None
+    assert stream.commanded.velocity_rad_s == pytest.approx([0.5], abs=0.01)
+    ended = await stream.ended
+    assert ended.outcome is Outcome.STOPPED
+    assert rig.arm.state.goal_rad is not None
+    assert rig.arm.state.goal_rad[0] > 0.15
+    assert (await rig.arm.execute(to(0.0, start_rad=float(rig.arm.state.goal_rad[0])))).outcome is Outcome.REACHED
+
+
+async def test_streams_are_ended_for_who_needs_the_arm(rig: ArmOnBus) -> None:
+    assert await rig.arm.end_streams(1.0)
+    stream = rig.arm.stream(("shoulder_pan",))
+    stream.steer(np.array([0.5]))
+    await asyncio.sleep(0.05)
+    assert await rig.arm.end_streams(1.0)
+    assert stream.ended.done()

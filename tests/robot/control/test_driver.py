@@ -15,7 +15,7 @@ from robot.control.guards import STALE_AFTER_S, STALL_TIME_S, TRACKING_TIME_S, G
 from robot.control.motion import GOAL_TOLERANCE_RAD, SETTLE_TIMEOUT_S
 from robot.faults import Fault, FaultCode
 from robot.limits import JointBounds
-from robot.messages import Execute, Mode, MotionEnded, Outcome
+from robot.messages import ChangePace, Continuation, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
 from robot.servos.registers import StatusBit
 from robot.trajectory import Trajectory
 from tests.helpers.readings import reading
@@ -404,3 +404,166 @@ def test_whatever_happens_goals_move_by_bounded_steps_inside_the_limits(
         assert (step <= BOUNDS.max_velocity * min(gap_s, 0.02) * STEP_MARGIN + 1e-9).all()
         assert (rig.goals[-1] >= BOUNDS.lower_rad - 1e-9).all()
         assert (rig.goals[-1] <= BOUNDS.upper_rad + 1e-9).all()
+
+
+def test_a_paused_motion_waits_and_goes_back_and_on_as_it_is_told() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        assert rig.tick() is None
+    rig.driver.change_pace(ChangePace(course=Course.PAUSED))
+    for _ in range(200):
+        assert rig.tick() is None
+    paused_at = rig.goals[-1][0]
+    assert rig.goals[-50][0] == paused_at
+    assert rig.driver.mode is Mode.MOVING
+    rig.driver.change_pace(ChangePace(course=Course.BACK))
+    for _ in range(30):
+        rig.tick()
+    assert rig.goals[-1][0] < paused_at
+    rig.driver.change_pace(ChangePace(course=Course.FORWARD))
+    assert rig.until_end()[0].outcome is Outcome.REACHED
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-9).all()
+
+
+def test_a_stop_ends_a_paused_motion_at_once() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(50):
+        rig.tick()
+    rig.driver.change_pace(ChangePace(course=Course.PAUSED))
+    for _ in range(100):
+        rig.tick()
+    rig.driver.stop()
+    ended = rig.tick()
+    assert ended is not None
+    assert ended.outcome is Outcome.STOPPED
+
+
+def test_a_speed_factor_holds_for_motions_to_come_and_a_pause_ends_with_its_motion() -> None:
+    rig = Rig()
+    rig.driver.change_pace(ChangePace(speed_factor=0.5, course=Course.PAUSED))
+    rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    ended, seconds = rig.until_end()
+    assert ended.outcome is Outcome.REACHED
+    assert seconds == pytest.approx(4.0, abs=0.1)
+    assert rig.driver.pace == Pace(0.5, Course.FORWARD)
+
+
+def test_a_pause_does_not_keep_the_gripper_from_gripping() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(50):
+        rig.tick()
+    rig.driver.change_pace(ChangePace(course=Course.PAUSED))
+    rig.driver.execute(Execute(2, move(gripper=(0.0, 0.5)), gripping=True))
+    ended, seconds = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (2, Outcome.REACHED)
+    assert seconds == pytest.approx(2.0, abs=0.1)
+    assert rig.driver.pace.course is Course.PAUSED
+
+
+@pytest.mark.parametrize("factor", [-0.1, 1.1, float("nan")])
+def test_a_speed_factor_that_is_no_share_changes_nothing(factor: float) -> None:
+    rig = Rig()
+    rig.driver.change_pace(ChangePace(speed_factor=factor))
+    assert rig.driver.pace == Pace()
+
+
+def steer(rig: Rig, velocity: float, ticks: int) -> MotionEnded | None:
+    """Steer the pan for some ticks; the last thing that ended."""
+    last = None
+    for _ in range(ticks):
+        rig.driver.steer(Setpoint(7, np.array([velocity])))
+        last = rig.tick() or last
+    return last
+
+
+def test_a_stream_moves_its_joints_and_ends_at_rest_when_it_is_no_longer_steered() -> None:
+    rig = Rig()
+    assert rig.driver.stream(Stream(7, ("shoulder_pan",))) is None
+    assert rig.driver.mode is Mode.MOVING
+    assert steer(rig, 0.5, 50) is None
+    assert rig.driver.commanded[0].velocity_rad_s == pytest.approx([0.5])
+    ended, _ = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
+    assert rig.driver.mode is Mode.HOLDING
+    assert (np.abs(np.diff(np.array(rig.goals)[:, 0], n=2)) / PERIOD_S**2 <= BOUNDS.max_acceleration[0] + 1e-3).all()
+    assert np.array(rig.goals)[:, 1:] == pytest.approx(np.zeros((len(rig.goals), 5)))
+
+
+def test_a_setpoint_after_its_stream_has_ended_moves_nothing() -> None:
+    rig = Rig()
+    rig.driver.stream(Stream(7, ("shoulder_pan",)))
+    steer(rig, 0.5, 20)
+    rig.driver.stop()
+    steer(rig, 0.5, 100)
+    held = rig.driver.goal_rad
+    assert rig.driver.mode is Mode.HOLDING
+    steer(rig, 0.5, 20)
+    assert rig.driver.goal_rad == pytest.approx(held)
+
+
+def test_a_stream_and_a_motion_of_the_same_joint_exclude_each_other() -> None:
+    rig = Rig()
+    rig.driver.stream(Stream(7, ("shoulder_pan",)))
+    refused = rig.driver.execute(Execute(8, move(shoulder_pan=(0.0, 1.0))))
+    assert refused is not None
+    assert "motion 7 of joint shoulder_pan" in refused.message
+    assert rig.driver.execute(Execute(9, move(gripper=(0.0, 0.5)), gripping=True)) is None
+    again = rig.driver.stream(Stream(10, ("shoulder_pan", "elbow_flex")))
+    assert again is not None
+    assert again.outcome is Outcome.REFUSED
+
+
+@pytest.mark.parametrize("names", [(), ("knee",), ("shoulder_pan", "shoulder_pan")])
+def test_a_stream_of_joints_that_are_none_is_refused(names: tuple[str, ...]) -> None:
+    refused = Rig().driver.stream(Stream(7, names))
+    assert refused is not None
+    assert refused.outcome is Outcome.REFUSED
+
+
+def test_a_fault_ends_a_stream() -> None:
+    rig = Rig()
+    rig.driver.stream(Stream(7, ("shoulder_pan",)))
+    steer(rig, 0.5, 20)
+    rig.driver.steer(Setpoint(7, np.array([0.5])))
+    ended = rig.tick(temperature_c=90.0)
+    assert ended is not None
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.FAULT)
+
+
+def test_a_hot_arm_is_steered_at_half_the_speed() -> None:
+    rig = Rig()
+    rig.driver.stream(Stream(7, ("shoulder_pan",)))
+    for _ in range(50):
+        rig.driver.steer(Setpoint(7, np.array([0.5])))
+        rig.tick(temperature_c=61.0)
+    assert rig.driver.commanded[0].velocity_rad_s == pytest.approx([0.5 * SLOW_RATE])
+
+
+def test_a_motion_takes_the_place_of_another_without_a_stop() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(7, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        rig.tick()
+    ended = rig.driver.execute(Execute(8, move(shoulder_pan=(0.0, 1.0)), continues=Continuation(7, 0.0)))
+    assert ended is not None
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
+    before = rig.goals[-1] - rig.goals[-2]
+    rig.tick()
+    np.testing.assert_allclose(rig.goals[-1] - rig.goals[-2], before, atol=1e-4)
+    ended, _ = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (8, Outcome.REACHED)
+
+
+def test_a_motion_that_cannot_take_anothers_place_leaves_it_alone() -> None:
+    rig = Rig()
+    rig.driver.execute(Execute(7, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        rig.tick()
+    ended = rig.driver.execute(Execute(8, move(shoulder_pan=(0.0, -1.0)), continues=Continuation(7, 0.0)))
+    assert ended is not None
+    assert (ended.motion_id, ended.outcome) == (8, Outcome.REFUSED)
+    ended, _ = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.REACHED)

@@ -16,6 +16,7 @@ from robot.control.guards import (
 )
 from robot.faults import FaultCode
 from robot.servos.registers import StatusBit
+from robot.servos.telemetry import Measured
 from tests.helpers.readings import reading
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -129,6 +130,31 @@ def test_a_reading_that_grows_old_is_no_jump() -> None:
     guards = Guards(NAMES)
     guards.check(GOAL, reading(GOAL), FULL, 1.0)
     assert guards.check(GOAL, reading(GOAL, age_s=0.09), FULL, 1.01) is None
+
+
+def test_silence_of_an_arm_that_is_well_names_the_silent_joint_that_is_farthest_from_its_goal() -> None:
+    guards = Guards(NAMES)
+    assert guards.check(GOAL, reading(GOAL), FULL, 1.0) is None
+    silent = np.array([0.0, 0.2, 0.0, 0.2, 0.0, 0.0])
+    fault = guards.check(GOAL, reading([0.05, 0.01, 0.0, 0.02, 0.0, 0.0], age_s=silent), FULL, 1.01)
+    assert fault is not None
+    assert (fault.code, fault.joint) == (FaultCode.SERVO_SILENT, "wrist_flex")
+
+
+@pytest.mark.parametrize(
+    ("ill", "bearable_s"),
+    [
+        (reading(GOAL, voltage_v=4.4), LOW_VOLTAGE_TIME_S),
+        (reading(at(1, 0.2), load=at(1, 0.7)), STALL_TIME_S),
+        (reading(at(1, 0.4)), TRACKING_TIME_S),
+    ],
+    ids=["low supply", "stall", "tracking"],
+)
+def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measured, bearable_s: float) -> None:
+    guards, ticks = Guards(NAMES), round(bearable_s / PERIOD_S)
+    readings = 2 * [*(ticks - 1) * [ill], reading(GOAL)]
+    faults = [guards.check(GOAL, each, FULL, tick * PERIOD_S) for tick, each in enumerate(readings)]
+    assert faults == [None] * len(readings)
 
 
 def test_warmth_is_told_before_it_is_a_fault() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot.control.playback import BRAKING_SHARE, Playback
+from robot.trajectory import Trajectory
 from tests.helpers.trajectories import smooth_move
 
 PERIOD_S = 0.01
@@ -74,3 +75,121 @@ def test_time_that_does_not_pass_changes_nothing() -> None:
     playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
     playback.stop()
     assert playback.advance(0.0) == pytest.approx([0.0, 0.5])
+
+
+@settings(max_examples=50)
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 80)), min_size=1, max_size=8), st.floats(1.3, 4.0))
+def test_at_any_pace_the_arm_stays_on_the_path_and_within_the_acceleration_limits(
+    paces: list[tuple[float, int]], duration_s: float
+) -> None:
+    playback = Playback(smooth_move(MOVES, duration_s), MAX_ACCELERATION)
+    goals = [playback.advance(0.0)]
+    for pace, ticks in paces:
+        playback.pace = pace
+        goals += [playback.advance(PERIOD_S) for _ in range(ticks)]
+    told = np.array(goals)
+    assert distance_from_line(told) == pytest.approx(np.zeros(len(told)), abs=1e-9)
+    accelerations = np.abs(np.diff(told, n=2, axis=0)) / PERIOD_S**2
+    assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
+
+
+def test_at_pace_0_the_arm_waits_on_its_path_and_goes_on_from_there() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    for _ in range(100):
+        playback.advance(PERIOD_S)
+    playback.pace = 0.0
+    waiting = [playback.advance(PERIOD_S) for _ in range(200)]
+    assert waiting[-1] == pytest.approx(waiting[-50])
+    assert not playback.finished
+    assert 0.4 < playback.fraction < 0.8
+    playback.pace = 1.0
+    for _ in range(200):
+        playback.advance(PERIOD_S)
+    assert playback.completed
+
+
+def test_the_way_back_ends_at_rest_where_the_path_began_and_is_not_the_end() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    for _ in range(100):
+        playback.advance(PERIOD_S)
+    playback.pace = -1.0
+    goals = [playback.advance(PERIOD_S) for _ in range(200)]
+    assert goals[-1] == pytest.approx([0.0, 0.5])
+    assert not playback.finished
+    playback.stop()
+    playback.advance(PERIOD_S)
+    assert playback.finished
+    assert not playback.completed
+
+
+def test_a_path_that_begins_in_motion_is_gone_back_without_a_jerk_at_its_start() -> None:
+    whole = smooth_move(MOVES, 2.0)
+    half = slice(80, None)
+    cut = Trajectory(
+        whole.joint_names,
+        whole.time_s[half] - whole.time_s[80],
+        whole.positions_rad[half],
+        whole.velocities_rad_s[half],
+        whole.accelerations_rad_s2[half],
+    )
+    playback = Playback(cut, MAX_ACCELERATION)
+    for _ in range(60):
+        playback.advance(PERIOD_S)
+    playback.pace = -1.0
+    goals = np.array([playback.advance(PERIOD_S) for _ in range(300)])
+    accelerations = np.abs(np.diff(goals, n=2, axis=0)) / PERIOD_S**2
+    assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
+    assert goals[-1] == pytest.approx(cut.positions_rad[0], abs=0.01)
+
+
+def test_a_hot_servo_bounds_every_pace() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    playback.ceiling, playback.pace = 0.5, 1.0
+    for _ in range(200):
+        playback.advance(PERIOD_S)
+    assert playback.fraction == pytest.approx(0.5, abs=0.02)
+    assert playback.remaining_s == pytest.approx(2.0, abs=0.1)
+
+
+def test_where_the_joints_settle_there_is_no_way_back() -> None:
+    playback, goals = play(stop_after_s=99.0)
+    playback.pace = -1.0
+    assert playback.advance(PERIOD_S) == pytest.approx(goals[-1])
+    assert playback.completed
+
+
+def halfway(moves: dict[str, tuple[float, float]] | None = None) -> Playback:
+    playback = Playback(smooth_move(moves or MOVES, 2.0), MAX_ACCELERATION)
+    for _ in range(100):
+        playback.advance(PERIOD_S)
+    return playback
+
+
+def rest_of(playback: Playback, from_s: float) -> Trajectory:
+    """The same motion from a time on."""
+    motion = playback.trajectory
+    kept = motion.time_s >= from_s - 1e-9
+    arrays = (motion.positions_rad[kept], motion.velocities_rad_s[kept], motion.accelerations_rad_s2[kept])
+    return Trajectory(motion.joint_names, motion.time_s[kept] - from_s, *arrays)
+
+
+def test_another_trajectory_takes_its_place_without_a_jump() -> None:
+    former = halfway()
+    other = rest_of(former, 0.9)
+    assert former.leads_into(other, 0.9)
+    successor = Playback(other, MAX_ACCELERATION)
+    successor.go_on_from(former, 0.9)
+    np.testing.assert_allclose(successor.advance(PERIOD_S), former.advance(PERIOD_S), atol=1e-9)
+
+
+def test_a_trajectory_that_is_elsewhere_now_cannot_take_its_place() -> None:
+    former = halfway()
+    assert not former.leads_into(rest_of(former, 0.9), 0.8)
+    assert not former.leads_into(rest_of(former, 1.2), 1.2)
+    assert not former.leads_into(smooth_move({**MOVES, "elbow_flex": (0.5, 0.6)}, 2.0), 0.0)
+
+
+def test_a_motion_that_brakes_leads_into_no_other() -> None:
+    former = halfway()
+    former.stop()
+    assert not former.leads_into(rest_of(former, 0.9), 0.9)

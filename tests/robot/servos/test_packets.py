@@ -33,6 +33,18 @@ def test_replies_on_a_clean_line_all_arrive_with_their_error_byte(blocks, error)
     assert frames_of(stream) == {i: StatusFrame(i, error, block) for i, block in zip(IDS, blocks, strict=True)}
 
 
+def test_a_reply_that_holds_the_start_of_another_is_not_believed_though_all_have_answered():
+    holding = (b"\xff\xff" + bytes([2, LENGTH + 2])).ljust(LENGTH, b"\0")
+    stream = status_packet(1, 0, holding) + status_packet(2, 0, bytes(LENGTH)) + status_packet(3, 0, bytes(LENGTH))
+    assert list(frames_of(stream)) == [2, 3]
+
+
+@given(st.lists(BLOCK, min_size=3, max_size=3), st.integers(0, 0xFF))
+def test_replies_read_the_same_whether_or_not_noise_precedes_them(blocks, error):
+    stream = b"".join(status_packet(i, error, block) for i, block in zip(IDS, blocks, strict=True))
+    assert frames_of(stream) == frames_of(b"\x00" + stream)
+
+
 @given(PLAIN_BLOCK, st.lists(st.integers(0, 0xFE), max_size=40).map(bytes))
 def test_noise_before_a_reply_is_skipped(block, noise):
     assert frames_of(noise + status_packet(2, 0, block)) == {2: StatusFrame(2, 0, block)}

@@ -27,7 +27,7 @@ def test_goals_are_written_as_the_calibration_turns_them_into_ticks(goal_rad: li
 
 @given(st.lists(st.integers(min_value=100, max_value=4000), min_size=6, max_size=6))
 def test_ticks_survive_the_way_to_radians_and_back(ticks: list[int]) -> None:
-    blocks = SERVOS.goal_blocks(SERVOS.positions_rad(ticks))
+    blocks = SERVOS.goal_blocks(np.array(SERVOS.positions_rad(ticks)))
     assert [block[1] | block[2] << 8 for block in blocks.values()] == ticks
 
 
@@ -47,5 +47,5 @@ def test_a_servo_is_named_by_joint_and_id() -> None:
 
 
 def test_velocities_have_the_scale_of_positions() -> None:
-    faster = SERVOS.positions_rad([2100] * 6) - SERVOS.positions_rad([2000] * 6)
+    faster = np.subtract(SERVOS.positions_rad([2100] * 6), SERVOS.positions_rad([2000] * 6))
     assert SERVOS.velocities_rad_s([100] * 6) == pytest.approx(faster)

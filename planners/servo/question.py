@@ -1,0 +1,145 @@
+"""What is asked many times a second while somebody steers the arm, and what is answered: plain data.
+
+All of it is in the robot's root link and in SI units. This module imports none of the planning libraries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+from planners.scene import Point, Pose
+
+ZERO: Point = (0.0, 0.0, 0.0)
+
+
+class ServoStatus(IntEnum):
+    """Values of moveit_msgs/ServoStatus."""
+
+    INVALID = -1
+    NO_WARNING = 0
+    DECELERATE_FOR_APPROACHING_SINGULARITY = 1
+    HALT_FOR_SINGULARITY = 2
+    DECELERATE_FOR_LEAVING_SINGULARITY = 3
+    DECELERATE_FOR_COLLISION = 4
+    HALT_FOR_COLLISION = 5
+    JOINT_BOUND = 6
+
+
+@dataclass(frozen=True)
+class TipTwist:
+    """The tip moves and turns: its origin's velocity and its angular velocity along the root link's axes."""
+
+    linear_m_s: Point = ZERO
+    angular_rad_s: Point = ZERO
+
+    @property
+    def zero(self) -> bool:
+        """Whether nothing is to move."""
+        return not (any(self.linear_m_s) or any(self.angular_rad_s))
+
+
+@dataclass(frozen=True)
+class JointVelocities:
+    """Joints turn at these velocities, the others rest [rad/s]."""
+
+    velocity_rad_s: Mapping[str, float]
+
+    @property
+    def zero(self) -> bool:
+        """Whether nothing is to move."""
+        return not any(self.velocity_rad_s.values())
+
+
+@dataclass(frozen=True)
+class TipTarget:
+    """The tip goes to a pose, its orientation as near as can be."""
+
+    pose: Pose
+    zero = False
+
+
+ServoCommand = TipTwist | JointVelocities | TipTarget
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """What the tip is to keep while it is steered, so that nothing drifts that nobody moves.
+
+    Attributes:
+        pose: where the tip should be.
+        along: unit vector along which it is moved, and so may be anywhere; zero to hold the position.
+        about: unit vector about which it is turned, likewise.
+    """
+
+    pose: Pose
+    along: Point = ZERO
+    about: Point = ZERO
+
+
+@dataclass(frozen=True)
+class ServoLimits:
+    """How steering is bounded.
+
+    Attributes:
+        linear_m_s: greatest speed of the tip on its way to a target [m/s].
+        angular_rad_s: greatest speed of its turn there [rad/s].
+        velocity_scaling: share of the joints' velocity limits that may be used, in (0, 1].
+        singularity_slow: condition number of the tip's position from which motion towards a singularity is slowed.
+        singularity_stop: condition number at which such motion ends.
+        self_distance_m: nearest that links come to each other; None to keep no distance [m].
+        scene_distance_m: nearest that links come to objects; None likewise [m].
+    """
+
+    linear_m_s: float = 0.4
+    angular_rad_s: float = 0.8
+    velocity_scaling: float = 1.0
+    singularity_slow: float = 17.0
+    singularity_stop: float = 30.0
+    self_distance_m: float | None = 0.003
+    scene_distance_m: float | None = 0.005
+
+
+@dataclass(frozen=True)
+class ServoQuestion:
+    """How must the joints move now? Answered by :class:`ServoAnswer`.
+
+    Attributes:
+        group: the joints that may move.
+        link: the tip.
+        positions_rad: where every movable joint is told to be now [rad].
+        velocity_rad_s: the last answer's; joints not named rest [rad/s].
+        period_s: time since that [s].
+        command: what is wanted.
+        anchor: of the last answer to the same steering; None at its beginning.
+        limits: how it is bounded.
+    """
+
+    group: str
+    link: str
+    positions_rad: Mapping[str, float]
+    velocity_rad_s: Mapping[str, float]
+    period_s: float
+    command: ServoCommand
+    anchor: Anchor | None = None
+    limits: ServoLimits = ServoLimits()
+
+
+@dataclass(frozen=True)
+class ServoAnswer:
+    """How the joints must move.
+
+    Attributes:
+        velocity_rad_s: of every joint of the group [rad/s].
+        status: what holds it back most.
+        message: in words, with what was given up; empty when all that was wanted is done.
+        share: how much of the speed wanted is had, 0 to 1.
+        anchor: for the next question.
+    """
+
+    velocity_rad_s: Mapping[str, float]
+    status: ServoStatus = ServoStatus.NO_WARNING
+    message: str = ""
+    share: float = 1.0
+    anchor: Anchor | None = None

@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+
+from planners.geometry.nearness import NearPair
+from planners.servo.question import ServoLimits
+from planners.servo.walls import APPROACH_PER_S, walls
+
+LOWER, UPPER = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+COLUMNS = np.array([0, 1])
+TABLE = NearPair("hand", "table", True, 0.025, np.array([-0.2, 0.0, 9.0]))
+ELBOW = NearPair("hand", "base", False, 0.013, np.array([0.0, 0.1, 9.0]))
+LIMITS = ServoLimits(self_distance_m=0.003, scene_distance_m=0.005)
+
+
+def around(q, pairs=(), limits=LIMITS):
+    return walls(np.array(q), LOWER, UPPER, COLUMNS, pairs, limits)
+
+
+def test_rest_is_always_allowed_even_beyond_a_limit_or_in_contact():
+    touching = NearPair("hand", "table", True, -0.01, np.array([-0.2, 0.0, 9.0]))
+    assert (around([1.2, 0.0], [touching]).bounds >= 0.0).all()
+
+
+def test_a_joint_nears_its_limit_ever_slower_and_leaves_it_freely():
+    found = around([0.9, 0.0])
+    fastest = found.bounds[found.rows[:, 0] == 1.0]
+    back = found.bounds[found.rows[:, 0] == -1.0]
+    assert fastest == pytest.approx([0.1 * APPROACH_PER_S])
+    assert back == pytest.approx([1.9 * APPROACH_PER_S])
+
+
+def test_a_thing_is_neared_ever_slower_and_left_freely():
+    found = around([0.0, 0.0], [TABLE])
+    nearing, leaving = np.array([1.0, 0.0]), np.array([-1.0, 0.0])
+    assert found.bounds[-1] == pytest.approx(0.02 * APPROACH_PER_S)
+    assert found.rows[-1] @ nearing == pytest.approx(0.2)
+    assert found.rows[-1] @ leaving < 0.0
+
+
+def test_pairs_of_links_and_objects_keep_distances_of_their_own_or_none():
+    assert len(around([0.0, 0.0], [TABLE, ELBOW]).pairs) == 2
+    assert list(around([0.0, 0.0], [TABLE, ELBOW], ServoLimits(self_distance_m=None)).pairs) == [TABLE]
+    assert list(around([0.0, 0.0], [TABLE, ELBOW], ServoLimits(scene_distance_m=None)).pairs) == [ELBOW]
+
+
+def test_inequalities_are_told_apart_by_what_they_are_about():
+    found = around([0.0, 0.0], [TABLE, ELBOW])
+    assert found.joints(np.array([1, 3, 5])) == [1]
+    assert found.near(np.array([1, 3, 5])) == [ELBOW]

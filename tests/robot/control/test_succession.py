@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot import model
+from robot.control.motion import Motion
+from robot.control.streaming import Streaming
+from robot.control.succession import refusal, succeed
+from robot.limits import JointBounds
+from robot.messages import Continuation, Execute, Outcome
+from robot.trajectory import Trajectory
+from tests.helpers.trajectories import smooth_move
+
+NAMES = ("shoulder_pan", "elbow_flex", "gripper")
+BOUNDS = JointBounds.of(model.builtin(), NAMES)
+PATH = smooth_move({"shoulder_pan": (0.0, 1.0), "elbow_flex": (0.0, -0.5)}, 2.0)
+
+
+def in_progress(gripping: bool = False) -> list[Motion | Streaming]:
+    """One motion, half done."""
+    motion = Motion(Execute(7, PATH, gripping), NAMES, BOUNDS)
+    for _ in range(100):
+        motion.advance(0.01, 1.0, 1.0)
+    return [motion]
+
+
+def since(from_s: float, **changes: tuple[float, float]) -> Trajectory:
+    """The same motion from a time on, or another one."""
+    path = smooth_move({"shoulder_pan": (0.0, 1.0), "elbow_flex": (0.0, -0.5), **changes}, 2.0)
+    kept = path.time_s >= from_s - 1e-9
+    arrays = (path.positions_rad[kept], path.velocities_rad_s[kept], path.accelerations_rad_s2[kept])
+    return Trajectory(path.joint_names, path.time_s[kept] - from_s, *arrays)
+
+
+def asked(motions: list[Motion | Streaming], trajectory: Trajectory, number: int = 7, from_s: float = 0.9) -> str:
+    command = Execute(8, trajectory, continues=Continuation(number, from_s))
+    return refusal(motions, command, NAMES, BOUNDS, np.array([0.5, -0.25, 0.0]))
+
+
+def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends() -> None:
+    motions = in_progress()
+    former = motions[0]
+    assert asked(motions, since(0.9)) == ""
+    successor = Motion(Execute(8, since(0.9), continues=Continuation(7, 0.9)), NAMES, BOUNDS)
+    ended = succeed(motions, successor)
+    assert ended is not None
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
+    assert motions == []
+    np.testing.assert_allclose(successor.advance(0.01, 1.0, 1.0), former.advance(0.01, 1.0, 1.0), atol=1e-9)
+
+
+def test_a_motion_that_continues_none_ends_none() -> None:
+    motions = in_progress()
+    assert succeed(motions, Motion(Execute(8, PATH), NAMES, BOUNDS)) is None
+    assert len(motions) == 1
+
+
+REFUSED = {
+    "no such motion": (since(0.9), 6, 0.9, "not in progress"),
+    "it is past that place": (since(1.2), 7, 1.2, "no longer where"),
+    "another path": (since(0.9, elbow_flex=(0.0, 0.5)), 7, 0.9, "the motion starts with joint elbow_flex"),
+    "other joints": (smooth_move({"gripper": (0.0, 1.0)}, 2.0), 7, 0.0, "other joints"),
+    "beyond a limit": (smooth_move({"shoulder_pan": (0.0, 9.0), "elbow_flex": (0.0, -0.5)}, 9.0), 7, 0.0, "limits"),
+}
+
+
+@pytest.mark.parametrize(("trajectory", "number", "from_s", "words"), REFUSED.values(), ids=REFUSED.keys())
+def test_a_motion_that_would_jump_is_refused(trajectory: Trajectory, number: int, from_s: float, words: str) -> None:
+    assert words in asked(in_progress(), trajectory, number, from_s)
+
+
+def test_nothing_takes_the_place_of_a_grip() -> None:
+    assert "a grip" in asked(in_progress(gripping=True), since(0.9))

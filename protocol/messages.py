@@ -4,7 +4,7 @@ Out of `complete` comes a dict with every field of the type in order of declarat
 are base64 text, as they go over the wire; a float that was null is NaN. Whatever came in is left as it was.
 
 A type is compiled once into a tree of shapes; completing a message walks that tree. A message in which nothing is
-missing goes the shorter way of `protocol.quick_messages`.
+wrong or spelled otherwise goes the shorter way of `protocol.quick_messages`.
 """
 
 from __future__ import annotations
@@ -16,18 +16,22 @@ from typing import Any, NamedTuple, Protocol
 
 from protocol import values
 from protocol.errors import MessageError, describe, shorten
-from protocol.quick_messages import quick_way
+from protocol.quick_messages import Quick, quick_way
 from protocol.registry import ArrayBounds, Field, Registry
 
 HEADER = "std_msgs/msg/Header"
 TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"
 
-# ROS 1 names that clients send with ROS 2 types: type -> name sent -> name meant (None: nothing in ROS 2).
-_ROS1_NAMES: Mapping[str, Mapping[str, str | None]] = {
+# Names of older types that clients send with ROS 2 types: type -> name sent -> name meant (None: nothing any more).
+_OLDER_NAMES: Mapping[str, Mapping[str, str | None]] = {
     TIME: {"secs": "sec", "nsecs": "nanosec"},
     DURATION: {"secs": "sec", "nsecs": "nanosec"},
     HEADER: {"seq": None},
+    # ROS 1 and Humble.
+    "moveit_msgs/msg/MotionPlanRequest": {"cartesian_speed_end_effector_link": "cartesian_speed_limited_link"},
+    # ROS 1 before Noetic.
+    "moveit_msgs/msg/PositionIKRequest": {"attempts": None},
 }
 
 # Arrays of these are packed into base64 text by rosbridge clients.
@@ -146,13 +150,19 @@ class _OctetArrayShape:
 class _MessageArrayShape:
     """An array of messages."""
 
-    def __init__(self, element: _Shape, bounds: ArrayBounds) -> None:
+    def __init__(self, element: _Shape, quick: Quick, bounds: ArrayBounds) -> None:
         self._element = element
+        self._quick = quick
         self._bounds = bounds
 
     def complete(self, value: object, received: Stamp) -> list[Any]:
-        """Complete every element."""
-        return values.to_list(_elements(value, self._bounds), lambda element: self._element.complete(element, received))
+        """Complete every element, each the quick way where it can go it."""
+
+        def complete_element(element: object) -> Any:
+            quick = self._quick(element)
+            return self._element.complete(element, received) if quick is None else quick
+
+        return values.to_list(_elements(value, self._bounds), complete_element)
 
     def default(self, received: Stamp) -> list[Any]:
         """Return default messages for an array of fixed size, else an empty list."""
@@ -164,7 +174,7 @@ class _MessageShape:
 
     def __init__(self, name: str, shapes: Mapping[str, _Shape]) -> None:
         self._name = name
-        self._ros1_names = _ROS1_NAMES.get(name)
+        self._older_names = _OLDER_NAMES.get(name)
         # Bound methods, looked up once: this list is walked for every message of the type.
         self._fields = [(field, shape.complete, shape.default) for field, shape in shapes.items()]
 
@@ -172,8 +182,8 @@ class _MessageShape:
         """Complete the fields in order of declaration."""
         if type(value) is not dict:
             raise MessageError(self._name, describe(value))
-        if self._ros1_names:
-            value = self._translate(value, self._ros1_names)
+        if self._older_names:
+            value = self._translate(value, self._older_names)
         completed = {}
         # Counting the fields found tells whether there are unknown ones without looking for them in every message.
         found = 0
@@ -194,13 +204,13 @@ class _MessageShape:
         """Return a message of defaults."""
         return {name: default(received) for name, _, default in self._fields}
 
-    def _translate(self, value: dict[str, Any], ros1_names: Mapping[str, str | None]) -> dict[str, Any]:
+    def _translate(self, value: dict[str, Any], older_names: Mapping[str, str | None]) -> dict[str, Any]:
         # Nearly every message is in ROS 2 spelling already and needs no copy.
-        if ros1_names.keys().isdisjoint(value):
+        if older_names.keys().isdisjoint(value):
             return value
         translated = {}
         for name, content in value.items():
-            meant = ros1_names.get(name, name)
+            meant = older_names.get(name, name)
             if meant is None:
                 continue
             # Which of two spellings the client meant is not ours to guess.
@@ -247,7 +257,9 @@ def _message_shape(registry: Registry, type_name: str) -> _MessageShape:
 def _field_shape(registry: Registry, field: Field) -> _Shape:
     if not field.primitive:
         element = _message_shape(registry, field.base)
-        return element if field.array is None else _MessageArrayShape(element, field.array)
+        if field.array is None:
+            return element
+        return _MessageArrayShape(element, quick_way(registry, field.base), field.array)
     if field.array is None:
         return _PrimitiveShape(field)
     return (_OctetArrayShape if field.base in _OCTETS else _PrimitiveArrayShape)(field, field.array)

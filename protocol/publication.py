@@ -33,14 +33,24 @@ class Publication:
             its type; not to be changed from here on.
         registry: where the type is looked up.
         received: when the message came.
+        publisher: who published it, for those whom it concerns.
     """
 
-    __slots__ = ("_encoded", "_parcels", "_received", "_registry", "msg", "topic", "type_name")
+    __slots__ = ("_encoded", "_parcels", "_received", "_registry", "msg", "publisher", "topic", "type_name")
 
-    def __init__(self, topic: str, type_name: str, msg: Mapping[str, Any], registry: Registry, received: Stamp) -> None:
+    def __init__(
+        self,
+        topic: str,
+        type_name: str,
+        msg: Mapping[str, Any],
+        registry: Registry,
+        received: Stamp,
+        publisher: object = None,
+    ) -> None:
         self.topic = topic
         self.type_name = type_name
         self.msg = msg
+        self.publisher = publisher
         self._registry = registry
         self._received = received
         # Subscribers spell a topic with or without its leading slash: two spellings of each encoding and dialect.

@@ -1,4 +1,4 @@
-"""The quick way for a message that needs no completing: every field is there, and each value is of its field's type.
+"""The quick way for a message in which each value is of its field's type; fields may be left out.
 
 Most messages are so, and `protocol.messages`, which knows all that is forgiven and all that is refused, walks a tree of
 objects for them as well. Here each type becomes one function without calls, as a person would write it by hand for
@@ -6,7 +6,8 @@ this type: of `geometry_msgs/msg/Point32` it reads ::
 
     def quick(v0):
         try:
-            if type(v0) is not dict or len(v0) != 3: return None
+            if type(v0) is not dict: return None
+            if len(v0) != 3 and len(v0 := {**defaults_0, **v0}) != 3: return None
             v1 = v0['x']
             ...
             return {'x': v1, 'y': v2, 'z': v3}
@@ -35,6 +36,9 @@ _MAX_COMPILED_TYPES = 1024
 # The largest finite number of IEEE 754 single precision.
 _FLOAT32_MAX = 3.4028234663852886e38
 
+# The stamp of a header that has none is the time of receipt.
+_HEADER = "std_msgs/msg/Header"
+
 # Arrays of these are base64 text or a list, and are spelled anew.
 _OCTETS = ("uint8", "char", "byte")
 
@@ -53,6 +57,26 @@ def quick_way(registry: Registry, type_name: str) -> Quick:
 
 def _nothing(_value: object) -> None:
     """Take no message."""
+
+
+def _defaults(registry: Registry, message_type: MessageType) -> dict[str, Any]:
+    """What stands in for fields that are left out, except where that depends on the time of receipt or its spelling."""
+    defaults: dict[str, Any] = {}
+    for field in message_type.fields:
+        if field.base in _OCTETS and field.array is not None:
+            continue
+        value: Any
+        if field.primitive:
+            value = values.zero(field.base) if field.default is None else field.default
+        elif message_type.name == _HEADER:
+            continue
+        else:
+            part = registry.message(field.base)
+            value = _defaults(registry, part)
+            if len(value) != len(part.fields) and (field.array is None or field.array.min_length):
+                continue
+        defaults[field.name] = value if field.array is None else [value] * field.array.min_length
+    return defaults
 
 
 class _Writer:
@@ -74,7 +98,11 @@ class _Writer:
 
     def message(self, variable: str, message_type: MessageType) -> str:
         """A message with its fields, and those of the messages in it."""
-        self._refuse_if(f"type({variable}) is not dict or len({variable}) != {len(message_type.fields)}")
+        count, defaults = len(message_type.fields), f"defaults_{variable}"
+        self._names[defaults] = _defaults(self._registry, message_type)
+        self._refuse_if(f"type({variable}) is not dict")
+        # What is filled in is no part of what is returned, which is made anew of each value.
+        self._refuse_if(f"len({variable}) != {count} and len({variable} := {{**{defaults}, **{variable}}}) != {count}")
         copies = []
         for field in message_type.fields:
             member = f"v{next(self._numbers)}"

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
-from typing import AnyStr
+from typing import Any, AnyStr
 
 import orjson
 
@@ -115,18 +114,15 @@ def _count(frame: AnyStr, bracket: AnyStr) -> int:
 
 def _check_depth(value: object) -> None:
     # Level by level, not by recursion, which the frame could drive as deep as it likes.
-    level = [value]
+    level: list[Any] = [value] if isinstance(value, dict | list) else []
     for _ in range(MAX_NESTING_DEPTH):
-        level = [child for parent in level for child in _children(parent)]
+        # A decoder makes nothing but these two types, and a large frame has thousands of members to look at.
+        level = [
+            child
+            for parent in level
+            for child in (parent.values() if type(parent) is dict else parent)
+            if type(child) is dict or type(child) is list
+        ]
         if not level:
             return
     raise FrameError(f"nested deeper than the limit of {MAX_NESTING_DEPTH} levels")
-
-
-def _children(value: object) -> Iterable[object]:
-    """Return the containers directly inside a container."""
-    if isinstance(value, dict):
-        return [child for child in value.values() if isinstance(child, (dict, list))]
-    if isinstance(value, list):
-        return [child for child in value if isinstance(child, (dict, list))]
-    return ()

@@ -142,6 +142,12 @@ def test_both_spellings_of_one_field_are_refused():
     assert refused("std_msgs/Header", {"stamp": {"sec": 1, "secs": 2}}).path == "stamp.sec"
 
 
+def test_fields_under_their_older_names_are_understood():
+    request = completed("moveit_msgs/MotionPlanRequest", {"cartesian_speed_end_effector_link": "tool"})
+    assert request["cartesian_speed_limited_link"] == "tool"
+    assert "attempts" not in completed("moveit_msgs/PositionIKRequest", {"attempts": 8})
+
+
 def test_header_seq_is_dropped_but_is_unknown_elsewhere():
     header = completed("std_msgs/Header", {"seq": 7, "frame_id": "a"})
     assert header == {"stamp": RECEIVED_TIME, "frame_id": "a"}

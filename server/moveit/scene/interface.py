@@ -1,0 +1,58 @@
+"""Everything by which clients see and change the planning scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from robot.model import RobotModel
+from server.graph import Graph
+from server.moveit.current_state import CurrentState
+from server.moveit.scene.assumed import AssumedStates
+from server.moveit.scene.geometry_files import GeometryFiles
+from server.moveit.scene.monitored import MonitoredScene
+from server.moveit.scene.services import SceneServices
+from server.moveit.scene.state import SceneState
+from server.moveit.scene.topics import SceneTopics
+from server.node import Node
+
+
+class SceneInterface:
+    """The scene's topics and services.
+
+    Args:
+        graph: where they are.
+        robot: the arm.
+        state: the scene.
+        assumed: where clients take the joints to be.
+        geometry_directory: where files of geometry are; None for nowhere.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        state: SceneState,
+        assumed: AssumedStates,
+        geometry_directory: Path | None,
+    ) -> None:
+        node = Node("planning_scene")
+        self._monitored = MonitoredScene(graph, node, robot, state)
+        self._parts = (
+            SceneTopics(graph, node, state),
+            SceneServices(graph, node, robot, state, assumed),
+            GeometryFiles(graph, node, state, geometry_directory),
+            self._monitored,
+        )
+
+    def open(self, current: CurrentState) -> None:
+        """Begin to listen, answer and tell.
+
+        Args:
+            current: where the joints are.
+        """
+        for part in self._parts:
+            part.open(current)
+
+    def close(self) -> None:
+        """Tell no more."""
+        self._monitored.close()

@@ -1,0 +1,100 @@
+"""shape_msgs: primitives, meshes and planes as the planners' shapes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from planners.scene_checks import MAX_TRIANGLES, shape_fault
+from server.moveit.requests.refusals import invalid
+from server.moveit.scene.prism import prism
+
+Message = Mapping[str, Any]
+
+# shape_msgs/SolidPrimitive
+BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5
+NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
+DIMENSIONS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
+
+# Cutting the lid of a prism into triangles takes time by the square of its corners; these take some milliseconds.
+MAX_PRISM_CORNERS = 100
+
+
+def read_primitive(message: Message, where: str) -> Shape:
+    """Read a shape_msgs/SolidPrimitive; dimensions beyond those of its type are passed over, as MoveIt does.
+
+    Args:
+        message: the shape.
+        where: path of the field, for the refusal.
+
+    Raises:
+        RefusedError: it cannot be used.
+    """
+    kind, sizes_m = message["type"], message["dimensions"]
+    if kind not in DIMENSIONS:
+        known = ", ".join(f"{number} ({name})" for number, name in NAMES.items())
+        raise invalid(f"{where}.type must be one of {known}, not {kind}")
+    if len(sizes_m) < DIMENSIONS[kind]:
+        raise invalid(f"{where}.dimensions of a {NAMES[kind]} are {DIMENSIONS[kind]}, not {len(sizes_m)}")
+    if kind == PRISM:
+        return _read_prism(message, where)
+    shape: Shape
+    if kind == BOX:
+        shape = Box((sizes_m[0], sizes_m[1], sizes_m[2]))
+    elif kind == SPHERE:
+        shape = Sphere(sizes_m[0])
+    else:
+        # Height first, radius second.
+        shape = (Cylinder if kind == CYLINDER else Cone)(sizes_m[1], sizes_m[0])
+    return _checked(shape, where)
+
+
+def read_mesh(message: Message, where: str) -> Shape:
+    """Read a shape_msgs/Mesh; arguments and errors are those of :func:`read_primitive`."""
+    # Counted before anything is built of them.
+    count, points = len(message["triangles"]), len(message["vertices"])
+    if count > MAX_TRIANGLES or points > 3 * MAX_TRIANGLES:
+        raise invalid(f"{where} has {count} triangles and {points} vertices; {MAX_TRIANGLES} triangles are the limit")
+    vertices_m = np.array([(p["x"], p["y"], p["z"]) for p in message["vertices"]], dtype=np.float64).reshape(-1, 3)
+    triangles = np.array([t["vertex_indices"] for t in message["triangles"]], dtype=np.int64).reshape(-1, 3)
+    if count and triangles.max() >= points:
+        raise invalid(f"{where}.triangles name the vertex {triangles.max()}; there are {points} vertices")
+    return _checked(Mesh(vertices_m, triangles.astype(np.int32)), where)
+
+
+def read_plane(message: Message, where: str) -> Shape:
+    """Read a shape_msgs/Plane, a x + b y + c z + d = 0, solid on the side its normal points away from.
+
+    Arguments and errors are those of :func:`read_primitive`.
+    """
+    a, b, c, d = message["coef"]
+    length = math.hypot(a, b, c)
+    if not (math.isfinite(length) and length > 0.0):
+        raise invalid(f"{where}.coef has no normal: {[a, b, c, d]}")
+    return _checked(Plane((a / length, b / length, c / length), -d / length), where)
+
+
+def _read_prism(message: Message, where: str) -> Shape:
+    height_m = message["dimensions"][0]
+    polygon = [(point["x"], point["y"]) for point in message["polygon"]["points"]]
+    if not 3 <= len(polygon) <= MAX_PRISM_CORNERS:
+        raise invalid(f"{where}.polygon has {len(polygon)} points, not 3 to {MAX_PRISM_CORNERS}")
+    if not (math.isfinite(height_m) and height_m > 0.0):
+        raise invalid(f"{where}.dimensions[0], the height of a prism, must be above 0, not {height_m:g}")
+    if not all(math.isfinite(x) and math.isfinite(y) for x, y in polygon):
+        raise invalid(f"{where}.polygon has a point that is not finite")
+    surface = prism(polygon, height_m)
+    if surface is None:
+        raise invalid(f"{where}.polygon crosses itself or has no area")
+    return _checked(surface, where)
+
+
+def _checked(shape: Shape, where: str) -> Shape:
+    fault = shape_fault(shape)
+    if fault is not None:
+        raise invalid(f"{where} {fault}", field=where)
+    return shape

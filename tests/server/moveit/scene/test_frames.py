@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from planners.problem import MoveItErrorCode
+from planners.scene import Pose
+from server.moveit.poses import matrix_of
+from server.moveit.scene.frames import MAX_NAME_LENGTH, Frames, in_root, seen_from
+from tests.helpers.planning_scene import BENT, FORWARD, ROBOT, box, collision_object, diff, failure, pose, scene_state
+
+STATE = scene_state(
+    collision_object(
+        **box("table", at=pose(0.3, 0.1)),
+        subframe_names=["corner", "leg/foot"],
+        subframe_poses=[pose(0.0, 0.2), pose(0.1)],
+    ),
+    collision_object(**box("cup", at=pose(0.2))),
+)
+TOOL = box("tool", at=pose(0.1), frame="gripper_link")
+HANDLE = {"subframe_names": ["handle"], "subframe_poses": [pose(0.0, 0.0, 0.5)]}
+HELD = {"link_name": "gripper_link", "object": {**TOOL, **HANDLE}}
+WALL = {"child_frame_id": "wall", "transform": {"translation": {"x": 2.0}}}
+CHANGE = diff(robot_state={"attached_collision_objects": [HELD]}, fixed_frame_transforms=[WALL])
+assert STATE.apply_diff(CHANGE, BENT) is None
+FRAMES = Frames(ROBOT, STATE)
+GRIPPER = FORWARD.transforms(BENT)["gripper_link"]
+
+
+@pytest.mark.parametrize("name", ["", "/", "base_link", "/base_link", "world", "/world"])
+def test_the_root_link_has_many_names(name):
+    assert FRAMES.resolve(name, BENT) == Pose()
+
+
+@pytest.mark.parametrize("link", ROBOT.links)
+def test_every_link_is_found_where_forward_kinematics_has_it(link):
+    found = FRAMES.resolve(f"/{link}", BENT)
+    np.testing.assert_allclose(matrix_of(found), FORWARD.transforms(BENT)[link], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "position_m"),
+    [
+        ("table", (0.3, 0.1, 0.0)),
+        ("/table/corner", (0.3, 0.3, 0.0)),
+        ("table/leg/foot", (0.4, 0.1, 0.0)),
+        ("wall", (2.0, 0.0, 0.0)),
+    ],
+)
+def test_things_their_subframes_and_fixed_frames_are_found(name, position_m):
+    assert FRAMES.resolve(name, BENT).position_m == pytest.approx(position_m)
+
+
+@pytest.mark.parametrize(("name", "in_link_m"), [("tool", (0.1, 0.0, 0.0)), ("tool/handle", (0.1, 0.0, 0.5))])
+def test_what_a_link_holds_moves_with_it(name, in_link_m):
+    found = FRAMES.resolve(name, BENT)
+    np.testing.assert_allclose(found.position_m, (GRIPPER @ (*in_link_m, 1.0))[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["nowhere", "table/nowhere", "nowhere/corner", "x" * (MAX_NAME_LENGTH + 1)])
+def test_an_unknown_frame_is_refused_by_its_name(name):
+    refusal = failure(FRAMES.resolve(name, BENT))
+    assert refusal.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
+    assert refusal.details["frame"] == name[:MAX_NAME_LENGTH]
+
+
+def test_the_refusal_lists_the_frames_that_there_are():
+    assert "base_link" in failure(FRAMES.resolve("nowhere", BENT)).message
+    assert "table" in failure(FRAMES.resolve("nowhere", BENT)).message
+
+
+@pytest.mark.parametrize("name", ["gripper_link", "tool"])
+def test_while_the_arm_is_nowhere_what_moves_with_it_is_not_found(name):
+    assert "position is not known" in failure(FRAMES.resolve(name, None)).message
+    assert FRAMES.resolve("table", None).position_m == (0.3, 0.1, 0.0)
+
+
+def test_a_pose_seen_from_a_frame_and_back_is_the_same():
+    frame, given = Pose((1.0, 2.0, 3.0), (0.5, 0.5, 0.5, 0.5)), Pose((0.1, 0.2, 0.3))
+    back = in_root(frame, seen_from(frame, given))
+    np.testing.assert_allclose(back.position_m, given.position_m, atol=1e-12)
+    assert in_root(Pose(), given) is given
+    assert seen_from(Pose(), given) is given

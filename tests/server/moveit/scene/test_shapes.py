@@ -1,0 +1,90 @@
+import math
+
+import numpy as np
+import pytest
+
+from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Sphere
+from planners.scene_checks import MAX_TRIANGLES
+from server.errors import RefusedError
+from server.moveit.scene.shapes import BOX, CONE, CYLINDER, PRISM, SPHERE, read_mesh, read_plane, read_primitive
+
+TRIANGLE = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 1.0, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 1.0, "z": 0.0}]
+FLAT = [{"x": float(x), "y": 0.0, "z": 0.0} for x in range(3)]
+
+
+def primitive(kind, *dimensions, points=()):
+    corners = [{"x": point[0], "y": point[1], "z": 9.0} for point in points]
+    return {"type": kind, "dimensions": list(dimensions), "polygon": {"points": corners}}
+
+
+def mesh(vertices, *triangles):
+    return {"vertices": vertices, "triangles": [{"vertex_indices": list(each)} for each in triangles]}
+
+
+@pytest.mark.parametrize(
+    ("message", "shape"),
+    [
+        (primitive(BOX, 1.0, 2.0, 3.0), Box((1.0, 2.0, 3.0))),
+        (primitive(SPHERE, 0.1), Sphere(0.1)),
+        (primitive(SPHERE, 0.1, 0.0, 0.0), Sphere(0.1)),
+        (primitive(CYLINDER, 0.5, 0.1), Cylinder(radius_m=0.1, height_m=0.5)),
+        (primitive(CONE, 0.5, 0.1), Cone(radius_m=0.1, height_m=0.5)),
+    ],
+)
+def test_a_primitive_is_read_by_its_type(message, shape):
+    assert read_primitive(message, "it") == shape
+
+
+def test_a_prism_is_a_mesh():
+    shape = read_primitive(primitive(PRISM, 0.5, points=[(0, 0), (1, 0), (0, 1)]), "it")
+    assert isinstance(shape, Mesh)
+    assert len(shape.triangles) == 8
+
+
+def test_a_mesh_is_read_with_its_vertices_and_triangles():
+    shape = read_mesh(mesh(TRIANGLE, (0, 1, 2)), "it")
+    np.testing.assert_array_equal(shape.vertices_m, [(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    np.testing.assert_array_equal(shape.triangles, [(0, 1, 2)])
+
+
+def test_a_plane_is_brought_to_a_unit_normal_and_is_solid_where_the_normal_does_not_point():
+    assert read_plane({"coef": [0.0, 0.0, 2.0, -1.0]}, "it") == Plane((0.0, 0.0, 1.0), 0.5)
+
+
+MANY = (0, 1, 2)
+BAD = {
+    "unknown type": (read_primitive, primitive(9, 1.0), "it.type must be one of 1 (box)"),
+    "a box of two edges": (read_primitive, primitive(BOX, 1.0, 1.0), "it.dimensions of a box are 3, not 2"),
+    "a box without height": (read_primitive, primitive(BOX, 1.0, 1.0, 0.0), "sizes are not all above 0"),
+    "a sphere inside out": (read_primitive, primitive(SPHERE, -1.0), "sizes are not all above 0"),
+    "a cylinder of NaN": (read_primitive, primitive(CYLINDER, math.nan, 1.0), "sizes are not all above 0"),
+    "a prism on a line": (read_primitive, primitive(PRISM, 1.0, points=[(0, 0), (1, 0)]), "has 2 points, not 3 to 100"),
+    "a flat prism": (read_primitive, primitive(PRISM, 0.0, points=[(0, 0), (1, 0), (0, 1)]), "must be above 0, not 0"),
+    "a prism of NaN": (read_primitive, primitive(PRISM, 1.0, points=[(math.nan, 0), (1, 0), (0, 1)]), "not finite"),
+    "a crossed prism": (
+        read_primitive,
+        primitive(PRISM, 1.0, points=[(0, 0), (2, 2), (2, 0), (0, 2)]),
+        "crosses itself",
+    ),
+    "no triangles": (read_mesh, mesh(TRIANGLE), "mesh of 0 triangles"),
+    "nothing at all": (read_mesh, mesh([]), "mesh of 0 triangles"),
+    "absent vertices": (read_mesh, mesh(TRIANGLE, (0, 1, 3)), "name the vertex 3; there are 3"),
+    "vertices beyond 32 bits": (read_mesh, mesh(TRIANGLE, (0, 1, 2**32 - 1)), "name the vertex 4294967295"),
+    "a million triangles": (
+        read_mesh,
+        mesh(TRIANGLE, *([MANY] * (MAX_TRIANGLES + 1))),
+        f"{MAX_TRIANGLES} triangles are",
+    ),
+    "no area": (read_mesh, mesh(FLAT, (0, 1, 2)), "triangles have no area"),
+    "a plane without normal": (read_plane, {"coef": [0.0, 0.0, 0.0, 1.0]}, "it.coef has no normal"),
+    "a plane of NaN": (read_plane, {"coef": [math.nan, 0.0, 1.0, 1.0]}, "it.coef has no normal"),
+    "a plane nowhere": (read_plane, {"coef": [0.0, 0.0, 1.0, math.inf]}, "offset is not finite"),
+}
+
+
+@pytest.mark.parametrize(("read", "message", "words"), BAD.values(), ids=BAD.keys())
+def test_what_is_no_shape_is_refused_by_its_field(read, message, words):
+    with pytest.raises(RefusedError) as refusal:
+        read(message, "it")
+    assert words in refusal.value.failure.message
+    assert refusal.value.failure.message.startswith("it")

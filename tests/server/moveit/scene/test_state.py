@@ -1,0 +1,133 @@
+import logging
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.problem import MoveItErrorCode
+from planners.scene import EMPTY_SCENE, Scene
+from planners.scene_checks import MAX_SHAPES
+from server.moveit.scene.state import SceneState
+from tests.helpers.planning_scene import (
+    BENT,
+    ROBOT,
+    box,
+    collision_object,
+    diff,
+    failure,
+    held,
+    message,
+    pose,
+    scene_state,
+)
+
+ADDED = diff(world={"collision_objects": [box("cup", at=pose(0.3)), box("pen")]})
+RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
+
+
+def test_a_scene_begins_empty():
+    state = SceneState(ROBOT)
+    assert state.scene is EMPTY_SCENE
+    assert state.frame == "base_link"
+
+
+def test_every_change_that_planners_see_has_a_version_of_its_own():
+    state = scene_state()
+    versions = {state.scene.version}
+    for fields in (
+        {"world": {"collision_objects": [box("cup")]}},
+        {"robot_state": {"attached_collision_objects": [held("cup")]}},
+        {"link_padding": [{"link_name": "wrist_link", "padding": 0.01}]},
+        {"allowed_collision_matrix": {"default_entry_names": ["cup"], "default_entry_values": [True]}},
+    ):
+        assert state.apply_diff(diff(**fields), BENT) is None
+        versions.add(state.scene.version)
+    assert len(versions) == 5
+
+
+def test_what_is_said_again_changes_nothing():
+    state = scene_state()
+    assert state.apply_diff(ADDED, BENT) is None
+    scene, contents = state.scene, state.contents
+    calls = []
+    state.on_change(lambda: calls.append(1))
+    assert state.apply_diff(ADDED, BENT) is None
+    assert state.scene is scene
+    assert state.contents is contents
+    assert calls == []
+
+
+def test_a_colour_changes_the_contents_and_not_the_planners_scene():
+    state = scene_state(box("cup"))
+    scene = state.scene
+    calls = []
+    state.on_change(lambda: calls.append(state.contents.colors))
+    assert state.apply_diff(diff(object_colors=[{"id": "cup", "color": RED}]), BENT) is None
+    assert state.scene is scene
+    assert calls == [{"cup": RED}]
+
+
+@given(st.permutations(["good", "good too", "bad"]))
+def test_one_bad_object_and_nothing_is_changed(names):
+    state = scene_state(box("cup"))
+    contents, scene = state.contents, state.scene
+    objects = [box(name, frame="nowhere" if name == "bad" else "") for name in names]
+    refusal = state.apply_diff(diff(world={"collision_objects": [{"id": "cup", "operation": 1}, *objects]}), BENT)
+    assert failure(refusal).details["object"] == "bad"
+    assert (state.contents, state.scene) == (contents, scene)
+
+
+def test_what_would_be_is_told_and_not_done():
+    state = scene_state(box("cup"))
+    scene = state.scene
+    would_be = state.with_diff(diff(world={"collision_objects": [{"id": "cup", "operation": 1}]}), BENT)
+    assert isinstance(would_be, Scene)
+    assert would_be.objects == ()
+    assert would_be.version != scene.version
+    assert state.scene is scene
+    assert state.with_diff(diff(), BENT) is scene
+    assert failure(state.with_diff(diff(world={"collision_objects": [{"id": "x"}]}), BENT)).details["object"] == "x"
+
+
+def test_the_world_alone_takes_the_place_of_the_one_before_and_leaves_what_is_held():
+    state = scene_state(box("cup"), box("pen"))
+    assert state.apply_held_object(held("cup"), BENT) is None
+    assert state.apply_world(message("PlanningSceneWorld", collision_objects=[box("new")]), BENT) is None
+    assert (list(state.contents.objects), list(state.contents.attached)) == (["new"], ["cup"])
+
+
+def test_single_objects_are_taken():
+    state = SceneState(ROBOT)
+    assert state.apply_object(collision_object(**box("cup")), None) is None
+    assert [thing.name for thing in state.scene.objects] == ["cup"]
+
+
+@pytest.mark.parametrize(
+    ("objects", "code"),
+    [
+        ([box("gripper_link")], MoveItErrorCode.INVALID_OBJECT_NAME),
+        ([box("")], MoveItErrorCode.INVALID_OBJECT_NAME),
+        ([box("held")], MoveItErrorCode.INVALID_OBJECT_NAME),
+    ],
+)
+def test_names_that_are_taken_or_empty_are_refused(objects, code):
+    state = scene_state()
+    assert state.apply_held_object(held("held", **box("held")), BENT) is None
+    assert failure(state.apply_diff(diff(world={"collision_objects": objects}), BENT)).code is code
+
+
+def test_an_unknown_touch_link_is_refused():
+    refusal = scene_state(box("cup")).apply_held_object(held("cup", touch_links=("hand",)), BENT)
+    assert failure(refusal).code is MoveItErrorCode.INVALID_LINK_NAME
+
+
+def test_more_shapes_than_a_scene_holds_are_refused_bit_by_bit_as_well():
+    half = [{"type": 2, "dimensions": [0.1]}] * (MAX_SHAPES // 2)
+    state = scene_state({"id": "a", "primitives": half}, {"id": "b", "primitives": half})
+    assert failure(state.apply_object(collision_object(**box("c")), BENT)).details["limit"] == MAX_SHAPES
+
+
+def test_a_scene_for_another_robot_is_taken_with_a_warning(caplog):
+    with caplog.at_level(logging.WARNING, "armbridge"):
+        assert scene_state().apply_diff(diff(robot_model_name="panda"), BENT) is None
+    assert "'panda'" in caplog.text

@@ -62,10 +62,10 @@ class ArmClient:
     async def say(self, op: str, **fields: Any) -> None:
         await self.websocket.send(json.dumps({"op": op, **fields}))
 
-    async def call(self, service: str) -> dict[str, Any]:
-        """Call a std_srvs/Trigger service; returns its response."""
+    async def call(self, service: str, **request: Any) -> dict[str, Any]:
+        """Call a service; returns its response."""
         answer = self._expect(request_id := next(self._ids))
-        await self.say("call_service", service=service, id=request_id, args={})
+        await self.say("call_service", service=service, id=request_id, args=request)
         values: dict[str, Any] = (await asyncio.wait_for(answer, ANSWER_TIMEOUT_S))["values"]
         return values
 

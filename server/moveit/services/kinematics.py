@@ -1,0 +1,123 @@
+"""``/compute_ik`` and ``/compute_fk``: from poses to joints and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from planners.goals import ConstraintGoal, Constraints, Goal, OrientationConstraint, PoseGoal, PositionConstraint
+from planners.problem import IkQuestion, MoveItErrorCode
+from planners.scene import Pose
+from protocol.messages import Stamp
+from robot.model import RobotModel
+from server.moveit.current_state import state_message
+from server.moveit.poses import pose_of, write_pose
+from server.moveit.requests.codes import deviation_note, success
+from server.moveit.requests.constraints import path_constraints_of
+from server.moveit.requests.context import Message, RequestContext
+from server.moveit.requests.orientations import LEAST_TOLERANCE_RAD
+from server.moveit.requests.refusals import invalid, refused, required
+from server.moveit.requests.regions import LEAST_TOLERANCE_M
+from server.moveit.scene.frames import seen_from
+from server.moveit.services.planning_context import PlanningContext
+from server.node import Node
+
+# Without a timeout of the caller's own. MoveIt's 0.05 s are all used up when there is no solution; here the answer
+# comes as soon as it is known, and a loaded machine may take longer.
+DEFAULT_TIMEOUT_S = 0.5
+
+# Nobody waits longer for an inverse kinematics.
+MAX_TIMEOUT_S = 10.0
+
+NANOSECONDS_PER_S = 1e9
+
+
+async def compute_ik(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Find joint positions for poses of links; the response of moveit_msgs/GetPositionIK.
+
+    Raises:
+        RefusedError: there are none, and why.
+    """
+    asked = request["ik_request"]
+    group = context.group(asked["group_name"])
+    seed_rad = within_limits(context.robot, context.positions_rad(asked["robot_state"], caller))
+    scene = context.scene_of(asked["robot_state"], seed_rad)
+    reading = context.request_context(group, seed_rad)
+    constraints = required(path_constraints_of(asked["constraints"], reading, "ik_request.constraints"))
+    question = IkQuestion(
+        group=group.name,
+        start_rad=seed_rad,
+        goal=_ik_goal(asked, reading),
+        avoid_collisions=asked["avoid_collisions"],
+        constraints=None if constraints.empty else constraints,
+        allowed_time_s=_timeout_s(asked["timeout"]),
+    )
+    answer = required(await context.pool.ask(question, scene))
+    solution = state_message(dict(answer.positions_rad[0]), context.robot.root_link, 0.0)
+    notes = (*reading.warnings, deviation_note(answer.deviations[0]))
+    return {"solution": solution, "error_code": success(*notes)}
+
+
+async def compute_fk(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Tell where links are; the response of moveit_msgs/GetPositionFK.
+
+    Without names every link is told. Poses are in the frame of the request's header.
+
+    Raises:
+        RefusedError: an unknown link or frame, or a state that cannot be.
+    """
+    positions_rad = context.positions_rad(request["robot_state"], caller)
+    names = request["fk_link_names"] or list(context.robot.links)
+    frame_id = request["header"]["frame_id"] or context.robot.root_link
+    frame = required(context.frames.resolve(frame_id, positions_rad))
+    placed = context.forward.transforms(positions_rad)
+    header = {"stamp": Stamp(0, 0).as_message(), "frame_id": frame_id}
+    poses = []
+    for name in names:
+        if name not in placed:
+            known = ", ".join(context.robot.links)
+            raise refused(
+                MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {name!r}; it has: {known}", link=name
+            )
+        poses.append({"header": header, "pose": write_pose(seen_from(frame, pose_of(placed[name])))})
+    return {"pose_stamped": poses, "fk_link_names": names, "error_code": success()}
+
+
+def within_limits(robot: RobotModel, positions_rad: Mapping[str, float]) -> dict[str, float]:
+    """The nearest state within the limits: a search may begin anywhere [rad]."""
+    joints = robot.joints
+    return {name: min(max(value, joints[name].lower), joints[name].upper) for name, value in positions_rad.items()}
+
+
+def _ik_goal(asked: Message, reading: RequestContext) -> Goal:
+    """The poses that are asked for."""
+    links, poses = asked["ik_link_names"], asked["pose_stamped_vector"]
+    if len(poses) > 1 or len(links) > 1:
+        if len(links) != len(poses):
+            raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
+        return _several(links, poses, reading)
+    link = asked["ik_link_name"] or (links[0] if links else "")
+    pose = _pose(poses[0] if poses else asked["pose_stamped"], reading)
+    return PoseGoal(
+        reading.link(link), pose, LEAST_TOLERANCE_M, (LEAST_TOLERANCE_RAD,) * 3, strict=reading.chooses_orientation
+    )
+
+
+def _several(links: Sequence[str], poses: Sequence[Message], reading: RequestContext) -> ConstraintGoal:
+    """Poses of several links at once: of an arm with few joints their positions alone."""
+    placed = [(reading.link(link), _pose(pose, reading)) for link, pose in zip(links, poses, strict=True)]
+    positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
+    if not reading.chooses_orientation:
+        reading.warnings.append("the orientations of several links are not heeded")
+        return ConstraintGoal(Constraints(positions=positions))
+    turned = tuple(OrientationConstraint(link, pose.orientation, (LEAST_TOLERANCE_RAD,) * 3) for link, pose in placed)
+    return ConstraintGoal(Constraints(positions=positions, orientations=turned))
+
+
+def _pose(stamped: Message, reading: RequestContext) -> Pose:
+    return reading.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose")
+
+
+def _timeout_s(duration: Message) -> float:
+    timeout_s = duration["sec"] + duration["nanosec"] / NANOSECONDS_PER_S
+    return min(timeout_s, MAX_TIMEOUT_S) if timeout_s > 0.0 else DEFAULT_TIMEOUT_S

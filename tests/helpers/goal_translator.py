@@ -1,0 +1,30 @@
+"""A reader of goal messages for the built-in arm, in an empty scene, with one state saved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from robot import model
+from server.moveit.goals import GoalTranslator
+from server.moveit.named_states import NamedStates, Positions
+from server.moveit.parameters import MoveItParameters
+from server.moveit.scene.frames import Frames
+from server.moveit.scene.state import SceneState
+
+ROBOT = model.builtin()
+HOME_RAD: Mapping[str, float] = {joint.name: 0.0 for joint in ROBOT.movable_joints}
+
+
+async def keep_nothing(_states: Mapping[str, Positions]) -> None:
+    """States live as long as the test."""
+
+
+def translator(present_rad: Mapping[str, float] | None = HOME_RAD, **parameters: Any) -> GoalTranslator:
+    """Reads goals of an arm that is somewhere."""
+    states = NamedStates(ROBOT, "arm", {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}, keep_nothing)
+    frames = Frames(ROBOT, SceneState(ROBOT))
+    return GoalTranslator(ROBOT, MoveItParameters(**parameters), states, frames.resolve, lambda: present_rad)
+
+
+TRANSLATOR = translator()

@@ -1,0 +1,86 @@
+"""Steers an arm that exists in numbers only: a real planner, and the arm's own tracking of velocities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from planners.geometry.forward import ForwardKinematics
+from planners.pipeline import Planner
+from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
+from robot.control.velocity_tracking import VelocityTracking
+from robot.limits import JointBounds
+from robot.model import RobotModel
+from server.moveit.servo.session import LEAD_S
+
+TIP = "gripper_frame_link"
+PERIOD_S = 0.02
+TICK_S = 0.01
+READY = {"shoulder_lift": -0.5, "elbow_flex": 0.5}
+
+
+class SteeredArm:
+    """An arm that stands somewhere until it is steered.
+
+    Args:
+        planner: answers.
+        robot: the arm.
+        start_rad: where it stands; joints not named are at 0 [rad].
+        limits: how it is steered.
+    """
+
+    def __init__(
+        self,
+        planner: Planner,
+        robot: RobotModel,
+        start_rad: Mapping[str, float] = READY,
+        limits: ServoLimits | None = None,
+    ) -> None:
+        self._planner = planner
+        self._limits = limits or ServoLimits()
+        self._names = robot.groups["arm"].joints
+        self._others = {joint.name: 0.0 for joint in robot.movable_joints} | dict(start_rad)
+        self._forward = ForwardKinematics(robot, list(self._others))
+        start = np.array([self._others[name] for name in self._names])
+        self.tracking = VelocityTracking(JointBounds.of(robot, self._names), start)
+        self._velocity: Mapping[str, float] = {}
+        self._anchor: Anchor | None = None
+        self.tips_m = [self.tip_m]
+        self.joints_rad = [self.tracking.position_rad]
+        self.answers: list[ServoAnswer] = []
+
+    @property
+    def positions_rad(self) -> dict[str, float]:
+        return self._others | dict(zip(self._names, self.tracking.position_rad.tolist(), strict=True))
+
+    @property
+    def tip_m(self) -> np.ndarray:
+        self._forward.place(np.array(list(self.positions_rad.values())))
+        return self._forward.placement(TIP).translation.copy()
+
+    @property
+    def tip_axes(self) -> np.ndarray:
+        self._forward.place(np.array(list(self.positions_rad.values())))
+        return self._forward.placement(TIP).rotation.copy()
+
+    def steer(self, command: ServoCommand | Callable[[float], ServoCommand], seconds: float) -> ServoAnswer:
+        """Steer for a while; returns the last answer."""
+        for step in range(round(seconds / PERIOD_S)):
+            wanted = command(step * PERIOD_S) if callable(command) else command
+            ahead = self.tracking.position_rad + LEAD_S * self.tracking.velocity_rad_s
+            positions_rad = self._others | dict(zip(self._names, ahead.tolist(), strict=True))
+            question = ServoQuestion(
+                "arm", TIP, positions_rad, self._velocity, PERIOD_S, wanted, self._anchor, self._limits
+            )
+            answer = self._planner.answer(question)
+            assert isinstance(answer, ServoAnswer), answer
+            self._velocity, self._anchor = answer.velocity_rad_s, answer.anchor
+            self.answers.append(answer)
+            # The answer reaches the arm a tick later.
+            self.tracking.advance(TICK_S)
+            self.tracking.wish(np.array([answer.velocity_rad_s[name] for name in self._names]))
+            self.tracking.advance(TICK_S)
+            self.tips_m.append(self.tip_m)
+            self.joints_rad.append(self.tracking.position_rad)
+        return self.answers[-1]

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planners.problem import IkQuestion, MoveItErrorCode
+from server.moveit.services.kinematics import DEFAULT_TIMEOUT_S, MAX_TIMEOUT_S, _several, within_limits
+from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, context, joint, message, point
+from tests.helpers.moveit_services import ServiceRig
+
+AT = point(0.25, 0.05, 0.2, w=1.0)
+
+
+@pytest.fixture
+def rig() -> ServiceRig:
+    return ServiceRig()
+
+
+async def ik(rig: ServiceRig, pose=AT, frame="", **fields: Any) -> Any:
+    stamped = {"header": {"frame_id": frame}, "pose": pose}
+    return await rig.call("/compute_ik", ik_request={"pose_stamped": stamped, **fields})
+
+
+async def tip_m(rig: ServiceRig, solution: Any, link: str = TIP) -> tuple[float, ...]:
+    (told,) = (await rig.call("/compute_fk", fk_link_names=[link], robot_state=solution))["pose_stamped"]
+    return tuple(told["pose"]["position"][axis] for axis in "xyz")
+
+
+async def test_forward_kinematics_leads_back_to_the_pose(rig: ServiceRig) -> None:
+    answer = await ik(rig)
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert await tip_m(rig, answer["solution"]) == pytest.approx((0.25, 0.05, 0.2), abs=2e-4)
+
+
+async def test_a_solution_names_every_joint_once(rig: ServiceRig) -> None:
+    solution = (await ik(rig))["solution"]["joint_state"]
+    assert set(solution["name"]) == set(HOME)
+    assert len(solution["name"]) == len(solution["position"]) == len(HOME)
+
+
+async def test_five_joints_take_the_nearest_orientation_and_tell_how_far_it_is_off(rig: ServiceRig) -> None:
+    assert "degrees off" in (await ik(rig))["error_code"]["message"]
+
+
+async def test_a_pose_in_a_moving_frame_is_placed_by_the_seed(rig: ServiceRig) -> None:
+    seed = {"joint_state": {"name": ["shoulder_pan"], "position": [0.5]}}
+    there = await tip_m(rig, seed)
+    answer = await ik(rig, point(0.0, 0.0, 0.0, w=1.0), TIP, robot_state=seed)
+    assert await tip_m(rig, answer["solution"]) == pytest.approx(there, abs=2e-4)
+
+
+async def test_other_links_can_be_placed(rig: ServiceRig) -> None:
+    there = await tip_m(rig, {}, "wrist_link")
+    answer = await ik(rig, point(*there, w=1.0), ik_link_name="wrist_link")
+    assert await tip_m(rig, answer["solution"], "wrist_link") == pytest.approx(there, abs=2e-4)
+
+
+async def test_links_and_poses_can_come_as_lists(rig: ServiceRig) -> None:
+    stamped = {"header": {}, "pose": AT}
+    answer = await rig.call("/compute_ik", ik_request={"ik_link_names": [TIP], "pose_stamped_vector": [stamped]})
+    assert await tip_m(rig, answer["solution"]) == pytest.approx((0.25, 0.05, 0.2), abs=2e-4)
+
+
+async def test_several_links_are_placed_together(rig: ServiceRig) -> None:
+    seed = {"joint_state": {"name": ["elbow_flex"], "position": [0.4]}}
+    links = ["lower_arm_link", TIP]
+    poses = [{"header": {}, "pose": point(*await tip_m(rig, seed, link), w=1.0)} for link in links]
+    answer = await rig.call("/compute_ik", ik_request={"ik_link_names": links, "pose_stamped_vector": poses})
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert await tip_m(rig, answer["solution"], links[0]) == pytest.approx(await tip_m(rig, seed, links[0]), abs=3e-4)
+
+
+def test_seven_joints_keep_the_orientations_of_several_links() -> None:
+    stamped = message("geometry_msgs/PoseStamped", pose=AT)
+    goal = _several(["hand", "tool"], [stamped, stamped], context(SEVEN))
+    assert [one.link for one in goal.constraints.orientations] == ["hand", "tool"]
+    assert all(len(one.tolerance_rad) == 3 for one in goal.constraints.orientations)
+
+
+async def test_a_seed_beyond_its_limits_is_no_obstacle(rig: ServiceRig) -> None:
+    seed = {"joint_state": {"name": ["elbow_flex"], "position": [3.0]}}
+    assert (await ik(rig, robot_state=seed))["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_constraints_hold_in_the_solution(rig: ServiceRig) -> None:
+    held = {"joint_constraints": [joint("wrist_roll", 1.0, 0.05, 0.05)]}
+    solution = (await ik(rig, constraints=held))["solution"]["joint_state"]
+    at = dict(zip(solution["name"], solution["position"], strict=True))
+    assert at["wrist_roll"] == pytest.approx(1.0, abs=0.0501)
+
+
+BAD = {
+    "out of reach": ({"pose": point(0.9, 0.0, 0.2)}, -31, "nearest point it can reach"),
+    "unknown group": ({"group_name": "manipulator"}, -15, "'manipulator'"),
+    "unknown link": ({"ik_link_name": "hand"}, -18, "'hand'"),
+    "unknown frame": ({"frame": "moon"}, -21, "'moon'"),
+    "no number": ({"pose": point(float("nan"), 0.0, 0.2)}, -16, "position.x"),
+    "unlike lists": ({"ik_link_names": [TIP, "wrist_link"]}, -16, "2 entries and pose_stamped_vector 0"),
+    "unknown joint": ({"robot_state": {"joint_state": {"name": ["knee"], "position": [0.0]}}}, -17, "'knee'"),
+}
+
+
+@pytest.mark.parametrize(("fields", "code", "words"), BAD.values(), ids=BAD.keys())
+async def test_what_has_no_solution_has_its_code_and_a_sentence(rig: ServiceRig, fields, code, words) -> None:
+    answer = await ik(rig, **fields)
+    assert answer["error_code"]["val"] == code
+    assert words in answer["error_code"]["message"]
+
+
+async def test_a_solution_in_contact_counts_unless_contacts_are_to_be_avoided(rig: ServiceRig) -> None:
+    inside = point(0.0, 0.0, 0.2, w=1.0)
+    touching, free = await ik(rig, inside), await ik(rig, inside, avoid_collisions=True)
+    assert touching["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert free["error_code"]["val"] == MoveItErrorCode.GOAL_IN_COLLISION
+
+
+TIMES = {(0, 0): DEFAULT_TIMEOUT_S, (0, 250_000_000): 0.25, (2, 500_000_000): 2.5, (100, 0): MAX_TIMEOUT_S}
+
+
+@pytest.mark.parametrize(("stamp", "allowed_s"), TIMES.items())
+async def test_parts_of_seconds_count_in_a_timeout(rig: ServiceRig, stamp, allowed_s) -> None:
+    await ik(rig, timeout={"sec": stamp[0], "nanosec": stamp[1]})
+    question = rig.pool.requests[-1]
+    assert isinstance(question, IkQuestion)
+    assert question.allowed_time_s == allowed_s
+
+
+@settings(max_examples=30)
+@given(st.dictionaries(st.sampled_from(sorted(HOME)), st.floats(-10.0, 10.0)))
+def test_a_seed_is_brought_within_the_limits(positions_rad) -> None:
+    for name, value in within_limits(ROBOT, positions_rad).items():
+        assert ROBOT.joints[name].lower <= value <= ROBOT.joints[name].upper
+
+
+async def test_every_link_is_told_when_none_is_named(rig: ServiceRig) -> None:
+    answer = await rig.call("/compute_fk")
+    assert answer["fk_link_names"] == list(ROBOT.links)
+    assert len(answer["pose_stamped"]) == len(ROBOT.links)
+
+
+async def test_poses_are_told_in_the_frame_that_is_asked_for(rig: ServiceRig) -> None:
+    answer = await rig.call("/compute_fk", header={"frame_id": TIP}, fk_link_names=[TIP])
+    (told,) = answer["pose_stamped"]
+    assert told["header"]["frame_id"] == TIP
+    assert list(told["pose"]["position"].values()) == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+
+
+async def test_an_unknown_link_has_no_pose(rig: ServiceRig) -> None:
+    answer = await rig.call("/compute_fk", fk_link_names=["hand"])
+    assert answer["error_code"]["val"] == MoveItErrorCode.INVALID_LINK_NAME
+    assert "'hand'" in answer["error_code"]["message"]
+
+
+async def test_a_state_beyond_the_limits_has_poses_all_the_same(rig: ServiceRig) -> None:
+    state = {"joint_state": {"name": ["elbow_flex"], "position": [3.0]}}
+    assert (await rig.call("/compute_fk", robot_state=state))["error_code"]["val"] == MoveItErrorCode.SUCCESS

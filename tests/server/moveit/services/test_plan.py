@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from planners.problem import MoveItErrorCode
+from server.moveit.requests.motion_plan import PILZ
+from tests.helpers.moveit_requests import HOME, SPHERE, TIP, ball, joint, point, region, turned
+from tests.helpers.moveit_services import ServiceRig
+
+# Shoulder and gripper overlap by centimetres.
+FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.6, "wrist_flex": 1.6}
+REACHABLE = {"position_constraints": [ball(0.3, 0.0, 0.2)]}
+ELBOW = {"joint_constraints": [joint("elbow_flex", 0.5)]}
+
+
+@pytest.fixture
+def rig() -> ServiceRig:
+    return ServiceRig()
+
+
+async def planned(rig: ServiceRig, *goals: Any, **fields: Any) -> Any:
+    request = {"goal_constraints": list(goals or [ELBOW]), **fields}
+    return (await rig.call("/plan_kinematic_path", motion_plan_request=request))["motion_plan_response"]
+
+
+def points(response: Any) -> list[Any]:
+    return response["trajectory"]["joint_trajectory"]["points"]
+
+
+def start_state(positions, **fields):
+    return {"joint_state": {"name": list(positions), "position": list(positions.values())}, **fields}
+
+
+def thing(at, size=0.1):
+    box = {"primitives": [{"type": 1, "dimensions": [size] * 3}], "primitive_poses": [point(*at)]}
+    return {"is_diff": True, "world": {"collision_objects": [{"id": "crate", **box}]}}
+
+
+def put(rig: ServiceRig, scene: Any) -> None:
+    complete = rig.graph.interfaces.complete("moveit_msgs/msg/PlanningScene", scene)
+    assert rig.scene_state.apply_diff(complete, HOME) is None
+
+
+async def test_a_motion_leads_from_the_start_to_the_goal(rig: ServiceRig) -> None:
+    response = await planned(rig, start_state=start_state({"wrist_roll": 0.2}))
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert response["group_name"] == "arm"
+    first, last = points(response)[0]["positions"], points(response)[-1]["positions"]
+    names = response["trajectory"]["joint_trajectory"]["joint_names"]
+    assert dict(zip(names, first, strict=True))["wrist_roll"] == pytest.approx(0.2)
+    assert dict(zip(names, last, strict=True))["elbow_flex"] == pytest.approx(0.5)
+    assert response["trajectory_start"]["joint_state"]["position"][-2] == pytest.approx(0.2)
+
+
+async def test_a_goal_that_holds_already_is_a_motion_of_one_point(rig: ServiceRig) -> None:
+    response = await planned(rig, {"joint_constraints": [joint("elbow_flex", 0.0)]})
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert len(points(response)) == 1
+
+
+async def test_what_was_changed_is_told_with_the_success(rig: ServiceRig) -> None:
+    code = (await planned(rig, start_state=start_state({"elbow_flex": -1.72}), planner_id="CHOMP"))["error_code"]
+    assert code["val"] == MoveItErrorCode.SUCCESS
+    assert "elbow_flex" in code["message"]
+    assert "'CHOMP'" in code["message"]
+
+
+async def test_five_joints_reach_a_pose_in_the_nearest_orientation_and_tell_how_far_it_is_off(rig: ServiceRig) -> None:
+    code = (await planned(rig, REACHABLE | {"orientation_constraints": [turned(0.001)]}))["error_code"]
+    assert code["val"] == MoveItErrorCode.SUCCESS
+    assert "degrees off" in code["message"]
+
+
+UNPLANNABLE = {
+    "unknown group": ([ELBOW], {"group_name": "manipulator"}, -15, "'manipulator'"),
+    "unknown pipeline": ([ELBOW], {"pipeline_id": "chomp"}, 99999, "'chomp'"),
+    "no goal constraints": ([{}], {}, -16, "empty"),
+    "unknown joint": ([{"joint_constraints": [joint("knee", 0.1)]}], {}, -16, "'knee'"),
+    "joint beyond its limits": ([{"joint_constraints": [joint("elbow_flex", 3.0)]}], {}, -16, "-1.69 to 1.69"),
+    "negative tolerance": ([{"joint_constraints": [joint("elbow_flex", 0.1, above=-1.0)]}], {}, -16, "tolerance_above"),
+    "unknown link": ([{"position_constraints": [ball(0.3, 0, 0.2, link_name="hand")]}], {}, -18, "'hand'"),
+    "unknown frame": ([{"position_constraints": [ball(0.3, 0, 0.2, header={"frame_id": "moon"})]}], {}, -21, "'moon'"),
+    "no region": ([{"position_constraints": [{}]}], {}, -16, "no region"),
+    "unreachable": ([{"position_constraints": [ball(0.8, 0.0, 0.2)]}], {}, -31, "nearest point it can reach"),
+    "unreachable orientation": (
+        [REACHABLE | {"orientation_constraints": [turned(0.1)]}],
+        {},
+        -31,
+        "not in the orientation asked for",
+    ),
+    "start out of limits": ([ELBOW], {"start_state": start_state({"elbow_flex": -2.0})}, -26, "'elbow_flex'"),
+    "start in collision": ([ELBOW], {"start_state": start_state(FOLDED)}, -10, "shoulder_link and gripper_link"),
+    "goal in collision": ([{"joint_constraints": [joint(*pair) for pair in FOLDED.items()]}], {}, -12, "shoulder_link"),
+    "start violates": ([ELBOW], {"path_constraints": {"position_constraints": [ball(0.2, 0.2, 0.2)]}}, -11, TIP),
+    "goal violates": (
+        [{"joint_constraints": [joint("wrist_roll", 1.0)]}],
+        {"path_constraints": {"joint_constraints": [joint("wrist_roll", 0.0, 0.5, 0.5)]}},
+        -13,
+        "'wrist_roll'",
+    ),
+    "time over": ([REACHABLE], {"allowed_planning_time": 1e-6}, -6, "allowed"),
+    "line out of reach": (
+        [{"position_constraints": [ball(0.8, 0.0, 0.2)]}],
+        {"pipeline_id": PILZ, "planner_id": "LIN"},
+        -31,
+        "cm",
+    ),
+}
+
+
+@pytest.mark.parametrize(("goals", "fields", "code", "words"), UNPLANNABLE.values(), ids=UNPLANNABLE.keys())
+async def test_what_cannot_be_planned_has_its_true_code_and_a_sentence(rig, goals, fields, code, words) -> None:
+    response = await planned(rig, *goals, **fields)
+    assert response["error_code"]["val"] == code
+    assert words in response["error_code"]["message"]
+    assert not points(response)
+
+
+async def test_a_failure_is_in_the_log(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
+    await planned(rig, group_name="manipulator")
+    assert any("INVALID_GROUP_NAME" in record.getMessage() for record in caplog.records)
+
+
+async def test_what_a_success_leaves_out_is_in_the_log(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "armbridge")
+    await planned(rig, planner_id="CHOMP")
+    assert any("'CHOMP'" in record.getMessage() for record in caplog.records)
+
+
+async def test_a_goal_in_a_thing_names_it_and_shows_the_contact(rig: ServiceRig) -> None:
+    shown = rig.listen("/display_contacts", "visualization_msgs/MarkerArray")
+    put(rig, thing((0.0, 0.35, 0.2)))
+    code = (await planned(rig, {"position_constraints": [ball(0.0, 0.35, 0.2)]}))["error_code"]
+    assert code["val"] == MoveItErrorCode.GOAL_IN_COLLISION
+    assert "crate" in code["message"]
+    assert "crate" in shown[-1]["markers"][-1]["ns"]
+
+
+async def test_any_one_of_several_goals_will_do(rig: ServiceRig) -> None:
+    response = await planned(rig, {"position_constraints": [ball(0.8, 0.0, 0.2)]}, ELBOW)
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_any_one_of_several_regions_will_do(rig: ServiceRig) -> None:
+    two = region((SPHERE, [0.01]), (SPHERE, [0.01]), poses=[point(0.8, 0.0, 0.2), point(0.3, 0.0, 0.2)])
+    assert (await planned(rig, {"position_constraints": [two]}))["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_a_line_of_the_tip_ends_at_the_goal(rig: ServiceRig) -> None:
+    response = await planned(rig, REACHABLE, pipeline_id=PILZ, planner_id="LIN")
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_a_plan_is_shown(rig: ServiceRig) -> None:
+    shown = rig.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
+    response = await planned(rig)
+    assert shown[-1]["trajectory"][0]["joint_trajectory"]["points"] == points(response)
+
+
+async def test_whoever_listens_hears_what_the_planners_were_asked_and_answered(rig: ServiceRig) -> None:
+    heard = rig.listen("/pipeline_state", "moveit_msgs/PipelineState")
+    await planned(rig, planner_id="RRT")
+    assert heard[-1]["request"]["planner_id"] == "RRT"
+    assert heard[-1]["response"]["error_code"]["val"] == MoveItErrorCode.SUCCESS

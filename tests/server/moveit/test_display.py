@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from protocol.registry import Registry
+from robot.trajectory import Trajectory
+from server.goal_queue import Performed
+from server.graph import Graph, Subscriber
+from server.moveit.display import CONTACTS_TOPIC, PATH_TOPIC, PIPELINE_TOPIC, DisplayTopics
+from server.node import Node
+from tests.helpers.moveit_requests import HOME, ROBOT
+
+MOTION = Trajectory(("elbow_flex",), np.array([0.0, 1.0]), np.array([[0.0], [0.5]]), np.zeros((2, 1)), np.zeros((2, 1)))
+TYPES = {
+    PATH_TOPIC: "moveit_msgs/DisplayTrajectory",
+    CONTACTS_TOPIC: "visualization_msgs/MarkerArray",
+    PIPELINE_TOPIC: "moveit_msgs/PipelineState",
+}
+
+
+@pytest.fixture
+def graph() -> Graph:
+    return Graph(Registry.load())
+
+
+@pytest.fixture
+def display(graph: Graph) -> DisplayTopics:
+    topics = DisplayTopics(graph, ROBOT)
+    topics.open()
+    return topics
+
+
+def listen(graph: Graph, topic: str) -> list:
+    heard: list = []
+    subscriber = Subscriber(lambda news: heard.append(news.msg))
+    heard += [kept.msg for kept in graph.subscribe(Node("viewer"), topic, TYPES[topic], subscriber)]
+    return heard
+
+
+def test_a_planned_motion_is_shown_with_its_start(graph: Graph, display: DisplayTopics) -> None:
+    heard = listen(graph, PATH_TOPIC)
+    display.performed(Performed(HOME, (MOTION, MOTION)))
+    (shown,) = heard
+    assert shown["model_id"] == ROBOT.name
+    assert len(shown["trajectory"]) == 2
+    assert shown["trajectory_start"]["joint_state"]["name"] == list(HOME)
+
+
+def test_who_comes_later_sees_the_last_plan(graph: Graph, display: DisplayTopics) -> None:
+    display.planned((MOTION,), HOME)
+    assert len(listen(graph, PATH_TOPIC)) == 1
+
+
+def test_contacts_are_balls_where_things_touch_and_take_the_place_of_those_before(graph, display) -> None:
+    heard = listen(graph, CONTACTS_TOPIC)
+    display.contacts([{"first": "gripper_link", "second": "crate", "depth_m": 0.01, "point_m": (0.3, 0.1, 0.2)}])
+    clear, ball = heard[0]["markers"]
+    assert clear["action"] == 3
+    assert ball["ns"] == "gripper_link, crate"
+    assert ball["pose"]["position"] == {"x": 0.3, "y": 0.1, "z": 0.2}
+    assert ball["header"]["frame_id"] == ROBOT.root_link
+
+
+def test_contacts_that_are_no_more_are_cleared(graph: Graph, display: DisplayTopics) -> None:
+    heard = listen(graph, CONTACTS_TOPIC)
+    display.contacts([])
+    assert len(heard[0]["markers"]) == 1
+
+
+def test_the_state_of_the_pipeline_is_told_to_listeners_alone(graph: Graph, display: DisplayTopics) -> None:
+    display.pipeline({}, {})
+    heard = listen(graph, PIPELINE_TOPIC)
+    display.pipeline({"group_name": "arm"}, {"planning_time": 0.5})
+    (told,) = heard
+    assert told["request"]["group_name"] == "arm"
+    assert told["response"]["planning_time"] == 0.5
+
+
+def test_a_failure_shows_what_touches_and_any_other_failure_nothing(graph: Graph, display: DisplayTopics) -> None:
+    heard = listen(graph, CONTACTS_TOPIC)
+    display.contacts_of({"joint": "elbow_flex"})
+    assert not heard
+    display.contacts_of({"pairs": [{"first": "a", "second": "b", "depth_m": 0.01, "point_m": (0.0, 0.0, 0.0)}]})
+    assert len(heard[0]["markers"]) == 2

@@ -1,0 +1,69 @@
+"""The parameters of steering, under MoveIt Servo's names where it has them."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from planners.servo.question import ServoLimits
+
+
+class ServoParameters(BaseModel):
+    """How the arm is steered.
+
+    Attributes:
+        command_in_type: whether commands are shares of the scales, -1 to 1, or speeds in SI units.
+        linear_scale: speed of the tip for a command of 1, and its greatest on the way to a target [m/s].
+        rotational_scale: likewise of its turn [rad/s].
+        joint_scale: speed of a joint for a command of 1 [rad/s].
+        incoming_command_timeout: a command holds for so long after its arrival [s].
+        rate_hz: how often the joints get new velocities [Hz].
+        velocity_scaling: share of the joints' velocity limits that steering may use.
+        lower_singularity_threshold: condition number from which motion towards a singularity is slowed.
+        hard_stop_singularity_threshold: condition number at which such motion ends.
+        check_collisions: whether the arm is kept from itself and from the scene.
+        self_distance: nearest that links come to each other [m].
+        scene_distance: nearest that links come to objects [m].
+        status_type: type of the status topic, ``moveit_msgs/ServoStatus`` or, as in humble and in its numbers,
+            ``std_msgs/Int8``.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    command_in_type: Literal["unitless", "speed_units"] = "unitless"
+    linear_scale: float = Field(default=0.2, gt=0.0, le=2.0)
+    rotational_scale: float = Field(default=0.8, gt=0.0, le=10.0)
+    joint_scale: float = Field(default=0.5, gt=0.0, le=10.0)
+    # A browser that draws 60 pictures a second misses a quarter of a second when it collects garbage.
+    incoming_command_timeout: float = Field(default=0.25, ge=0.02, le=5.0)
+    rate_hz: float = Field(default=50.0, ge=20.0, le=100.0)
+    velocity_scaling: float = Field(default=1.0, gt=0.0, le=1.0)
+    lower_singularity_threshold: float = Field(default=17.0, gt=1.0, le=1e4)
+    hard_stop_singularity_threshold: float = Field(default=30.0, gt=1.0, le=1e4)
+    check_collisions: bool = True
+    self_distance: float = Field(default=0.003, ge=0.0, le=0.05)
+    scene_distance: float = Field(default=0.005, ge=0.0, le=0.05)
+    status_type: Literal["moveit_msgs/ServoStatus", "std_msgs/Int8"] = "moveit_msgs/ServoStatus"
+
+    @model_validator(mode="after")
+    def _slows_before_it_stops(self) -> ServoParameters:
+        slow, stop = self.lower_singularity_threshold, self.hard_stop_singularity_threshold
+        if slow >= stop:
+            raise ValueError(
+                f"lower_singularity_threshold must be below hard_stop_singularity_threshold, not {slow:g} and {stop:g}"
+            )
+        return self
+
+    @property
+    def limits(self) -> ServoLimits:
+        """The same for the planners."""
+        return ServoLimits(
+            linear_m_s=self.linear_scale,
+            angular_rad_s=self.rotational_scale,
+            velocity_scaling=self.velocity_scaling,
+            singularity_slow=self.lower_singularity_threshold,
+            singularity_stop=self.hard_stop_singularity_threshold,
+            self_distance_m=self.self_distance if self.check_collisions else None,
+            scene_distance_m=self.scene_distance if self.check_collisions else None,
+        )

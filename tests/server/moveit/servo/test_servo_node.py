@@ -1,0 +1,168 @@
+"""The node on a real graph with an arm that only listens; and once with everything, over rosbridge."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from planners.pool import PlannerPool
+from planners.scene import EMPTY_SCENE, Pose, Scene
+from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
+from server.graph import Graph, Subscriber
+from server.moveit.parameters import MoveItParameters
+from server.moveit.scene.state import SceneState
+from server.moveit.servo.servo_node import (
+    JOINT_TOPIC,
+    PAUSE_SERVICE,
+    POSE_TOPIC,
+    START_SERVICE,
+    STOP_SERVICE,
+    SWITCH_SERVICE,
+    TWIST_TOPIC,
+    ServoNode,
+)
+from server.moveit.servo.status import STATUS_TOPIC
+from server.node import Node
+from tests.helpers.arm_server import ArmClient
+from tests.helpers.in_process import REGISTRY
+from tests.helpers.steerable_arm import ROBOT, SteerableArm
+
+NORTH = {"twist": {"linear": {"x": 0.5}}}
+TYPES = {
+    TWIST_TOPIC: "geometry_msgs/TwistStamped",
+    JOINT_TOPIC: "control_msgs/JointJog",
+    POSE_TOPIC: "geometry_msgs/PoseStamped",
+}
+
+
+class Rig:
+    """A servo node between two clients and an arm."""
+
+    def __init__(self) -> None:
+        self.graph, self.arm = Graph(REGISTRY), SteerableArm()
+        self.busy = ""
+        self.asked: list[ServoQuestion] = []
+        self.heard: list[dict[str, Any]] = []
+        self.one, self.other = Node("one", remote=True), Node("other", remote=True)
+        self.node = ServoNode(
+            self.graph, ROBOT, MoveItParameters(), SceneState(ROBOT), lambda _frame, _positions: Pose()
+        )
+        self.node.open(self.arm.as_arm, cast("PlannerPool", self), lambda: self.busy)
+        subscriber = Subscriber(lambda publication: self.heard.append(dict(publication.msg)))
+        self.graph.subscribe(self.one, STATUS_TOPIC, "moveit_msgs/ServoStatus", subscriber)
+        for client in (self.one, self.other):
+            for topic, type_name in TYPES.items():
+                self.graph.advertise(client, topic, type_name)
+
+    async def ask(self, question: ServoQuestion, _scene: Scene = EMPTY_SCENE) -> ServoAnswer:
+        self.asked.append(question)
+        moving = 0.0 if question.command.zero else 0.1
+        return ServoAnswer(dict.fromkeys(ROBOT.groups["arm"].joints, moving))
+
+    async def say(self, topic: str, message: dict[str, Any], client: Node | None = None) -> None:
+        self.graph.publish(client or self.one, topic, message)
+        await asyncio.sleep(0.01)
+
+    def call(self, service: str, **request: Any) -> dict[str, Any]:
+        answers: list[dict[str, Any]] = []
+        self.graph.services.call(self.one, service, request, lambda response: answers.append(response.values))
+        return answers[0]
+
+
+@pytest.fixture
+async def rig() -> Any:
+    made = Rig()
+    yield made
+    await made.node.close()
+
+
+async def test_each_kind_of_command_steers_without_a_word_before(rig: Rig) -> None:
+    await rig.say(TWIST_TOPIC, NORTH)
+    await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]})
+    await asyncio.sleep(0.03)
+    await rig.say(POSE_TOPIC, {"pose": {"position": {"x": 0.3}}})
+    await asyncio.sleep(0.03)
+    assert {type(question.command).__name__ for question in rig.asked} == {"TipTwist", "JointVelocities", "TipTarget"}
+    assert len(rig.arm.streams) == 1
+
+
+async def test_a_second_client_does_not_steer_and_does_not_disturb(rig: Rig) -> None:
+    await rig.say(TWIST_TOPIC, NORTH)
+    told = len([each for each in rig.heard if each["code"] == ServoStatus.INVALID])
+    await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]}, rig.other)
+    await asyncio.sleep(0.03)
+    assert {type(question.command).__name__ for question in rig.asked} == {"TipTwist"}
+    assert len([each for each in rig.heard if each["code"] == ServoStatus.INVALID]) == told
+
+
+async def test_when_the_first_client_leaves_the_second_may_steer(rig: Rig) -> None:
+    await rig.say(TWIST_TOPIC, NORTH)
+    rig.graph.remove(rig.one)
+    await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]}, rig.other)
+    await asyncio.sleep(0.03)
+    assert type(rig.asked[-1].command).__name__ == "JointVelocities"
+
+
+async def test_what_cannot_be_followed_is_told_on_the_status(rig: Rig) -> None:
+    await rig.say(TWIST_TOPIC, {"twist": {"linear": {"x": 2.0}}})
+    assert rig.heard[-1]["code"] == ServoStatus.INVALID
+    assert "twist.linear.x" in rig.heard[-1]["message"]
+    assert not rig.arm.streams
+
+
+async def test_a_busy_arm_is_not_steered(rig: Rig) -> None:
+    rig.busy = "goal 3 is worked on"
+    await rig.say(TWIST_TOPIC, NORTH)
+    assert rig.heard[-1] == {"code": -1, "message": "goal 3 is worked on"}
+    assert not rig.arm.streams
+
+
+async def test_a_selected_command_type_excludes_the_others(rig: Rig) -> None:
+    assert rig.call(SWITCH_SERVICE, command_type=0) == {"success": True}
+    await rig.say(TWIST_TOPIC, NORTH)
+    assert "JOINT_JOG was selected" in rig.heard[-1]["message"]
+    assert rig.call(SWITCH_SERVICE, command_type=9) == {"success": False}
+
+
+@pytest.mark.parametrize(
+    ("pause", "go_on"),
+    [((PAUSE_SERVICE, {"data": True}), (PAUSE_SERVICE, {"data": False})), ((STOP_SERVICE, {}), (START_SERVICE, {}))],
+)
+async def test_a_pause_ends_the_steering_until_it_is_lifted(rig: Rig, pause: Any, go_on: Any) -> None:
+    await rig.say(TWIST_TOPIC, NORTH)
+    assert rig.call(pause[0], **pause[1])["success"]
+    assert rig.arm.streams[0].ended.done()
+    await asyncio.sleep(0.03)
+    await rig.say(TWIST_TOPIC, NORTH)
+    assert "paused" in rig.heard[-1]["message"]
+    rig.call(go_on[0], **go_on[1])
+    await rig.say(TWIST_TOPIC, NORTH)
+    assert len(rig.arm.streams) == 2
+
+
+async def hold_the_stick(client: ArmClient, seconds: float, **linear: float) -> None:
+    for _ in range(round(seconds * 100)):
+        await client.say("publish", topic=TWIST_TOPIC, msg={"twist": {"linear": linear}})
+        await asyncio.sleep(0.01)
+
+
+async def test_a_stick_moves_the_arm_and_gives_way_to_a_goal(client: ArmClient) -> None:
+    await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})
+    await client.until("/moveit_goal_result", lambda results: results[-1]["val"] == 1)
+    before = client.topics["/joint_states"][-1]["position"]
+    await client.say("subscribe", topic=STATUS_TOPIC, type="moveit_msgs/ServoStatus")
+    await client.say("advertise", topic=TWIST_TOPIC, type=TYPES[TWIST_TOPIC])
+    await hold_the_stick(client, 0.6, y=0.5)
+    assert client.topics["/joint_states"][-1]["position"][0] < before[0] - 0.05
+    assert client.topics[STATUS_TOPIC][-1]["code"] == ServoStatus.NO_WARNING
+    results = len(client.topics["/moveit_goal_result"])
+    await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})
+    await hold_the_stick(client, 0.2, y=0.5)
+    told = await client.until(STATUS_TOPIC, lambda statuses: statuses[-1]["code"] == ServoStatus.INVALID)
+    assert told[-1]["message"]
+    reached = await client.until("/moveit_goal_result", lambda all_: len(all_) > results)
+    assert reached[-1]["val"] == 1
+    assert client.topics["/joint_states"][-1]["position"] == pytest.approx(np.array(before), abs=0.05)

@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import Pose
+from planners.servo.question import (
+    Anchor,
+    JointVelocities,
+    ServoAnswer,
+    ServoLimits,
+    ServoQuestion,
+    ServoStatus,
+    TipTwist,
+)
+from server.moveit.servo.commands import FramedTwist
+from server.moveit.servo.session import REST_S, ServoSession, Steered
+from tests.helpers.clock import FakeClock
+from tests.helpers.steerable_arm import ROBOT, SteerableArm
+
+JOINTS = ROBOT.groups["arm"].joints
+PERIOD_S, TIMEOUT_S = 0.02, 0.25
+NORTH = FramedTwist((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "")
+MOVING = dict.fromkeys(JOINTS, 0.1) | {"elbow_flex": 0.3}
+RESTING = dict.fromkeys(JOINTS, 0.0)
+KEPT = Anchor(Pose((0.3, 0.0, 0.2)))
+
+
+class Rig:
+    """A session whose planners move every joint while anything is wanted; each answer takes a period."""
+
+    def __init__(self) -> None:
+        self.arm, self.clock = SteerableArm(), FakeClock()
+        self.questions: list[ServoQuestion] = []
+        self.told: list[tuple[ServoStatus, str]] = []
+        self.interruptions: list[str] = []
+        self.answer: Callable[[ServoQuestion], ServoAnswer | PlanningFailure] = lambda question: ServoAnswer(
+            RESTING if question.command.zero else MOVING, anchor=KEPT
+        )
+        self.session = ServoSession(
+            self.arm.as_arm,
+            Steered("arm", JOINTS, "gripper_frame_link", ServoLimits(), PERIOD_S, TIMEOUT_S),
+            self._ask,
+            self._resolve,
+            lambda status, message: self.told.append((status, message)),
+            self.interruptions.append,
+            self.clock,
+        )
+
+    async def until_let_go(self) -> None:
+        async with asyncio.timeout(5.0):
+            while self.session._task is not None:
+                await asyncio.sleep(0)
+
+    async def until_asked(self, times: int) -> None:
+        async with asyncio.timeout(5.0):
+            while len(self.questions) < times:
+                await asyncio.sleep(0)
+
+    async def _ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        self.questions.append(question)
+        self.clock.advance(PERIOD_S)
+        await asyncio.sleep(0)
+        return self.answer(question)
+
+    def _resolve(self, frame_id: str, _positions: object) -> Pose | PlanningFailure:
+        if frame_id == "nowhere":
+            return PlanningFailure(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "there is no frame 'nowhere'")
+        return Pose()
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+async def test_a_wish_takes_the_arm_in_hand_and_moves_its_joints(rig: Rig) -> None:
+    rig.session.want(NORTH)
+    await rig.until_asked(2)
+    assert rig.questions[0].command == TipTwist((0.1, 0.0, 0.0))
+    assert rig.arm.setpoints[0].velocity_rad_s.tolist() == [MOVING[name] for name in JOINTS]
+    await rig.session.close()
+
+
+async def test_a_wish_holds_for_its_time_and_then_the_arm_is_let_go_of(rig: Rig) -> None:
+    rig.session.want(NORTH)
+    await rig.until_let_go()
+    wanted = [not question.command.zero for question in rig.questions]
+    assert wanted.count(True) == pytest.approx(TIMEOUT_S / PERIOD_S, abs=1.5)
+    assert wanted.count(False) == pytest.approx(REST_S / PERIOD_S, abs=1.5)
+    assert rig.told[-1] == (ServoStatus.NO_WARNING, "")
+    assert not rig.interruptions
+
+
+async def test_a_release_before_the_arm_is_in_hand_moves_nothing(rig: Rig) -> None:
+    rig.session.want(NORTH)
+    rig.session.release()
+    await rig.until_let_go()
+    assert all(question.command.zero for question in rig.questions)
+
+
+async def test_the_next_wish_takes_the_arm_again(rig: Rig) -> None:
+    for streams in (1, 2):
+        rig.session.want(NORTH)
+        await rig.until_let_go()
+        assert len(rig.arm.streams) == streams
+
+
+async def test_every_question_hands_on_the_last_answer(rig: Rig) -> None:
+    rig.session.want(NORTH)
+    await rig.until_asked(2)
+    assert (rig.questions[0].velocity_rad_s, rig.questions[0].anchor) == ({}, None)
+    assert (rig.questions[1].velocity_rad_s, rig.questions[1].anchor) == (MOVING, KEPT)
+    await rig.session.close()
+
+
+async def test_what_was_kept_for_a_twist_is_not_kept_for_joints(rig: Rig) -> None:
+    rig.session.want(NORTH)
+    await rig.until_asked(2)
+    rig.session.want(JointVelocities({"elbow_flex": 0.2}))
+    await rig.until_asked(4)
+    first = next(question for question in rig.questions if isinstance(question.command, JointVelocities))
+    assert first.anchor is None
+    await rig.session.close()
+
+
+async def test_who_else_stops_the_arm_is_told_of(rig: Rig) -> None:
+    rig.session.want(NORTH)
+    await rig.until_asked(2)
+    rig.arm.stop()
+    await rig.until_let_go()
+    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: stopped")
+    assert rig.interruptions == ["steering was ended: stopped"]
+
+
+async def test_without_an_answer_the_arm_is_told_to_rest_and_why(rig: Rig) -> None:
+    rig.answer = lambda _question: PlanningFailure(MoveItErrorCode.CRASH, "the planner process ended")
+    rig.session.want(NORTH)
+    await rig.until_asked(2)
+    assert not rig.arm.setpoints[0].velocity_rad_s.any()
+    assert rig.told[0] == (ServoStatus.INVALID, "the planner process ended")
+    await rig.session.close()
+
+
+async def test_a_frame_that_is_not_known_moves_nothing(rig: Rig) -> None:
+    rig.session.want(FramedTwist((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"))
+    await rig.until_asked(3)
+    assert all(question.command.zero for question in rig.questions)
+    assert set(rig.told) == {(ServoStatus.INVALID, "there is no frame 'nowhere'")}
+    await rig.session.close()
+
+
+async def test_a_bug_lets_go_of_the_arm(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    def broken(_question: ServoQuestion) -> ServoAnswer:
+        raise AssertionError("broken")
+
+    rig.answer = broken
+    rig.session.want(NORTH)
+    await rig.until_let_go()
+    assert rig.arm.streams[0].ended.done()
+    assert rig.told[-1][0] is ServoStatus.INVALID
+    assert "steering failed" in caplog.text

@@ -2,9 +2,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+COMPAS_FAB := compas_fab==2.0.1
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: install install-dev run test lint check bench bench-planning campaign campaign-planners lock clean
+.PHONY: install install-dev run test test-clients lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -26,7 +27,16 @@ run: install
 	exec $(BIN)/armbridge serve $(ARGS)
 
 test: install-dev
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest --ignore tests/clients $(ARGS)
+
+# The clients of others as they are published, each in an environment of its own: a minute of installing.
+test-clients: install-dev build/compas_fab/.installed
+	$(BIN)/python -m pytest tests/clients $(ARGS)
+
+build/compas_fab/.installed:
+	$(PYTHON) -m venv build/compas_fab
+	build/compas_fab/bin/python -m pip --disable-pip-version-check install --quiet $(COMPAS_FAB)
+	touch $@
 
 lint: install-dev
 	$(BIN)/ruff check .

@@ -1,0 +1,93 @@
+"""compas_fab as it is published, as a ROS 1 and as a ROS 2 client, against the server with the simulated arm.
+
+It is large and wants an environment of its own: ``make test-clients`` makes it and runs this.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.server import RunningServer
+
+SCENARIO = Path(__file__).with_name("compas_fab_scenario.py")
+PYTHON = Path(__file__).parents[2] / "build" / "compas_fab" / "bin" / "python"
+
+pytestmark = pytest.mark.skipif(not PYTHON.exists(), reason="compas_fab is not installed: make test-clients does it")
+
+QUERIES = {"ros1": "?ros=1", "ros2": ""}
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[RunningServer]:
+    with RunningServer() as running:
+        yield running
+
+
+@pytest.fixture(scope="module", params=QUERIES)
+def dialect(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return name
+
+
+@pytest.fixture(scope="module")
+def answers(dialect: str, server: RunningServer) -> dict[str, Any]:
+    """What the scenario heard, step by step."""
+    done = subprocess.run(
+        [str(PYTHON), str(SCENARIO), f"ws://127.0.0.1:{server.port}/{QUERIES[dialect]}"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return heard
+
+
+def test_the_robot_is_loaded(answers: dict[str, Any], dialect: str) -> None:
+    assert answers["distro"] == {"ros1": "noetic", "ros2": "jazzy"}[dialect]
+    assert answers["robot"] == "so101"
+    assert len(answers["group joints"]) == 5
+
+
+def test_inverse_kinematics_finds_where_forward_kinematics_was(answers: dict[str, Any]) -> None:
+    assert answers["inverse kinematics"]["elbow_flex"] == pytest.approx(0.9, abs=0.02)
+
+
+def test_a_motion_to_a_configuration_ends_there(answers: dict[str, Any]) -> None:
+    assert answers["planned"]["fraction"] == 1.0
+    assert answers["planned end"]["shoulder_pan"] == pytest.approx(0.6, abs=2e-3)
+
+
+def test_a_line_is_followed_to_its_end(answers: dict[str, Any]) -> None:
+    assert answers["line"]["fraction"] == pytest.approx(1.0)
+    assert answers["line"]["points"] > 2
+
+
+def test_a_mesh_comes_and_goes(answers: dict[str, Any]) -> None:
+    assert answers["scene with the box"] == ["box"]
+    assert answers["scene without the box"] == []
+
+
+def test_a_collision_names_what_touches(answers: dict[str, Any]) -> None:
+    assert any("box" in pair for pair in answers["collision"])
+
+
+def test_a_held_mesh_moves_with_the_arm(answers: dict[str, Any]) -> None:
+    assert answers["held"] == ["box"]
+    assert answers["planned with the box"] == 1.0
+
+
+def test_both_actions_execute(answers: dict[str, Any], dialect: str) -> None:
+    if dialect == "ros2":
+        pytest.skip("compas_fab's ROS 2 client does not hear of the end of an action")
+    assert answers["executed"] == "done"
+    assert answers["followed"] == "done"

@@ -1,0 +1,36 @@
+"""Lab scripts with the least that can be said of a goal, against the server with the simulated arm."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.server import RunningServer
+
+SCENARIO = Path(__file__).with_name("sparse_goals_scenario.py")
+
+
+@pytest.fixture(scope="module")
+def answers() -> dict[str, Any]:
+    """What came of each script."""
+    with RunningServer() as server:
+        done = subprocess.run(
+            [sys.executable, str(SCENARIO), str(server.port)], capture_output=True, text=True, timeout=120, check=False
+        )
+    assert done.returncode == 0, done.stderr + done.stdout
+    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return heard
+
+
+def test_segments_planned_alone_and_stitched_by_hand_are_executed(answers: dict[str, Any]) -> None:
+    assert answers["stitched"] == {"segments": 3, "code": 1}
+
+
+def test_a_pose_without_options_and_a_line_from_there_are_executed(answers: dict[str, Any]) -> None:
+    assert answers["line"]["codes"] == [1, 1]
+    assert answers["line"]["fraction"] == pytest.approx(1.0)

@@ -14,10 +14,12 @@ from benchmarks import (
     joint_states,
     planner_processes,
     planning,
+    planning_scene_services,
     planning_scenes,
     processes,
     rosapi,
     servo_loop,
+    servo_stream,
 )
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
@@ -27,10 +29,12 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "planner_processes": planner_processes.run,
     "planning_scenes": planning_scenes.run,
     "servo_loop": servo_loop.run,
+    "servo_stream": servo_stream.run,
     "joint_states": joint_states.run,
     "event_loop": event_loop.run,
     "gateway": gateway.run,
     "rosapi": rosapi.run,
+    "planning_scene_services": planning_scene_services.run,
 }
 
 

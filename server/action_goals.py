@@ -10,6 +10,7 @@ from typing import Any
 
 from protocol.errors import MessageError
 from server.interfaces import Interfaces
+from server.node import Node
 from server.pending import Pending
 
 
@@ -47,11 +48,13 @@ class Goal(Pending[Result]):
         request: the complete goal message.
         interfaces: to complete feedback and result.
         on_feedback: gets the complete feedback messages, None when nobody wants them.
+        sender: who sent it.
 
     Attributes:
         action: as given.
         type_name: as given.
         request: as given.
+        sender: as given.
         goal_id: sixteen octets that no other goal has.
         cancel_requested: whether somebody has asked for the end of the goal.
     """
@@ -63,8 +66,10 @@ class Goal(Pending[Result]):
         request: dict[str, Any],
         interfaces: Interfaces,
         on_feedback: Callable[[dict[str, Any]], None] | None,
+        sender: Node,
     ) -> None:
         super().__init__()
+        self.sender = sender
         self.action = action
         self.type_name = type_name
         self.request = request

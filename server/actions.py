@@ -5,6 +5,7 @@ Whoever sends a goal gets exactly one result: the provider's, or the reason why 
 
 from __future__ import annotations
 
+import logging
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,9 +16,11 @@ from server.action_goals import Goal, GoalStatus, Result
 from server.errors import GraphError
 from server.interfaces import Interfaces
 from server.node import Node
-from server.offers import Offer, Offers
+from server.offers import Directory, Offer, Offers
 from server.services import Services
 from server.timers import CallLater
+
+log = logging.getLogger("armbridge.graph")
 
 # A goal may take long; one whose provider has forgotten it must end nevertheless.
 MAX_GOAL_S = 3600.0
@@ -51,7 +54,7 @@ class ActionOffer(Offer):
     goals: dict[Goal, Sender] = field(default_factory=dict)
 
 
-class Actions:
+class Actions(Directory[ActionOffer]):
     """All actions.
 
     Args:
@@ -61,24 +64,10 @@ class Actions:
     """
 
     def __init__(self, interfaces: Interfaces, services: Services, call_later: CallLater) -> None:
+        super().__init__(Offers("action", MAX_ACTIONS, interfaces, self._end_goals))
         self._interfaces = interfaces
         self._services = services
         self._call_later = call_later
-        self._offers: Offers[ActionOffer] = Offers("action", MAX_ACTIONS, interfaces, self._end_goals)
-
-    def types(self) -> dict[str, str]:
-        """Canonical type of every action."""
-        return self._offers.types()
-
-    def type_of(self, name: str) -> str | None:
-        """Canonical type of an action, given by its fully qualified name; None when nobody offers it."""
-        offer = self._offers.get(name)
-        return None if offer is None else offer.type_name
-
-    def provider(self, name: str) -> Node | None:
-        """Who offers an action, given by its fully qualified name; None when nobody does."""
-        offer = self._offers.get(name)
-        return None if offer is None else offer.node
 
     def offer(self, node: Node, name: str, type_name: str, start: Callable[[Goal], None]) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
@@ -104,12 +93,17 @@ class Actions:
         self._offers.withdraw(node, name)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left: its actions end; goals that it has sent go on, as in ROS, but are not told."""
+        """Forget a node that has left: its actions end; goals that it has sent are not told any more.
+
+        They go on, as in ROS, unless the node takes them along.
+        """
         for offer in self._offers.all():
-            for goal, sender in offer.goals.items():
+            for goal, sender in list(offer.goals.items()):
                 if sender.node is node:
                     sender.on_result = None
                     goal.forget_sender()
+                    if node.takes_goals_along:
+                        goal.cancel()
             self._offers.withdraw(node, offer.name)
 
     def send_goal(
@@ -140,7 +134,7 @@ class Actions:
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
-        goal = Goal(name, offer.type_name, request, self._interfaces, on_feedback)
+        goal = Goal(name, offer.type_name, request, self._interfaces, on_feedback, sender)
         self._start(goal, offer, Sender(sender, on_result))
         return goal
 
@@ -158,7 +152,11 @@ class Actions:
         timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
         goal.when_ended(lambda _result: timer.cancel())
         goal.when_ended(lambda result: sender.on_result(result) if sender.on_result else None)
-        offer.start(goal)
+        try:
+            offer.start(goal)
+        except Exception as error:  # a bug in an action must not leave its client waiting
+            log.exception("action %s failed", goal.action)
+            goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
 
     def _end_goals(self, offer: ActionOffer) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))

@@ -17,12 +17,13 @@ from planners.pool import PlannerPool
 from protocol.registry import Registry
 from robot import model
 from robot.arm import Arm
-from robot.calibration import GRIPPER_JOINT, Calibration
+from robot.calibration import Calibration
 from robot.calibration_files import find_calibration
 from robot.errors import RobotError
 from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode
 from robot.model import RobotModel
+from server.arm_pace import ArmPace
 from server.arm_services import ArmServices
 from server.arm_state import ArmStateTopics
 from server.config import ArmSettings, Settings
@@ -30,15 +31,9 @@ from server.diagnostics import Diagnostics
 from server.emulated_bus import EmulatedBus
 from server.errors import ConfigurationError, StartError
 from server.gateway.listener import Listener
-from server.goal_queue import GoalQueue
 from server.graph import Graph
 from server.joint_states import JointStates
-from server.moveit.execution import GoalExecutor
-from server.moveit.failed_goals import FailedGoals
-from server.moveit.goal_topics import GoalTopics
-from server.moveit.goals import GoalTranslator, MotionRequest
-from server.moveit.gripper import Gripper
-from server.moveit.gripper_actions import GripperActions
+from server.moveit.face import MoveItFace
 from server.moveit.parameters import MoveItParameters
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
@@ -47,9 +42,6 @@ log = logging.getLogger("armbridge")
 
 # Opening the bus, checking six servos and raising torque takes 0.7 s; a machine under load takes longer.
 ARM_START_TIMEOUT_S = 15.0
-
-# The queue waits this long for the arm to brake; the arm process has its own deadline after that.
-QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 BYTES_PER_MB = 1_000_000
 
@@ -116,22 +108,21 @@ class App:
         self._arm_state = ArmStateTopics(self._graph, description.robot)
         self._diagnostics = Diagnostics(self._graph, description.robot.name)
         self._arm_services = ArmServices(self._graph)
-        self._gripper_actions = GripperActions(self._graph, description.robot.joints[GRIPPER_JOINT])
-        self._goal_topics = GoalTopics(self._graph, GoalTranslator(description.robot, settings.moveit))
-        self._listener = Listener(self._graph, settings.server.host, settings.server.port)
+        self._arm_pace = ArmPace(self._graph)
+        self._face = MoveItFace(self._graph, description.robot, settings, self._rosapi.parameters.keep)
+        self._listener = Listener(
+            self._graph,
+            settings.server.host,
+            settings.server.port,
+            takes_goals_along=settings.goals.on_disconnect == "stop",
+        )
         self._pool = PlannerPool(
             description.robot, settings.planning.workers, settings.planning.memory_limit_mb * BYTES_PER_MB
-        )
-        self._failed_goals = (
-            FailedGoals(settings.planning.save_failed_goals, description.robot, time.time)
-            if settings.planning.save_failed_goals is not None
-            else None
         )
         self._emulated_bus = (
             EmulatedBus(settings.emulator, description.calibration_file) if settings.arm.serial is None else None
         )
         self._arm: Arm | None = None
-        self._queue: GoalQueue[MotionRequest] | None = None
 
     async def run(self) -> None:
         """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails."""
@@ -167,28 +158,16 @@ class App:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
-        self._queue = GoalQueue(
-            GoalExecutor(self._arm, self._pool, self._settings.moveit, self._failed_goals),
-            self._settings.goals.policy,
-            self._settings.goals.capacity,
-            self._goal_topics.on_progress,
-            self._goal_topics.on_answer,
-        )
-        self._queue.start()
-        self._goal_topics.open(self._queue)
-        self._arm_services.open(self._arm, self._queue.stop)
-        self._gripper_actions.open(self._gripper(self._arm))
+        self._face.open(self._arm, self._pool)
+        self._arm_services.open(self._arm, self._face.stop)
+        self._arm_pace.open(self._arm)
         await self._listener.open()
-
-    def _gripper(self, arm: Arm) -> Gripper:
-        moveit = self._settings.moveit
-        joint = self._description.robot.joints[GRIPPER_JOINT]
-        return Gripper(arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling)
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
         self._arm_state.take_state(state)
         self._diagnostics.take_state(state)
+        self._face.take_state(state)
 
     def _on_health(self, health: ArmHealth) -> None:
         self._arm_state.take_health(health)
@@ -196,8 +175,7 @@ class App:
 
     async def _stop(self) -> None:
         """The arm first, brought to its end state; then the sockets; then the processes that nothing needs any more."""
-        if self._queue is not None:
-            await self._queue.close(QUEUE_CLOSE_TIMEOUT_S)
+        await self._face.close()
         if self._arm is not None:
             await self._arm.close()
         self._diagnostics.close()

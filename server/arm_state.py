@@ -78,7 +78,12 @@ def status(state: ArmState, robot_name: str) -> dict[str, Any]:
         message = f"{state.fault} The service that resets it is {RESET_FAULT}."
     elif state.reason:
         message = f"{message}: {state.reason}"
-    values = {"mode": state.mode.value, "reason": state.reason}
+    values = {
+        "mode": state.mode.value,
+        "reason": state.reason,
+        "course": state.pace.course.value,
+        "speed_factor": f"{state.pace.speed_factor:g}",
+    }
     if state.fault is not None:
         values |= {
             "fault": state.fault.code.value,

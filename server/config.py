@@ -92,10 +92,17 @@ class GoalSettings(_Section):
     Attributes:
         policy: what happens to a goal that comes while another one is worked on.
         capacity: how many goals may wait.
+        on_disconnect: what becomes of the goals that a client has sent to actions when it leaves; it may say otherwise
+            in its URL, by ``?on_disconnect=stop`` or ``?on_disconnect=finish``.
+        confirm: wait for a message on ``/moveit_goal_confirm`` between plan and motion.
+        named_states_file: where saved states are kept; None for a file in the user's data directory.
     """
 
     policy: GoalPolicy = GoalPolicy.QUEUE
     capacity: int = Field(default=16, ge=1, le=1000)
+    on_disconnect: Literal["finish", "stop"] = "finish"
+    confirm: bool = False
+    named_states_file: Path | None = None
 
 
 class PlanningSettings(_Section):

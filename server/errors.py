@@ -3,6 +3,7 @@
 ServerError
 ├── GraphError          an operation on a topic, service or action that the graph refuses
 ├── ServiceError        a service that cannot do what it is asked for
+├── RefusedError        a request that cannot be carried out, with the failure that answers it
 ├── ConfigurationError  a setting that is wrong or contradicts another
 └── StartError          a part of the server that cannot start
 """
@@ -10,6 +11,8 @@ ServerError
 from __future__ import annotations
 
 from typing import Literal
+
+from planners.problem import PlanningFailure
 
 
 class ServerError(Exception):
@@ -30,6 +33,18 @@ class GraphError(ServerError):
 
 class ServiceError(ServerError):
     """A service that cannot do what it is asked for; its caller gets the text."""
+
+
+class RefusedError(ServerError):
+    """A request that cannot be carried out.
+
+    Attributes:
+        failure: the answer to it.
+    """
+
+    def __init__(self, failure: PlanningFailure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
 
 
 class ConfigurationError(ServerError):

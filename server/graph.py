@@ -189,11 +189,29 @@ class Graph:
         topic.publishers.add(node)
         if latch:
             topic.latching.add(node)
-        publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received)
+        publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received, node)
         for subscriber in list(topic.subscribers.values()):
             subscriber.deliver(publication)
         # Afterwards, when it is known how large the message is.
         self._retain(publication, node in topic.latching, lifespan_s)
+
+    def latch(self, name: str, message: object) -> None:
+        """Keep a message for who subscribes later, and deliver it to nobody now.
+
+        For topics that tell those who listen of changes alone; otherwise latch what is published.
+
+        Args:
+            name: fully qualified name of a topic that is advertised.
+            message: what a new subscriber is to get first.
+
+        Raises:
+            GraphError: nobody has said what type the topic has.
+            MessageError: the message does not fit the type.
+        """
+        topic, received = self._topic(name, None), self.interfaces.now()
+        completed = self.interfaces.complete(topic.type_name, message, received)
+        publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received)
+        self._retain(publication, latch=True, lifespan_s=0.0)
 
     def _retain(self, publication: Publication, latch: bool, lifespan_s: float) -> None:
         if latch and not self._retained.latch(publication):

@@ -9,11 +9,13 @@ class Node:
     Args:
         name: how logs call it.
         remote: whether it is a client, which may not take the place of a part of the server.
+        takes_goals_along: whether the goals that it has sent to actions are cancelled when it leaves.
     """
 
-    def __init__(self, name: str, *, remote: bool = False) -> None:
+    def __init__(self, name: str, *, remote: bool = False, takes_goals_along: bool = False) -> None:
         self.name = name
         self.remote = remote
+        self.takes_goals_along = takes_goals_along
 
     def __repr__(self) -> str:
         return self.name

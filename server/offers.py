@@ -101,3 +101,28 @@ class Offers(Generic[AnOffer]):
     def _remove(self, offer: AnOffer) -> None:
         del self._offers[offer.name]
         self._end(offer)
+
+
+class Directory(Generic[AnOffer]):
+    """Who offers what, for whoever asks.
+
+    Args:
+        offers: the table.
+    """
+
+    def __init__(self, offers: Offers[AnOffer]) -> None:
+        self._offers = offers
+
+    def types(self) -> dict[str, str]:
+        """Canonical type of everything that is offered, by name."""
+        return self._offers.types()
+
+    def type_of(self, name: str) -> str | None:
+        """Canonical type of what is offered under a fully qualified name; None when nothing is."""
+        offer = self._offers.get(name)
+        return None if offer is None else offer.type_name
+
+    def provider(self, name: str) -> Node | None:
+        """Who offers a fully qualified name; None when nobody does."""
+        offer = self._offers.get(name)
+        return None if offer is None else offer.node

@@ -13,7 +13,7 @@ from protocol.errors import MessageError
 from server.calls import Call, Response, ServiceFunction, answer
 from server.interfaces import Interfaces
 from server.node import Node
-from server.offers import Offer, Offers
+from server.offers import Directory, Offer, Offers
 from server.timers import CallLater
 
 # rosbridge_server's default_call_service_timeout, for services of clients.
@@ -44,7 +44,7 @@ class ServiceOffer(Offer):
     calls: dict[Call, Node] = field(default_factory=dict)
 
 
-class Services:
+class Services(Directory[ServiceOffer]):
     """All services.
 
     Args:
@@ -53,23 +53,9 @@ class Services:
     """
 
     def __init__(self, interfaces: Interfaces, call_later: CallLater) -> None:
+        super().__init__(Offers("service", MAX_SERVICES, interfaces, _fail_calls))
         self._interfaces = interfaces
         self._call_later = call_later
-        self._offers: Offers[ServiceOffer] = Offers("service", MAX_SERVICES, interfaces, _fail_calls)
-
-    def types(self) -> dict[str, str]:
-        """Canonical type of every service."""
-        return self._offers.types()
-
-    def type_of(self, name: str) -> str | None:
-        """Canonical type of a service, given by its fully qualified name; None when nobody offers it."""
-        offer = self._offers.get(name)
-        return None if offer is None else offer.type_name
-
-    def provider(self, name: str) -> Node | None:
-        """Who offers a service, given by its fully qualified name; None when nobody does."""
-        offer = self._offers.get(name)
-        return None if offer is None else offer.node
 
     def offer(
         self, node: Node, name: str, type_name: str, function: ServiceFunction, timeout_s: float = LOCAL_TIMEOUT_S

@@ -21,10 +21,12 @@ ALLOWED = {
         "robot",
         "planners.goals",
         "planners.scene",
+        "planners.scene_checks",
         "planners.problem",
         "planners.files.problem_file",
         "planners.files.plan_command",
         "planners.pool",
+        "planners.servo.question",
     ),
     "planners": ("planners", "robot.model", "robot.trajectory", "robot.processes"),
     "robot": ("robot",),
@@ -32,7 +34,13 @@ ALLOWED = {
 }
 
 # Only the server knows sockets of clients and configuration; the handles on child processes know asyncio.
-ASYNCIO_OUTSIDE_SERVER = {"robot/processes.py", "robot/arm.py", "planners/pool.py", "planners/worker_process.py"}
+ASYNCIO_OUTSIDE_SERVER = {
+    "robot/processes.py",
+    "robot/arm.py",
+    "robot/arm_stream.py",
+    "planners/pool.py",
+    "planners/worker_process.py",
+}
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 
 

@@ -27,6 +27,9 @@ POLICY_VIOLATION = 1008
 # How long a client that does not read may take to hear why it is closed.
 CLOSE_TIMEOUT_S = 1.0
 
+# Of ``?on_disconnect=``: whether goals end with the connection.
+_GOALS_END = {"stop": True, "finish": False}
+
 
 class Connection:
     """The socket of one client.
@@ -35,12 +38,13 @@ class Connection:
         websocket: the open connection.
         graph: what the client takes part in.
         limits: what the client may cost.
+        takes_goals_along: whether its goals are cancelled when it leaves, unless its URL says otherwise.
 
     Attributes:
         address: where the client connects from.
     """
 
-    def __init__(self, websocket: WebSocket, graph: Graph, limits: Limits) -> None:
+    def __init__(self, websocket: WebSocket, graph: Graph, limits: Limits, *, takes_goals_along: bool = False) -> None:
         self._websocket = websocket
         self._wake = asyncio.Event()
         self.address, port = _address(websocket)
@@ -49,6 +53,8 @@ class Connection:
         self._client = Client(
             name, graph, limits, time.monotonic, self._wake_up, _dialect(websocket), websocket.send_at_once
         )
+        asked = _query(websocket).get("on_disconnect", [""])[-1]
+        self._client.node.takes_goals_along = _GOALS_END.get(asked, takes_goals_along)
 
     @property
     def node(self) -> Node:
@@ -135,5 +141,9 @@ def _address(websocket: WebSocket) -> tuple[str, int]:
 
 def _dialect(websocket: WebSocket) -> Dialect:
     """Which ROS the client asks for in its URL: ``?ros=1`` for ROS 1."""
-    query = urlsplit(websocket.request.path).query if websocket.request else ""
-    return "ros1" if parse_qs(query).get("ros") == ["1"] else "ros2"
+    return "ros1" if _query(websocket).get("ros") == ["1"] else "ros2"
+
+
+def _query(websocket: WebSocket) -> dict[str, list[str]]:
+    """What the client asks for in its URL."""
+    return parse_qs(urlsplit(websocket.request.path).query if websocket.request else "")

@@ -37,13 +37,15 @@ class Listener:
         graph: what clients take part in.
         host: address to listen on.
         port: TCP port; 0 takes a free one.
+        takes_goals_along: whether a client's goals are cancelled when it leaves, unless its URL says otherwise.
     """
 
-    def __init__(self, graph: Graph, host: str, port: int) -> None:
+    def __init__(self, graph: Graph, host: str, port: int, *, takes_goals_along: bool = False) -> None:
         self._graph = graph
         self._host = host
         self._port = port
         self._limits = Limits()
+        self._takes_goals_along = takes_goals_along
         self._socket: socket.socket | None = None
         self._server: Server | None = None
         self._clients = ClientList(graph)
@@ -105,7 +107,9 @@ class Listener:
 
     async def _serve_client(self, websocket: ServerConnection) -> None:
         # What `create_connection` has made.
-        connection = Connection(cast(WebSocket, websocket), self._graph, self._limits)
+        connection = Connection(
+            cast(WebSocket, websocket), self._graph, self._limits, takes_goals_along=self._takes_goals_along
+        )
         self._clients.add(connection.node, connection.address)
         try:
             await connection.run()

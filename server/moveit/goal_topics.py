@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
+from robot.model import RobotModel
+from server.arm_state import key_values
 from server.goal_queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
 from server.graph import Graph, Subscriber
-from server.moveit.goals import GoalTranslator, MotionRequest
+from server.moveit.confirmation import Confirmation
+from server.moveit.goals import GoalTranslator
+from server.moveit.motions import Motion, PlannedMotion
+from server.moveit.suggestions import (
+    JOINTS_TOPIC,
+    JOINTS_TYPE,
+    NAMED_TOPIC,
+    NAMED_TYPE,
+    POSE_TOPIC,
+    POSE_TYPE,
+    suggestion,
+)
 from server.node import Node
 
 log = logging.getLogger("armbridge.goals")
@@ -24,97 +39,101 @@ EVENT_TOPIC = "/trajectory_execution_event"
 # diagnostic_msgs/DiagnosticStatus levels.
 LEVEL_OK, LEVEL_ERROR = 0, 2
 
+Translate: TypeAlias = Callable[[Mapping[str, Any]], PlannedMotion | PlanningFailure]
+
 
 class GoalTopics:
     """Takes goals from topics and tells how they go.
 
     Args:
         graph: where the topics are.
-        translator: reads the goal messages.
+        robot: the arm.
+        confirmation: says whether goals are to be confirmed.
     """
 
-    def __init__(self, graph: Graph, translator: GoalTranslator) -> None:
+    def __init__(self, graph: Graph, robot: RobotModel, confirmation: Confirmation) -> None:
         self._graph = graph
+        self._robot = robot
+        self._confirmation = confirmation
         self._node = Node("moveit")
-        self._translations: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], MotionRequest | PlanningFailure]]] = {
-            "/moveit_goal_named": ("std_msgs/String", translator.named),
-            "/moveit_goal_joints": ("sensor_msgs/JointState", translator.joints),
-            "/moveit_goal_pose": ("geometry_msgs/PoseStamped", translator.pose),
-        }
 
-    def open(self, queue: GoalQueue[MotionRequest]) -> None:
-        """Advertise and subscribe."""
+    def open(self, queue: GoalQueue[Motion], translator: GoalTranslator) -> None:
+        """Advertise and subscribe.
+
+        Args:
+            queue: where the goals go.
+            translator: reads the goal messages.
+        """
         graph, node = self._graph, self._node
         graph.advertise(node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
         graph.advertise(node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
-        for topic, (type_name, translate) in self._translations.items():
-            graph.subscribe(node, topic, type_name, self._goal_subscriber(queue, topic, translate))
+        self._take_goals(queue, NAMED_TOPIC, NAMED_TYPE, translator.named)
+        self._take_goals(queue, JOINTS_TOPIC, JOINTS_TYPE, translator.joints)
+        self._take_goals(queue, POSE_TOPIC, POSE_TYPE, translator.pose)
         stop = Subscriber(lambda _: queue.stop(f"stopped by {STOP_TOPIC}"))
         graph.subscribe(node, STOP_TOPIC, "std_msgs/Empty", stop)
         event = Subscriber(lambda publication: _on_event(queue, publication))
         graph.subscribe(node, EVENT_TOPIC, "std_msgs/String", event)
 
-    def _goal_subscriber(
-        self,
-        queue: GoalQueue[MotionRequest],
-        topic: str,
-        translate: Callable[[Mapping[str, Any]], MotionRequest | PlanningFailure],
-    ) -> Subscriber:
+    def _take_goals(self, queue: GoalQueue[Motion], topic: str, type_name: str, translate: Translate) -> None:
         def deliver(publication: Publication) -> None:
-            request = translate(publication.msg)
-            if isinstance(request, PlanningFailure):
-                queue.refuse(topic, request)
+            asked = publication.msg
+            motion = translate(asked)
+            if isinstance(motion, PlanningFailure):
+                queue.refuse(topic, motion, asked)
                 return
-            for warning in request.warnings:
+            for warning in motion.warnings:
                 log.warning("%s: %s", topic, warning)
-            queue.submit(topic, request)
+            queue.submit(topic, replace(motion, confirm=self._confirmation.wanted), asked=asked)
 
         def refused(error: MessageError) -> None:
             queue.refuse(topic, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))
 
-        return Subscriber(deliver, refused)
+        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, refused))
 
-    def on_progress(self, goal: QueuedGoal[MotionRequest], progress: Progress) -> None:
-        """Publish the news of a goal."""
-        self._publish_status(goal, progress, LEVEL_OK)
+    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+        """Publish the news of a goal, by whatever way it came."""
+        self._publish_status(goal, progress, LEVEL_OK, {})
 
-    def on_answer(self, goal: QueuedGoal[MotionRequest], answer: Answer) -> None:
-        """Publish the end of a goal: its last status, then its one result."""
+    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+        """Log the end of a goal and publish its last status, then the one result of one that came by a topic."""
+        instead = suggestion(goal.asked, answer.details, self._robot)
+        message = answer.message if instead is None else f"{answer.message}; what would work: {instead.words}"
         succeeded = answer.code is MoveItErrorCode.SUCCESS
-        log.log(
-            logging.INFO if succeeded else logging.WARNING,
-            "goal %s from %s: %s: %s",
-            goal.goal_id,
-            goal.source,
-            answer.code.name,
-            answer.message,
-        )
-        level = LEVEL_OK if succeeded else LEVEL_ERROR
-        self._publish_status(goal, Progress(GoalState.DONE, answer.message, 1.0 if succeeded else 0.0), level)
-        result = {
-            "val": int(answer.code),
-            "message": answer.message,
-            "source": f"{goal.source}#{goal.goal_id}",
-        }
+        level = logging.INFO if succeeded else logging.WARNING
+        log.log(level, "goal %s from %s: %s: %s", goal.goal_id, goal.source, answer.code.name, message)
+        found = {name: json.dumps(value, default=str) for name, value in answer.details.items()}
+        if instead is not None:
+            found["suggested_goal"] = json.dumps(instead.as_data())
+        done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
+        self._publish_status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, found)
+        if goal.source not in (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC):
+            return
+        result = {"val": int(answer.code), "message": message, "source": f"{goal.source}#{goal.goal_id}"}
         self._graph.publish(self._node, RESULT_TOPIC, result)
 
-    def _publish_status(self, goal: QueuedGoal[MotionRequest], progress: Progress, level: int) -> None:
+    def _publish_status(
+        self, goal: QueuedGoal[Motion], progress: Progress, level: int, found: Mapping[str, str]
+    ) -> None:
         values = {
             "state": progress.state.value,
             "fraction": f"{progress.fraction:.3f}",
             "seconds_left": f"{progress.remaining_s:.2f}",
         }
+        if "header" in goal.asked:
+            stamp = goal.asked["header"]["stamp"]
+            values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
         status = {
             "level": level,
             "name": goal.source,
             "message": progress.message,
             "hardware_id": goal.goal_id,
-            "values": [{"key": key, "value": value} for key, value in values.items()],
+            "values": key_values({**values, **found}),
         }
         self._graph.publish(self._node, STATUS_TOPIC, status)
 
 
-def _on_event(queue: GoalQueue[MotionRequest], publication: Publication) -> None:
+def _on_event(queue: GoalQueue[Motion], publication: Publication) -> None:
     event = publication.msg["data"]
     if event == "stop":
         queue.stop(f"stopped by {EVENT_TOPIC}")

@@ -12,7 +12,8 @@ from robot.messages import MotionEnded, Outcome
 from robot.model import Joint
 from robot.servos.servo_map import GRIPPER_TORQUE
 from robot.trapezoid import rest_to_rest
-from server.moveit.execution import BRAKING_TIMEOUT_S, DURATION_FACTOR, DURATION_MARGIN_S
+from server.moveit.patience import DURATION_FACTOR, DURATION_MARGIN_S
+from server.moveit.playing import BRAKING_TIMEOUT_S
 from server.moveit.readiness import unusable
 
 FEEDBACK_PERIOD_S = 0.1

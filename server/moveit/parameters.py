@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from planners.problem import PLANNER_IDS, planner_name
+from server.moveit.servo.parameters import ServoParameters
+
+# A planner process is taken for as long; whoever asks for more has not understood what takes so long.
+MAX_ALLOWED_PLANNING_TIME_S = 60.0
+MAX_PLANNING_ATTEMPTS = 100
 
 
 class MoveItParameters(BaseModel):
@@ -22,6 +29,9 @@ class MoveItParameters(BaseModel):
         max_acceleration_scaling: share of the acceleration limits.
         position_tolerance: radius within which a position goal is reached [m].
         joint_tolerance: a joint goal that lies beyond a limit by no more than this goes to the limit [rad].
+        geometry_directory: where the services that save and load the scene's geometry have their files; None for
+            nowhere.
+        servo: how the arm is steered.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -30,13 +40,15 @@ class MoveItParameters(BaseModel):
     end_effector_link: str = ""
     planning_frame: str = ""
     planner_id: str = ""
-    num_planning_attempts: int = Field(default=5, ge=1, le=100)
+    num_planning_attempts: int = Field(default=5, ge=1, le=MAX_PLANNING_ATTEMPTS)
     optimization_time: float = Field(default=0.006, ge=0.0, le=10.0)
-    allowed_planning_time: float = Field(default=5.0, gt=0.0, le=60.0)
+    allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
     max_velocity_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
     max_acceleration_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
     position_tolerance: float = Field(default=0.01, gt=0.0, le=0.1)
     joint_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
+    geometry_directory: Path | None = None
+    servo: ServoParameters = ServoParameters()
 
     @field_validator("planner_id")
     @classmethod

@@ -26,17 +26,12 @@ def read_pose(message: Message, where: str) -> Pose | PlanningFailure:
         where: path of the field, for the refusal.
     """
     point, quaternion = message["position"], message["orientation"]
-    for field, part in (("position", point), ("orientation", quaternion)):
-        for axis, value in part.items():
-            if not math.isfinite(value):
-                return PlanningFailure(
-                    MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
-                    f"{where}.{field}.{axis} must be a finite number, not {value}",
-                    {"field": f"{where}.{field}.{axis}"},
-                )
-    norm = math.hypot(*(quaternion[axis] for axis in "xyzw"))
-    x, y, z, w = (quaternion[axis] / norm for axis in "xyzw") if norm > LEAST_NORM else (0.0, 0.0, 0.0, 1.0)
-    return Pose((float(point["x"]), float(point["y"]), float(point["z"])), (x, y, z, w))
+    if not all(map(math.isfinite, (*point.values(), *quaternion.values()))):
+        return _not_finite(message, where)
+    x, y, z, w = (quaternion[axis] for axis in "xyzw")
+    norm = math.hypot(x, y, z, w)
+    turned = (x / norm, y / norm, z / norm, w / norm) if norm > LEAST_NORM else (0.0, 0.0, 0.0, 1.0)
+    return Pose((float(point["x"]), float(point["y"]), float(point["z"])), turned)
 
 
 def write_pose(pose: Pose) -> dict[str, Any]:
@@ -62,18 +57,17 @@ def matrix_of(pose: Pose) -> Vector:
 
 def pose_of(transform: Vector) -> Pose:
     """The pose of a transform, shape (4, 4); the quaternion by Shepperd's method, its w not negative."""
-    r = transform[:3, :3]
-    squares = np.array([1 + r[0, 0] - r[1, 1] - r[2, 2], 1 - r[0, 0] + r[1, 1] - r[2, 2],
-                        1 - r[0, 0] - r[1, 1] + r[2, 2], 1 + r[0, 0] + r[1, 1] + r[2, 2]])  # fmt: skip
-    sums = np.array([[r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
-                     [r[1, 0] + r[0, 1], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
-                     [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[1, 0] - r[0, 1]],
-                     [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]])  # fmt: skip
-    largest = int(np.argmax(squares))
-    quaternion = np.insert(sums[largest], largest, squares[largest])
-    quaternion *= math.copysign(1.0, quaternion[3]) / float(np.linalg.norm(quaternion))
-    x, y, z, w = quaternion.tolist()
-    px, py, pz = transform[:3, 3].tolist()
+    (a, b, c, px), (d, e, f, py), (g, h, i, pz), _ = transform.tolist()
+    # Four times the quaternion, each time multiplied by another of its components: the greatest loses no precision.
+    scaled = (
+        (1 + a - e - i, b + d, c + g, h - f),
+        (b + d, 1 - a + e - i, f + h, c - g),
+        (c + g, f + h, 1 - a - e + i, d - b),
+        (h - f, c - g, d - b, 1 + a + e + i),
+    )
+    quaternion = max(enumerate(scaled), key=lambda row: row[1][row[0]])[1]
+    length = math.copysign(math.hypot(*quaternion), quaternion[3])
+    x, y, z, w = (component / length for component in quaternion)
     return Pose((px, py, pz), (x, y, z, w))
 
 
@@ -89,3 +83,18 @@ def inverse(pose: Pose) -> Pose:
     back[:3, :3] = transform[:3, :3].T
     back[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
     return pose_of(back)
+
+
+def _not_finite(message: Message, where: str) -> PlanningFailure:
+    """Refuse a pose by the first of its numbers that is not finite."""
+    field, axis, value = next(
+        (field, axis, value)
+        for field in ("position", "orientation")
+        for axis, value in message[field].items()
+        if not math.isfinite(value)
+    )
+    return PlanningFailure(
+        MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
+        f"{where}.{field}.{axis} must be a finite number, not {value}",
+        {"field": f"{where}.{field}.{axis}"},
+    )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from protocol.dialect import Dialect
 from protocol.messages import Stamp
 from protocol.registry import Registry
 from server.actions import Actions
@@ -19,10 +20,11 @@ from server.services import LOCAL_TIMEOUT_S, Services
 
 NODE = Node("rosapi")
 
-ROS_VERSION = 2
-
-# Clients look its name up in lists of their own; this release is in all of them.
-ROS_DISTRO = "jazzy"
+# What a client is told to speak to, by its dialect. Clients look releases up in lists of their own; these are in all.
+ROS_VERSIONS: Mapping[Dialect, dict[str, Any]] = {
+    "ros2": {"version": 2, "distro": "jazzy"},
+    "ros1": {"version": 1, "distro": "noetic"},
+}
 
 
 class RosApi:
@@ -34,6 +36,9 @@ class RosApi:
         actions: actions.
         registry: types.
         wall_clock: seconds since the epoch.
+
+    Attributes:
+        parameters: what clients keep here, and the server for them.
     """
 
     def __init__(
@@ -44,6 +49,7 @@ class RosApi:
         registry: Registry,
         wall_clock: Callable[[], float],
     ) -> None:
+        self.parameters = Parameters()
         self._services = services
         self._wall_clock = wall_clock
         self._answers: Answers = {
@@ -51,7 +57,7 @@ class RosApi:
             **Offered(services, actions).answers,
             **Nodes(graph, services).answers,
             **Types(graph, registry).answers,
-            **Parameters().answers,
+            **self.parameters.answers,
             "get_time": ("rosapi_msgs/srv/GetTime", self._time),
             "get_ros_version": ("rosapi_msgs/srv/GetROSVersion", self._version),
         }
@@ -64,8 +70,8 @@ class RosApi:
     def _time(self, _asked: Question) -> dict[str, Any]:
         return {"time": Stamp.from_seconds(self._wall_clock()).as_message()}
 
-    def _version(self, _asked: Question) -> dict[str, Any]:
-        return {"version": ROS_VERSION, "distro": ROS_DISTRO}
+    def _version(self, asked: Question) -> dict[str, Any]:
+        return ROS_VERSIONS[asked.dialect]
 
 
 def _starter(function: Answer) -> Callable[[Call], None]:

@@ -47,6 +47,11 @@ class Parameters:
         self._size_bytes = size_bytes
         return {}
 
+    def keep(self, name: str, value: str) -> None:
+        """Keep a parameter of the server's own, a JSON text, in place of one of this name."""
+        self._size_bytes += _size_bytes(name, value) - self._kept_bytes(name)
+        self._values[name] = value
+
     def _get(self, asked: Question) -> dict[str, Any]:
         return {"value": self._values.get(asked.request["name"], asked.request["default_value"])}
 

@@ -15,8 +15,9 @@ FAST = {"MOVEIT__MAX_VELOCITY_SCALING": "1.0", "MOVEIT__MAX_ACCELERATION_SCALING
 
 
 @pytest.fixture(scope="session")
-def served() -> Iterator[ServerOnBus]:
-    with server_on_bus(**FAST) as running:
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerOnBus]:
+    states = tmp_path_factory.mktemp("served") / "named_states.json"
+    with server_on_bus(**FAST, GOALS__NAMED_STATES_FILE=str(states)) as running:
         yield running
 
 

@@ -8,6 +8,7 @@ from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.action_goals import Goal, GoalStatus, Result
 from server.interfaces import Interfaces
+from server.node import Node
 
 INTERFACES = Interfaces(Registry.load())
 DEFAULT = {"position": 0.0, "effort": 0.0, "stalled": False, "reached_goal": False}
@@ -19,7 +20,9 @@ class Sent:
     def __init__(self) -> None:
         self.feedback: list[dict[str, Any]] = []
         self.results: list[Result] = []
-        self.goal = Goal("/grip", "control_msgs/action/GripperCommand", {}, INTERFACES, self.feedback.append)
+        self.goal = Goal(
+            "/grip", "control_msgs/action/GripperCommand", {}, INTERFACES, self.feedback.append, Node("a client")
+        )
         self.goal.when_ended(self.results.append)
 
 

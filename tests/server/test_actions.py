@@ -182,3 +182,25 @@ def test_the_number_of_actions_is_bounded(world: World) -> None:
         world.offer(SERVER, f"/a{number}")
     with pytest.raises(GraphError, match=str(MAX_ACTIONS)):
         world.offer(SERVER, "/one_more")
+
+
+def test_goals_go_on_without_their_sender_unless_it_takes_them_along(world: World) -> None:
+    _, goals = world.offer()
+    world.send()
+    staying, leaving = SENDER, Node("leaving", remote=True, takes_goals_along=True)
+    world.actions.send_goal(leaving, "/grip", GRIPPER, None, world.results.append)
+    world.actions.remove(staying)
+    world.actions.remove(leaving)
+    assert [goal.cancel_requested for goal in goals] == [False, True]
+    assert world.results == []
+
+
+def test_a_bug_in_an_action_ends_the_goal_with_a_sentence(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    def start(_goal: Goal) -> None:
+        raise ValueError("broken")
+
+    world.actions.offer(SERVER, "/grip", GRIPPER, start)
+    world.send()
+    assert [(result.ok, result.status) for result in world.results] == [(False, GoalStatus.ABORTED)]
+    assert "broken" in world.results[0].values
+    assert "/grip" in caplog.text

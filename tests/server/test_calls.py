@@ -32,6 +32,13 @@ def test_a_response_is_completed(call: Call, responses: list[Response]) -> None:
     assert responses == [Response(ok=True, values={"success": False, "message": ""})]
 
 
+def test_a_response_that_is_complete_is_told_as_it_is(call: Call, responses: list[Response]) -> None:
+    complete = {"success": True, "message": "done"}
+    call.succeed_as_it_is(complete)
+    assert responses[0].ok
+    assert responses[0].values is complete
+
+
 def test_a_response_that_does_not_fit_is_a_failure_to_the_caller_and_an_error_to_the_provider(
     call: Call, responses: list[Response]
 ) -> None:

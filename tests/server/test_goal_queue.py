@@ -16,6 +16,7 @@ class ScriptedRunner:
 
     def __init__(self) -> None:
         self.started: list[object] = []
+        self.stopped: list[str] = []
         self._end: asyncio.Future[Answer] | None = None
 
     async def run(self, request: object, report: Callable[[Progress], None]) -> Answer:
@@ -26,8 +27,15 @@ class ScriptedRunner:
         self._end = asyncio.get_running_loop().create_future()
         return await self._end
 
-    def stop(self, reason: str) -> None:
+    def end(self, reason: str) -> None:
         self.finish(Answer(MoveItErrorCode.PREEMPTED, reason))
+
+    def give_way(self, reason: str) -> None:
+        self.end(reason)
+
+    def stop(self, reason: str) -> None:
+        self.stopped.append(reason)
+        self.end(reason)
 
     def finish(self, answer: Answer = DONE) -> None:
         if self._end is not None and not self._end.done():
@@ -87,6 +95,16 @@ async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
     assert desk.codes() == [(str(number), MoveItErrorCode.SUCCESS) for number in (1, 2, 3)]
 
 
+async def test_it_is_busy_while_a_goal_is_in_hand(desk: Desk) -> None:
+    assert desk.queue.busy == ""
+    desk.queue.submit("/goals", "first")
+    await settle()
+    assert desk.queue.busy == "goal 1 from /goals is worked on"
+    desk.runner.finish()
+    await settle()
+    assert desk.queue.busy == ""
+
+
 async def test_a_goal_over_the_capacity_is_refused_with_the_limit(desk: Desk) -> None:
     for _ in range(5):
         desk.queue.submit("/goal", "x")
@@ -135,7 +153,7 @@ async def test_policy_reject_refuses_what_comes_while_a_goal_is_worked_on() -> N
 async def test_policy_preempt_ends_the_goal_in_hand_and_runs_the_new_one() -> None:
     desk = await desk_of(GoalPolicy.PREEMPT, "a", "b")
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
-    assert "goal 2 took over" in desk.answers[0][1].message
+    assert "preempted by goal 2 from /goal" in desk.answers[0][1].message
     assert desk.runner.started == ["a", "b"]
     await desk.queue.close(0.1)
 
@@ -162,3 +180,50 @@ async def test_a_waiting_goal_is_told_how_many_are_ahead(desk: Desk) -> None:
     await settle()
     desk.queue.submit("/goal", "b")
     assert desk.states == [("1", GoalState.QUEUED), ("1", GoalState.PLANNING), ("2", GoalState.QUEUED)]
+
+
+async def test_a_goal_may_come_with_a_policy_of_its_own(desk: Desk) -> None:
+    for name in "ab":
+        desk.queue.submit("/topic", name)
+    await settle()
+    desk.queue.submit("/action", "c", policy=GoalPolicy.PREEMPT)
+    await settle()
+    assert desk.codes() == [("2", MoveItErrorCode.PREEMPTED), ("1", MoveItErrorCode.PREEMPTED)]
+    assert desk.runner.started == ["a", "c"]
+    # What else moves, such as the gripper, goes on.
+    assert desk.runner.stopped == []
+
+
+async def test_who_asked_is_told_besides_who_hears_of_all(desk: Desk) -> None:
+    news: list[Progress] = []
+    answers: list[Answer] = []
+    desk.queue.submit("/action", "a", on_progress=news.append, on_answer=answers.append)
+    await settle()
+    desk.runner.finish()
+    await settle()
+    assert [progress.state for progress in news] == [GoalState.QUEUED, GoalState.PLANNING]
+    assert answers == [DONE] == [answer for _, answer in desk.answers]
+
+
+@pytest.mark.parametrize("number", ["1", "2"], ids=["in hand", "waiting"])
+async def test_a_cancelled_goal_is_answered_and_the_other_is_not(desk: Desk, number: str) -> None:
+    for name in "ab":
+        desk.queue.submit("/goal", name)
+    await settle()
+    desk.queue.cancel(number, "cancelled")
+    await settle()
+    assert desk.codes() == [(number, MoveItErrorCode.PREEMPTED)]
+
+
+async def test_who_cannot_be_told_costs_nobody_else_anything(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    def broken(_news: object) -> None:
+        raise ValueError("broken listener")
+
+    desk.queue.submit("/goal", "a", on_progress=broken, on_answer=broken)
+    desk.queue.submit("/goal", "b")
+    await settle()
+    desk.runner.finish()
+    await settle()
+    assert desk.runner.started == ["a", "b"]
+    assert desk.codes() == [("1", MoveItErrorCode.SUCCESS)]
+    assert "broken listener" in caplog.text

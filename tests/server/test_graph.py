@@ -117,6 +117,17 @@ def test_a_latched_message_is_kept_for_who_comes_later(graph: Graph) -> None:
     assert [publication.msg for publication in kept] == [{"data": "new"}]
 
 
+def test_a_message_that_is_only_latched_reaches_those_who_come_later_alone(graph: Graph) -> None:
+    early, late = Listening(), Listening()
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    graph.subscribe(early.node, "/t", None, early.subscriber)
+    graph.latch("/t", {"data": "everything"})
+    graph.publish(TALKER, "/t", {"data": "a change"})
+    assert early.messages == [{"data": "a change"}]
+    kept = graph.subscribe(late.node, "/t", None, late.subscriber)
+    assert [publication.msg for publication in kept] == [{"data": "everything"}]
+
+
 def test_what_was_latched_is_not_revived_by_another_publisher_that_leaves(graph: Graph, clock: Clock) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "old"})

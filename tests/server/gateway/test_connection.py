@@ -156,3 +156,15 @@ async def test_a_client_that_does_not_read_its_replies_is_closed(url: str, caplo
         while "connection closed" not in caplog.text:
             await asyncio.sleep(0.05)
     deaf.transport.abort()
+
+
+@pytest.mark.parametrize(
+    ("query", "ends"), [("", False), ("?on_disconnect=stop", True), ("?on_disconnect=finish", False)]
+)
+async def test_a_client_says_in_its_url_whether_its_goals_end_with_it(
+    graph: Graph, url: str, query: str, *, ends: bool
+) -> None:
+    async with connect(f"{url}/{query}") as client:
+        await client.send(SUBSCRIBE)
+        await until_subscribed(graph, 1)
+        assert [node.takes_goals_along for node in graph.subscribers("/t")] == [ends]

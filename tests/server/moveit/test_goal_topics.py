@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
@@ -12,10 +13,12 @@ from protocol.registry import Registry
 from robot import model
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.graph import Graph, Subscriber
+from server.moveit.confirmation import Confirmation
 from server.moveit.goal_topics import RESULT_TOPIC, STATUS_TOPIC, GoalTopics
-from server.moveit.goals import GoalTranslator, MotionRequest
-from server.moveit.parameters import MoveItParameters
+from server.moveit.motions import Motion, PlannedMotion
 from server.node import Node
+from tests.helpers.arm_server import values_of
+from tests.helpers.goal_translator import TRANSLATOR
 
 REGISTRY = Registry.load()
 CLIENT = Node("client")
@@ -28,11 +31,20 @@ class Obedient:
         self.go_on = asyncio.Event()
         self.go_on.set()
         self.stopped: list[str] = []
+        self.ran: list[Motion] = []
+        self.answer = Answer(MoveItErrorCode.SUCCESS, "there")
 
-    async def run(self, request: MotionRequest, report: Callable[[Progress], None]) -> Answer:
+    async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
+        self.ran.append(request)
         report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
         await self.go_on.wait()
-        return Answer(MoveItErrorCode.SUCCESS, "there")
+        return self.answer
+
+    def end(self, reason: str) -> None:
+        self.stop(reason)
+
+    def give_way(self, reason: str) -> None:
+        self.stop(reason)
 
     def stop(self, reason: str) -> None:
         self.stopped.append(reason)
@@ -43,12 +55,13 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
         self.runner = Obedient()
-        topics = GoalTopics(self.graph, GoalTranslator(model.builtin(), MoveItParameters()))
-        self.queue: GoalQueue[MotionRequest] = GoalQueue(
+        self.confirmation = Confirmation(self.graph, wanted=False)
+        topics = GoalTopics(self.graph, model.builtin(), self.confirmation)
+        self.queue: GoalQueue[Motion] = GoalQueue(
             self.runner, GoalPolicy.QUEUE, 4, topics.on_progress, topics.on_answer
         )
         self.queue.start()
-        topics.open(self.queue)
+        topics.open(self.queue, TRANSLATOR)
         self.heard: dict[str, list[Any]] = {RESULT_TOPIC: [], STATUS_TOPIC: []}
         for topic, messages in self.heard.items():
             self.graph.subscribe(
@@ -112,3 +125,44 @@ async def test_another_event_stops_nothing(desk: Desk, caplog: pytest.LogCapture
     await desk.publish("/trajectory_execution_event", {"data": "dance"})
     assert desk.runner.stopped == []
     assert "'dance'" in caplog.text
+
+
+async def test_the_clients_own_stamp_comes_back_with_all_news_of_its_goal(desk: Desk) -> None:
+    stamp = {"sec": 17, "nanosec": 4_000_001}
+    await desk.publish("/moveit_goal_joints", {"header": {"stamp": stamp}, "name": ["elbow_flex"], "position": [0.2]})
+    assert [values_of(status)["stamp"] for status in desk.heard[STATUS_TOPIC]] == ["17.004000001"] * 3
+
+
+async def test_a_goal_that_would_work_is_ready_in_the_last_status_and_named_in_the_result(desk: Desk) -> None:
+    await desk.publish("/moveit_goal_named", {"data": "redy"})
+    values = values_of(desk.heard[STATUS_TOPIC][-1])
+    suggested = json.loads(values["suggested_goal"])
+    assert suggested == {"topic": "/moveit_goal_named", "type": "std_msgs/String", "msg": {"data": "ready"}}
+    assert "'ready'" in desk.heard[RESULT_TOPIC][-1]["message"]
+    await desk.publish(suggested["topic"], suggested["msg"])
+    assert desk.heard[RESULT_TOPIC][-1]["val"] == 1
+
+
+async def test_what_a_refusal_found_is_told_as_json(desk: Desk) -> None:
+    pairs = [{"first": "gripper_link", "second": "mug", "depth_m": 0.01}]
+    desk.runner.answer = Answer(MoveItErrorCode.GOAL_IN_COLLISION, "touches", {"pairs": pairs})
+    await desk.publish("/moveit_goal_named", {"data": "home"})
+    assert json.loads(values_of(desk.heard[STATUS_TOPIC][-1])["pairs"]) == pairs
+
+
+async def test_goals_that_came_another_way_are_told_of_but_have_their_own_results(desk: Desk) -> None:
+    desk.queue.submit("/move_action", PlannedMotion(()))
+    for _ in range(10):
+        await asyncio.sleep(0)
+    assert desk.runner.ran
+    assert {status["name"] for status in desk.heard[STATUS_TOPIC]} == {"/move_action"}
+    assert desk.heard[RESULT_TOPIC] == []
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+async def test_goals_are_to_be_confirmed_while_that_is_wanted(desk: Desk, *, wanted: bool) -> None:
+    desk.confirmation.wanted = wanted
+    await desk.publish("/moveit_goal_named", {"data": "home"})
+    (ran,) = desk.runner.ran
+    assert isinstance(ran, PlannedMotion)
+    assert ran.confirm is wanted

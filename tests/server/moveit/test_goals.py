@@ -1,20 +1,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
 
 from planners.goals import JointGoal, PositionGoal
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.scene import Pose
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot import model
-from server.moveit.goals import GoalTranslator, MotionRequest
-from server.moveit.parameters import MoveItParameters
+from robot.forward import ForwardPlacements
+from server.moveit.motions import PlannedMotion
+from tests.helpers.goal_translator import HOME_RAD, ROBOT, TRANSLATOR, translator
 
 REGISTRY = Registry.load()
-TRANSLATOR = GoalTranslator(model.builtin(), MoveItParameters())
 
 
 def joint_state(**fields: Any) -> dict[str, Any]:
@@ -26,21 +27,32 @@ def pose_stamped(frame: str, **position: float) -> dict[str, Any]:
     return complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0))
 
 
-def refusal(answer: MotionRequest | PlanningFailure) -> PlanningFailure:
+def refusal(answer: PlannedMotion | PlanningFailure) -> PlanningFailure:
     assert isinstance(answer, PlanningFailure)
     return answer
 
 
-def request(answer: MotionRequest | PlanningFailure) -> MotionRequest:
-    assert isinstance(answer, MotionRequest)
+def motion(answer: PlannedMotion | PlanningFailure) -> PlannedMotion:
+    assert isinstance(answer, PlannedMotion)
     return answer
+
+
+def goal(answer: PlannedMotion | PlanningFailure, start_rad: Mapping[str, float] | None = None) -> Any:
+    """What is planned when the goal's turn comes."""
+    problem = motion(answer).steps[0](start_rad or HOME_RAD)
+    assert isinstance(problem, PlanningProblem)
+    return problem.goal
 
 
 @pytest.mark.parametrize("name", ["ready", "Ready", " READY\n", "re ady"])
 def test_a_named_target_is_found_whatever_its_case_and_blanks(name: str) -> None:
-    goal = request(TRANSLATOR.named({"data": name})).goal
-    assert isinstance(goal, JointGoal)
-    assert goal.positions_rad["shoulder_lift"] == -0.5
+    asked = goal(TRANSLATOR.named({"data": name}))
+    assert isinstance(asked, JointGoal)
+    assert asked.positions_rad["shoulder_lift"] == -0.5
+
+
+def test_a_saved_state_is_a_named_target_with_its_joints_of_the_group() -> None:
+    assert goal(TRANSLATOR.named({"data": "mine"})) == JointGoal({"elbow_flex": 0.4}, tolerance_rad=0.01)
 
 
 @pytest.mark.parametrize("name", ["", "redy", "home2"])
@@ -48,17 +60,17 @@ def test_an_unknown_named_target_is_answered_with_those_that_exist(name: str) ->
     failure = refusal(TRANSLATOR.named({"data": name}))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert repr(name) in failure.message
-    assert failure.details["known"] == ["extended", "home", "ready", "rest"]
+    assert failure.details["known"] == ["Mine", "extended", "home", "ready", "rest"]
 
 
 def test_only_the_named_joints_are_in_the_goal() -> None:
-    goal = request(TRANSLATOR.joints(joint_state(name=["wrist_roll", "elbow_flex"], position=[0.1, 0.2]))).goal
-    assert goal == JointGoal({"wrist_roll": 0.1, "elbow_flex": 0.2}, tolerance_rad=0.01)
+    asked = goal(TRANSLATOR.joints(joint_state(name=["wrist_roll", "elbow_flex"], position=[0.1, 0.2])))
+    assert asked == JointGoal({"wrist_roll": 0.1, "elbow_flex": 0.2}, tolerance_rad=0.01)
 
 
 def test_joints_outside_the_group_are_ignored_with_a_warning() -> None:
-    asked = request(TRANSLATOR.joints(joint_state(name=["knee", "elbow_flex", "gripper"], position=[1.0, 0.2, 0.5])))
-    assert asked.goal == JointGoal({"elbow_flex": 0.2}, tolerance_rad=0.01)
+    asked = motion(TRANSLATOR.joints(joint_state(name=["knee", "elbow_flex", "gripper"], position=[1.0, 0.2, 0.5])))
+    assert goal(asked) == JointGoal({"elbow_flex": 0.2}, tolerance_rad=0.01)
     assert "knee, gripper" in asked.warnings[0]
 
 
@@ -81,17 +93,37 @@ def test_a_senseless_joint_goal_is_refused_with_its_reason(name: list[str], posi
 
 @pytest.mark.parametrize("frame", ["", "base_link", "/base_link"])
 def test_a_pose_in_the_planning_frame_asks_for_the_position_of_the_tip(frame: str) -> None:
-    goal = request(TRANSLATOR.pose(pose_stamped(frame, x=0.3, y=0.1, z=0.2))).goal
-    assert goal == PositionGoal("gripper_frame_link", (0.3, 0.1, 0.2), tolerance_m=0.01)
+    asked = goal(TRANSLATOR.pose(pose_stamped(frame, x=0.3, y=0.1, z=0.2)))
+    assert asked == PositionGoal("gripper_frame_link", (0.3, 0.1, 0.2), tolerance_m=0.01)
 
 
-@pytest.mark.parametrize(("frame", "why"), [("moon", "is not known"), ("wrist_link", "moves with the arm")])
-def test_a_pose_in_another_frame_is_refused_with_the_frames_that_serve(frame: str, why: str) -> None:
-    failure = refusal(TRANSLATOR.pose(pose_stamped(frame, x=0.3)))
+def test_a_pose_in_a_frame_that_moves_is_taken_where_that_is_when_the_goals_turn_comes() -> None:
+    asked = TRANSLATOR.pose(pose_stamped("gripper_frame_link"))
+    turned_rad = {**HOME_RAD, "shoulder_pan": 1.0}
+    placed = ForwardPlacements(ROBOT).transforms(turned_rad)["gripper_frame_link"]
+    assert goal(asked, turned_rad).position_m == pytest.approx(placed[:3, 3])
+
+
+def test_a_pose_in_an_unknown_frame_is_refused_at_once_with_those_that_serve() -> None:
+    failure = refusal(TRANSLATOR.pose(pose_stamped("moon", x=0.3)))
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
-    assert frame in failure.message
-    assert why in failure.message
+    assert "moon" in failure.message
     assert "base_link" in failure.message
+
+
+def test_while_nobody_knows_where_the_arm_is_frames_wait_for_the_goals_turn() -> None:
+    asked = motion(translator(present_rad=None).pose(pose_stamped("moon", x=0.3)))
+    assert isinstance(asked.steps[0](HOME_RAD), PlanningFailure)
+
+
+def test_the_whole_pose_is_told_in_the_root_link() -> None:
+    message = {
+        "header": {"frame_id": "base_link"},
+        "pose": {"position": {"x": 0.3}, "orientation": {"z": 1.0, "w": 0.0}},
+    }
+    pose = TRANSLATOR.pose_in_root(complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0)), HOME_RAD)
+    assert isinstance(pose, Pose)
+    assert (pose.position_m, pose.orientation) == ((0.3, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
@@ -101,7 +133,9 @@ def test_a_coordinate_that_is_no_number_is_named(axis: str) -> None:
     assert f"position.{axis}" in failure.message
 
 
-def test_link_and_tolerance_come_from_the_parameters() -> None:
-    parameters = MoveItParameters(end_effector_link="wrist_link", position_tolerance=0.02)
-    goal = request(GoalTranslator(model.builtin(), parameters).pose(pose_stamped("", x=0.3))).goal
-    assert goal == PositionGoal("wrist_link", (0.3, 0.0, 0.0), tolerance_m=0.02)
+def test_link_tolerance_and_scaling_come_from_the_parameters() -> None:
+    chosen = translator(end_effector_link="wrist_link", position_tolerance=0.02, max_velocity_scaling=0.7)
+    problem = motion(chosen.pose(pose_stamped("", x=0.3))).steps[0](HOME_RAD)
+    assert isinstance(problem, PlanningProblem)
+    assert problem.goal == PositionGoal("wrist_link", (0.3, 0.0, 0.0), tolerance_m=0.02)
+    assert problem.velocity_scaling == 0.7

@@ -15,8 +15,14 @@ def test_the_time_is_the_servers(world: AskedWorld) -> None:
     assert world.ask("get_time")["time"] == {"sec": 12, "nanosec": 500_000_000}
 
 
-def test_the_version_is_one_that_clients_know(world: AskedWorld) -> None:
-    assert world.ask("get_ros_version") == {"version": 2, "distro": "jazzy"}
+@pytest.mark.parametrize(
+    ("dialect", "version"),
+    [("ros2", {"version": 2, "distro": "jazzy"}), ("ros1", {"version": 1, "distro": "noetic"})],
+)
+def test_the_version_is_one_that_clients_of_the_dialect_know(
+    world: AskedWorld, dialect: Dialect, version: dict[str, object]
+) -> None:
+    assert world.ask("get_ros_version", dialect) == version
 
 
 @pytest.mark.parametrize("dialect", ["ros2", "ros1"])

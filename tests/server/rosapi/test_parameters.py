@@ -40,6 +40,13 @@ def test_what_is_no_json_is_refused(kept: Kept, value: str) -> None:
     assert kept.ask("get_param_names") == {"names": []}
 
 
+def test_the_servers_own_parameters_are_there_for_clients(kept: Kept) -> None:
+    kept.keep("/robot_description", '"<robot/>"')
+    assert kept.ask("get_param", name="/robot_description", default_value="") == {"value": '"<robot/>"'}
+    kept.ask("delete_param", name="/robot_description")
+    assert kept.ask("get_param_names") == {"names": []}
+
+
 def test_the_number_of_parameters_is_bounded(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parameters, "MAX_PARAMETERS", 2)
     for name in ("/a", "/b", "/a"):

@@ -1,0 +1,178 @@
+"""Actions as ROS 1 knows them: the five topics of actionlib before each action of the server.
+
+A goal on ``NAME/goal`` is sent to the action as anyone's goal; its way is told on ``NAME/status``, ``NAME/feedback``
+and ``NAME/result`` (ROS wiki, actionlib/DetailedDescription).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from protocol.publication import Publication
+from protocol.registry import Registry
+from server.action_goals import Goal, GoalStatus, Result
+from server.actionlib_goals import STATUS_OF_END, Status, Tracked, TrackedGoals
+from server.graph import Graph, Subscriber
+from server.node import Node
+from server.timers import CallLater
+
+log = logging.getLogger("armbridge.actionlib")
+
+# actionlib's default status_frequency; clients take a server for gone when statuses stay away for seconds.
+STATUS_PERIOD_S = 0.2
+
+GOAL_ID = "actionlib_msgs/GoalID"
+STATUS_ARRAY = "actionlib_msgs/GoalStatusArray"
+
+
+def has_actionlib_types(registry: Registry, type_name: str) -> bool:
+    """Whether ROS 1 has an action of this type, and so the messages of its topics."""
+    return registry.knows(_message_type(type_name, "ActionGoal"))
+
+
+class ActionlibBridge:
+    """Keeps the topics of several actions.
+
+    Args:
+        graph: where topics and actions are.
+        clock: monotonic time [s].
+        call_later: does something after a delay.
+    """
+
+    def __init__(self, graph: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
+        self._graph = graph
+        self._clock = clock
+        self._call_later = call_later
+        self._bridged: list[BridgedAction] = []
+
+    def open(self, names: Iterable[str]) -> None:
+        """Open the topics of actions that are offered; one of a type that ROS 1 lacks has none."""
+        for name in names:
+            type_name = self._graph.actions.type_of(name)
+            if type_name is not None and has_actionlib_types(self._graph.interfaces.registry, type_name):
+                self._bridged.append(BridgedAction(self._graph, name, type_name, self._clock))
+        self._beat()
+
+    def _beat(self) -> None:
+        for action in self._bridged:
+            action.publish_status()
+        self._call_later(STATUS_PERIOD_S, self._beat)
+
+
+class BridgedAction:
+    """The topics of one action.
+
+    Args:
+        graph: where they are.
+        name: of the action.
+        type_name: canonical name of its type.
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, graph: Graph, name: str, type_name: str, clock: Callable[[], float]) -> None:
+        self._graph = graph
+        self._name = name
+        self._type_name = type_name
+        self._clock = clock
+        self._node = Node(f"actionlib of {name}")
+        self._tracked = TrackedGoals(name)
+        self._goals: dict[str, Goal] = {}
+        # ROS 1's results and feedback lack fields that ROS 2 added.
+        self._fields = {part: self._fields_of(part) for part in ("Result", "Feedback")}
+        for part in ("Result", "Feedback"):
+            graph.advertise(self._node, f"{name}/{part.lower()}", _message_type(type_name, f"Action{part}"))
+        graph.advertise(self._node, f"{name}/status", STATUS_ARRAY)
+        goal_type = _message_type(type_name, "ActionGoal")
+        graph.subscribe(self._node, f"{name}/goal", goal_type, Subscriber(self._take_goal))
+        graph.subscribe(self._node, f"{name}/cancel", GOAL_ID, Subscriber(self._take_cancel))
+
+    def publish_status(self) -> None:
+        """Tell how all goals are, if anybody listens."""
+        self._tracked.forget(self._clock())
+        topic = f"{self._name}/status"
+        if self._graph.subscribers(topic):
+            self._graph.publish(self._node, topic, {"status_list": self._tracked.messages()})
+
+    def _take_goal(self, publication: Publication) -> None:
+        message, full = publication.msg, self._tracked.full
+        tracked = self._tracked.add(message["goal_id"], self._graph.interfaces.now())
+        if tracked is None:
+            log.warning("%s: a goal of the id %r is known already", self._name, message["goal_id"]["id"])
+            return
+        if full:
+            self._end(tracked.key, Status.REJECTED, f"too many goals of {self._name} are on their way", {})
+            return
+        self._tracked.update(tracked.key, Status.ACTIVE)
+        sender = publication.publisher if isinstance(publication.publisher, Node) else self._node
+        self._send(tracked.key, sender, message["goal"])
+        self.publish_status()
+
+    def _send(self, key: str, sender: Node, message: Mapping[str, Any]) -> None:
+        at_once: list[Result] = []
+        goal = self._graph.actions.send_goal(
+            sender,
+            self._name,
+            self._type_name,
+            message,
+            at_once.append,
+            lambda feedback: self._on_feedback(key, feedback),
+        )
+        if goal is None or goal.ended:
+            self._on_result(key, at_once[0])
+            return
+        self._goals[key] = goal
+        # Not by the sender's callback: when the sender leaves, others may still be listening.
+        goal.when_ended(lambda result: self._on_result(key, result))
+
+    def _take_cancel(self, publication: Publication) -> None:
+        for key in self._tracked.to_cancel(publication.msg):
+            goal = self._goals.get(key)
+            if goal is not None:
+                self._tracked.update(key, Status.PREEMPTING)
+                goal.cancel()
+        self.publish_status()
+
+    def _on_result(self, key: str, result: Result) -> None:
+        self._goals.pop(key, None)
+        if result.ok:
+            status = STATUS_OF_END.get(GoalStatus(result.status), Status.ABORTED)
+            self._end(key, status, _sentence(result.values), result.values)
+        else:
+            taken_on = result.status != GoalStatus.UNKNOWN
+            self._end(key, Status.ABORTED if taken_on else Status.REJECTED, str(result.values), {})
+
+    def _end(self, key: str, status: Status, text: str, values: Mapping[str, Any]) -> None:
+        goal = self._tracked.end(key, status, text, self._clock())
+        if goal is not None:
+            self._publish("Result", goal, values)
+            self.publish_status()
+
+    def _on_feedback(self, key: str, values: Mapping[str, Any]) -> None:
+        goal = self._tracked.on_its_way(key)
+        if goal is not None:
+            self._publish("Feedback", goal, values)
+
+    def _publish(self, part: str, goal: Tracked, values: Mapping[str, Any]) -> None:
+        known = {name: values[name] for name in self._fields[part] if name in values}
+        message = {"status": goal.message(), part.lower(): known}
+        self._graph.publish(self._node, f"{self._name}/{part.lower()}", message)
+
+    def _fields_of(self, part: str) -> tuple[str, ...]:
+        message_type = self._graph.interfaces.registry.message(_message_type(self._type_name, part))
+        return tuple(field.name for field in message_type.fields)
+
+
+def _message_type(type_name: str, part: str) -> str:
+    """The message of ROS 1 that belongs to an action: ``moveit_msgs/msg/MoveGroupActionGoal``."""
+    package, _, action = type_name.split("/")
+    return f"{package}/msg/{action}{part}"
+
+
+def _sentence(result: Mapping[str, Any]) -> str:
+    """What a result says in words, which ROS 1's error codes have no field for."""
+    code = result.get("response", result).get("error_code")
+    if isinstance(code, Mapping):
+        return str(code.get("message", ""))
+    return str(result.get("error_string", ""))

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from server.action_goals import Goal, GoalStatus
+from server.goal_queue import Answer, GoalState, Progress
+from server.moveit.actions.carrying_out import StateFeedback, carry_out, refuse, status_of
+from server.moveit.motions import PlannedMotion
+from server.node import Node
+from tests.helpers.action_desk import ActionDesk
+from tests.helpers.played_arm import settle
+
+ACTION, TYPE = "/move", "moveit_msgs/action/ExecuteTrajectory"
+
+
+class Desk(ActionDesk):
+    def __init__(self) -> None:
+        super().__init__()
+        self.graph.actions.offer(Node("server"), ACTION, TYPE, self.start)
+
+    def start(self, goal: Goal) -> None:
+        carry_out(goal, self.queue, PlannedMotion(()), StateFeedback(), code)
+
+
+def code(answer: Answer) -> dict[str, object]:
+    return {"error_code": {"val": int(answer.code), "message": answer.message}}
+
+
+@pytest.fixture
+async def desk() -> AsyncIterator[Desk]:
+    made = Desk()
+    yield made
+    await made.close()
+
+
+async def test_a_goal_is_told_its_states_once_each_and_then_its_result(desk: Desk) -> None:
+    await desk.send(ACTION)
+    for state in (GoalState.PLANNING, GoalState.EXECUTING, GoalState.EXECUTING):
+        desk.report(Progress(state, ""))
+    desk.finish()
+    await settle()
+    assert [message["state"] for message in desk.feedback] == ["PLANNING", "MONITOR", "IDLE"]
+    assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(4, 1)]
+
+
+async def test_a_new_goal_takes_the_place_of_the_one_in_hand(desk: Desk) -> None:
+    await desk.send(ACTION)
+    await desk.send(ACTION)
+    assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(5, -7)]
+    assert "preempted by goal 2 from /move" in desk.results[0].values["error_code"]["message"]
+    assert len(desk.asked) == 2
+
+
+async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: Desk) -> None:
+    goal = await desk.send(ACTION)
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    assert desk.results[0].status == GoalStatus.CANCELED
+    assert desk.results[0].values["error_code"]["message"] == "cancelled by a client of /move"
+
+
+async def test_a_refused_goal_is_answered_and_what_moves_goes_on(desk: Desk) -> None:
+    await desk.send(ACTION)
+    failure = PlanningFailure(MoveItErrorCode.INVALID_GROUP_NAME, "no such group")
+    desk.graph.actions.offer(Node("server"), "/other", TYPE, lambda goal: refuse(goal, desk.queue, failure, code))
+    await desk.send("/other")
+    assert [result.values["error_code"]["val"] for result in desk.results] == [-15]
+    assert desk.refused == ["no such group"]
+    assert len(desk.asked) == 1
+
+
+def test_every_end_has_a_status() -> None:
+    assert status_of(MoveItErrorCode.SUCCESS) is GoalStatus.SUCCEEDED
+    assert status_of(MoveItErrorCode.PREEMPTED) is GoalStatus.CANCELED
+    assert status_of(MoveItErrorCode.NO_IK_SOLUTION) is GoalStatus.ABORTED

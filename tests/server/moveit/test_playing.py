@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import EMPTY_SCENE
+from robot.messages import Course, Outcome, Pace
+from server.goal_queue import Answer, Progress
+from server.moveit import playing
+from server.moveit.playing import CODE_OF_OUTCOME, Certified, Player
+from tests.helpers.clock import FakeClock
+from tests.helpers.played_arm import JOINTS, PlayedArm, settle
+from tests.helpers.trajectories import smooth_move
+
+MOTION = Certified("arm", smooth_move(dict.fromkeys(JOINTS, (0.0, 0.5)), 1.0), {}, EMPTY_SCENE.version, "as planned")
+CONTACT = PlanningFailure(
+    MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall", {"pairs": ["wall"]}
+)
+
+
+class Watch:
+    """Guards nothing until a test finds a contact."""
+
+    def __init__(self) -> None:
+        self.guarding = False
+        self.found: Any = None
+        self.question: Any = None
+
+    def begin(self, _seen: int, question: Any, on_contact: Any) -> None:
+        self.guarding, self.question, self.found = True, question, on_contact
+
+    def end(self) -> None:
+        self.guarding = False
+
+
+class Stage:
+    def __init__(self) -> None:
+        self.arm, self.watch = PlayedArm(), Watch()
+        self.clock = FakeClock()
+        self.player = Player(self.arm, self.watch, self.clock)  # type: ignore[arg-type]
+        self.news: list[Progress] = []
+        self.running: asyncio.Task[Answer] | None = None
+
+    async def begin(self) -> None:
+        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append))
+        await settle()
+
+    async def answer(self) -> Answer:
+        assert self.running is not None
+        return await asyncio.wait_for(self.running, 5.0)
+
+
+@pytest.fixture
+async def stage() -> AsyncIterator[Stage]:
+    made = Stage()
+    await made.begin()
+    return made
+
+
+@pytest.mark.parametrize("outcome", [one for one in Outcome if one in CODE_OF_OUTCOME and one is not Outcome.STOPPED])
+async def test_every_end_has_its_code_and_its_own_words(stage: Stage, outcome: Outcome) -> None:
+    stage.arm.end(outcome, "that is how it went")
+    answer = await stage.answer()
+    assert answer == Answer(CODE_OF_OUTCOME[outcome], "that is how it went", {"outcome": outcome.value})
+    assert not stage.watch.guarding
+
+
+async def test_a_stop_is_told_with_its_reason(stage: Stage) -> None:
+    stage.player.stop("a test")
+    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test: stopped half-way")
+
+
+async def test_a_contact_on_the_way_stops_the_motion_with_its_own_code_and_data(stage: Stage) -> None:
+    stage.watch.found(CONTACT)
+    stage.player.stop("too late")
+    answer = await stage.answer()
+    assert (answer.code, answer.details) == (CONTACT.code, CONTACT.details)
+    assert answer.message == "would touch the wall: stopped half-way"
+
+
+async def test_only_the_motion_in_hand_is_stopped(stage: Stage) -> None:
+    stage.player.stop("a test")
+    await stage.answer()
+    assert stage.arm.stops != [None]
+    stage.player.stop("nothing moves any more")
+    assert len(stage.arm.stops) == 1
+
+
+async def test_the_question_is_about_what_is_left(stage: Stage) -> None:
+    stage.clock.advance(1.0)
+    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace())
+    assert stage.watch.question().from_s == 0.25
+
+
+async def test_on_the_way_back_all_of_the_path_may_still_come(stage: Stage) -> None:
+    stage.clock.advance(1.0)
+    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(course=Course.BACK))
+    assert stage.watch.question().from_s == 0.0
+
+
+async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(playing, "Patience", lambda _duration_s: Worn())
+    stage = Stage()
+    await stage.begin()
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert answer.message.startswith("the arm did not end the motion; joint ")
+    assert "is 0.000 rad behind: stopped half-way" in answer.message
+
+
+class Worn:
+    """Patience that has come to its end."""
+
+    end = "the arm did not end the motion"
+
+
+async def test_right_after_the_beginning_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
+    stage.arm.state = replace(stage.arm.state, fraction=0.25)
+    assert stage.watch.question().from_s == 0.0
+
+
+async def test_a_motion_that_is_left_goes_on_until_another_takes_its_place(stage: Stage) -> None:
+    stage.clock.advance(1.0)
+    stage.arm.show(0.4)
+    stage.player.leave("preempted by a test")
+    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")
+    left = stage.player.left
+    assert left is not None
+    assert left.branch is not None
+    assert stage.arm.stops == []
+    stage.running = asyncio.create_task(stage.player.play(MOTION, stage.news.append, left.branch.from_s))
+    await settle()
+    assert stage.arm.continued == [left.branch.from_s]
+    assert left.ended.done()
+
+
+async def test_a_motion_that_is_left_is_braked_when_no_other_comes(stage: Stage) -> None:
+    stage.player.leave("preempted by a test")
+    await stage.answer()
+    async with asyncio.timeout(5.0):
+        while not stage.arm.stops:
+            await asyncio.sleep(0.01)
+
+
+async def test_a_motion_that_is_left_can_be_brought_to_rest_and_stopped(stage: Stage) -> None:
+    stage.player.leave("preempted by a test")
+    await stage.answer()
+    await stage.player.rest()
+    assert len(stage.arm.stops) == 1
+    assert stage.player.left is None
+
+
+async def test_a_motion_that_brakes_already_is_not_left(stage: Stage) -> None:
+    stage.player.stop("a test")
+    stage.player.leave("too late")
+    assert (await stage.answer()).message == "a test: stopped half-way"

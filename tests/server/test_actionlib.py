@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from protocol.dialect import to_ros1
+from protocol.registry import Registry
+from server.action_goals import Goal, GoalStatus
+from server.actionlib import ActionlibBridge, has_actionlib_types
+from server.actionlib_goals import MAX_GOALS, Status
+from server.graph import Graph, Subscriber
+from server.node import Node
+from tests.helpers.clock import FakeClock
+
+REGISTRY = Registry.load()
+MOVE, MOVE_TYPE = "/move_group", "moveit_msgs/action/MoveGroup"
+FOLLOW, FOLLOW_TYPE = "/follow", "control_msgs/action/FollowJointTrajectory"
+
+
+class Stage:
+    """Two actions that do what a test says, and a client that listens to all their topics."""
+
+    def __init__(self) -> None:
+        self.clock = FakeClock()
+        self.graph = Graph(REGISTRY, self.clock, lambda: 1000.0, self.clock.call_later)
+        self.goals: list[Goal] = []
+        self.heard: dict[str, list[Any]] = {}
+        server = Node("server")
+        for name, type_name in ((MOVE, MOVE_TYPE), (FOLLOW, FOLLOW_TYPE)):
+            self.graph.actions.offer(server, name, type_name, self.goals.append)
+        ActionlibBridge(self.graph, self.clock, self.clock.call_later).open((MOVE, FOLLOW, "/nobody/offers/this"))
+        self.client = Node("client", remote=True)
+        for name in (MOVE, FOLLOW):
+            for part in ("status", "feedback", "result"):
+                messages = self.heard[f"{name}/{part}"] = []
+                subscriber = Subscriber(lambda publication, to=messages: to.append(publication.msg))
+                self.graph.subscribe(self.client, f"{name}/{part}", None, subscriber)
+
+    def send(self, name: str = "one", topic: str = f"{MOVE}/goal", **goal: Any) -> None:
+        self.graph.publish(self.client, topic, {"goal_id": {"id": name}, "goal": goal})
+
+    def cancel(self, **goal_id: Any) -> None:
+        self.graph.publish(self.client, f"{MOVE}/cancel", goal_id)
+
+    def statuses(self) -> list[tuple[str, int]]:
+        """Ids and statuses of the latest array."""
+        return [(one["goal_id"]["id"], one["status"]) for one in self.heard[f"{MOVE}/status"][-1]["status_list"]]
+
+    def results(self) -> list[tuple[str, int, str, int]]:
+        """Id, status, text and error code of every result."""
+        return [
+            (one["status"]["goal_id"]["id"], one["status"]["status"], one["status"]["text"], code["val"])
+            for one in self.heard[f"{MOVE}/result"]
+            for code in [one["result"]["error_code"]]
+        ]
+
+
+@pytest.fixture
+def stage() -> Stage:
+    return Stage()
+
+
+def test_a_status_comes_five_times_a_second_before_there_is_any_goal(stage: Stage) -> None:
+    stage.clock.advance(1.1)
+    assert len(stage.heard[f"{MOVE}/status"]) == 5
+
+
+def test_a_goal_goes_its_way_from_active_to_its_result(stage: Stage) -> None:
+    stage.send(request={"group_name": "arm"})
+    assert stage.goals[0].request["request"]["group_name"] == "arm"
+    assert stage.statuses() == [("one", Status.ACTIVE)]
+    stage.goals[0].feedback({"state": "MONITOR"})
+    stage.goals[0].finish(GoalStatus.SUCCEEDED, {"error_code": {"val": 1, "message": "there"}})
+    assert [one["feedback"]["state"] for one in stage.heard[f"{MOVE}/feedback"]] == ["MONITOR"]
+    assert stage.results() == [("one", Status.SUCCEEDED, "there", 1)]
+    assert stage.statuses() == [("one", Status.SUCCEEDED)]
+
+
+def test_an_ended_goal_is_told_of_for_five_seconds(stage: Stage) -> None:
+    stage.send()
+    stage.goals[0].finish(GoalStatus.SUCCEEDED, {})
+    stage.clock.advance(4.0)
+    assert stage.statuses() == [("one", Status.SUCCEEDED)]
+    stage.clock.advance(2.0)
+    assert stage.statuses() == []
+
+
+def test_a_cancelled_goal_is_preempting_until_it_ends(stage: Stage) -> None:
+    stage.send("one")
+    stage.send("two")
+    stage.cancel(id="two")
+    assert [goal.cancel_requested for goal in stage.goals] == [False, True]
+    stage.goals[1].feedback({"state": "MONITOR"})
+    assert stage.statuses() == [("one", Status.ACTIVE), ("two", Status.PREEMPTING)]
+    stage.goals[1].finish(GoalStatus.CANCELED, {"error_code": {"val": -7}})
+    assert stage.results() == [("two", Status.PREEMPTED, "", -7)]
+
+
+def test_an_empty_cancel_ends_all_goals(stage: Stage) -> None:
+    stage.send("one")
+    stage.send("two")
+    stage.cancel()
+    assert all(goal.cancel_requested for goal in stage.goals)
+
+
+def test_a_goal_that_fails_without_a_result_is_answered_with_the_sentence(stage: Stage) -> None:
+    stage.send()
+    stage.goals[0].fail("broken")
+    assert stage.results() == [("one", Status.ABORTED, "broken", 0)]
+
+
+def test_a_goal_of_a_withdrawn_action_is_rejected(stage: Stage) -> None:
+    server = stage.graph.actions.provider(MOVE)
+    assert server is not None
+    stage.graph.actions.withdraw(server, MOVE)
+    stage.send()
+    assert stage.results()[0][:2] == ("one", Status.REJECTED)
+    assert "does not exist" in stage.results()[0][2]
+
+
+def test_more_goals_than_anyone_can_wait_for_are_rejected(stage: Stage) -> None:
+    for number in range(MAX_GOALS + 1):
+        stage.send(f"{number}")
+    assert len(stage.goals) == MAX_GOALS
+    assert {status for _, status, _, _ in stage.results()} == {Status.REJECTED}
+
+
+def test_a_goal_that_is_sent_twice_runs_once(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    stage.send()
+    stage.send()
+    assert len(stage.goals) == 1
+    assert "'one'" in caplog.text
+
+
+def test_ros_1_gets_the_fields_that_it_knows(stage: Stage) -> None:
+    stage.send(topic=f"{FOLLOW}/goal", trajectory={"joint_names": ["a"]})
+    stage.goals[0].feedback({"joint_names": ["a"], "index": 3})
+    stage.goals[0].finish(GoalStatus.ABORTED, {"error_code": -2, "error_string": "no such joint"})
+    feedback, result = stage.heard[f"{FOLLOW}/feedback"][0], stage.heard[f"{FOLLOW}/result"][0]
+    assert "index" not in feedback["feedback"]
+    spelled = to_ros1(REGISTRY, "control_msgs/FollowJointTrajectoryActionResult", result)
+    assert spelled["status"]["goal_id"]["stamp"] == {"secs": 1000, "nsecs": 0}
+    assert spelled["status"]["text"] == spelled["result"]["error_string"] == "no such joint"
+
+
+def test_goals_belong_to_the_client_that_published_them(stage: Stage) -> None:
+    stage.client.takes_goals_along = True
+    stage.send()
+    assert stage.goals[0].sender is stage.client
+    stage.graph.remove(stage.client)
+    assert stage.goals[0].cancel_requested
+
+
+def test_actions_that_ros_1_never_had_have_no_topics() -> None:
+    assert has_actionlib_types(REGISTRY, MOVE_TYPE)
+    assert not has_actionlib_types(REGISTRY, "control_msgs/action/ParallelGripperCommand")

@@ -22,8 +22,11 @@ def test_the_lead_is_the_same_curve_as_the_motion_up_to_where_it_is_left(
     branch = branch_of(MOTION, replace(MOVING, fraction=fraction, pace=Pace(speed)), 0.0)
     assert branch is not None
     time_s = share * branch.lead.duration_s
-    for ours, theirs in zip(branch.lead.sample(time_s), MOTION.sample(branch.from_s + time_s), strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    # Each derivative of a short piece has more of the rounding.
+    for order, (ours, theirs) in enumerate(
+        zip(branch.lead.sample(time_s), MOTION.sample(branch.from_s + time_s), strict=True)
+    ):
+        np.testing.assert_allclose(ours, theirs, atol=(1e-9, 1e-6, 1e-3)[order])
     # There is the whole horizon to plan in, at whatever speed the motion is played.
     left_s = branch.from_s + branch.lead.duration_s - fraction * MOTION.duration_s
     assert left_s == pytest.approx(HORIZON_S * speed)

@@ -17,6 +17,7 @@ from benchmarks import (
     planning_scene_services,
     planning_scenes,
     processes,
+    recording,
     rosapi,
     servo_loop,
     servo_stream,
@@ -34,6 +35,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "event_loop": event_loop.run,
     "gateway": gateway.run,
     "rosapi": rosapi.run,
+    "recording": recording.run,
     "planning_scene_services": planning_scene_services.run,
 }
 

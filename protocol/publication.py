@@ -36,7 +36,7 @@ class Publication:
         publisher: who published it, for those whom it concerns.
     """
 
-    __slots__ = ("_encoded", "_parcels", "_received", "_registry", "msg", "publisher", "topic", "type_name")
+    __slots__ = ("_encoded", "_parcels", "_registry", "msg", "publisher", "received", "topic", "type_name")
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class Publication:
         self.msg = msg
         self.publisher = publisher
         self._registry = registry
-        self._received = received
+        self.received = received
         # Subscribers spell a topic with or without its leading slash: two spellings of each encoding and dialect.
         self._parcels: dict[_Key, Parcel] = {}
         # The message alone, the costly part, which frames of all spellings share.
@@ -112,7 +112,7 @@ class Publication:
         if encoding == "cbor-raw" and known:
             # Serialized messages are the same in both dialects.
             octets = cdr.serialize(self._registry, self.type_name, self.msg)
-            return cbor.encode({"secs": self._received.sec, "nsecs": self._received.nanosec, "bytes": octets})
+            return cbor.encode({"secs": self.received.sec, "nsecs": self.received.nanosec, "bytes": octets})
         msg = self._packed(encoding) if known else self.msg
         if known and dialect == "ros1":
             msg = to_ros1(self._registry, self.type_name, msg)

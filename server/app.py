@@ -10,6 +10,7 @@ import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import uvloop
 
@@ -26,7 +27,7 @@ from robot.model import RobotModel
 from server.arm_pace import ArmPace
 from server.arm_services import ArmServices
 from server.arm_state import ArmStateTopics
-from server.config import ArmSettings, Settings
+from server.config import ArmSettings, RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.emulated_bus import EmulatedBus
 from server.errors import ConfigurationError, StartError
@@ -37,6 +38,9 @@ from server.moveit.face import MoveItFace
 from server.moveit.parameters import MoveItParameters
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
+
+if TYPE_CHECKING:
+    from server.recording.recorder import Recorder
 
 log = logging.getLogger("armbridge")
 
@@ -104,6 +108,7 @@ class App:
         self._graph = Graph(registry, relay_unknown_types=settings.server.relay_unknown_types)
         self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
         self._rosout: Rosout | None = None
+        self._recorder: Recorder | None = None
         self._joint_states = JointStates(self._graph)
         self._arm_state = ArmStateTopics(self._graph, description.robot)
         self._diagnostics = Diagnostics(self._graph, description.robot.name)
@@ -146,6 +151,7 @@ class App:
         self._rosout = Rosout(self._graph, asyncio.get_running_loop())
         self._rosout.open()
         self._rosapi.open()
+        self._recorder = open_recorder(self._settings.recording, self._graph, self._description.robot.name)
         # The port first: nothing else needs to start, and no arm to be switched on, when it is taken.
         await self._listener.bind()
         await self._pool.start()
@@ -183,6 +189,8 @@ class App:
         await self._pool.close()
         if self._emulated_bus is not None:
             await self._emulated_bus.close()
+        if self._recorder is not None:
+            await self._recorder.close()
         if self._rosout is not None:
             self._rosout.close()
 
@@ -224,6 +232,27 @@ def arm_config(settings: ArmSettings, description: Description, port: str) -> Ar
         slow_temperature_c=settings.slow_temperature_c,
         stop_temperature_c=settings.stop_temperature_c,
     )
+
+
+def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:
+    """Begin to record, if the settings name a file.
+
+    Args:
+        settings: the section ``recording``.
+        graph: what is recorded.
+        robot_name: for whoever reads the file.
+
+    Raises:
+        StartError: the file cannot be written.
+    """
+    if settings.file is None:
+        return None
+    # Imported when it is needed: most servers record nothing, and start without the library.
+    from server.recording.recorder import Recorder
+
+    recorder = Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})
+    recorder.open()
+    return recorder
 
 
 def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from importlib import metadata
 
-from server.commands import calibrate, doctor, emulate, plan, relax, scan, serve
+from server.commands import calibrate, config, doctor, emulate, plan, relax, replay, scan, serve
 from server.commands.terminal import EXIT_CODES
+from server.config_keys import unknown
 
 # In the order in which someone with a new arm needs them.
-COMMANDS = (serve, scan, calibrate, doctor, relax, plan, emulate)
+COMMANDS = (serve, scan, calibrate, doctor, relax, plan, replay, emulate, config)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options, others = parser.parse_known_args(arguments)
+    if others:
+        known = re.findall(r"--[\w-]+", options.usage)
+        # What stands behind an option that does not exist is not known either.
+        wrong = [each.partition("=")[0] for each in others if each.startswith("-")] or others
+        parser.error("; ".join(unknown(each, known) for each in wrong))
     code: int = options.run(options)
     return code
 
@@ -32,6 +40,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add_parser(commands)
+    for described in commands.choices.values():
+        described.set_defaults(usage=described.format_usage())
     return parser
 
 

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    EnvSettingsSource,
+    InitSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    SettingsError,
+)
 
 from robot.messages import EmergencyPolicy, EndState
+from server.config_keys import every_setting, flattened, unknown
 from server.errors import ConfigurationError
 from server.goal_queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
+
+_PREFIX = "ARMBRIDGE_"
 
 
 class _Section(BaseModel):
@@ -47,7 +58,7 @@ class ArmSettings(_Section):
         joint_state_rate_hz: rate of ``/joint_states`` [Hz].
         start_enabled: make the arm hold as soon as it is connected; else it stays relaxed until it is enabled.
         watchdog_s: silence of the server after which the arm is stopped [s].
-        on_server_lost: what becomes of the arm then.
+        on_server_lost: what becomes of the arm after such a silence.
         on_exit: what becomes of the arm when the server ends in good order.
         on_emergency_stop: what an emergency stop does.
         warn_temperature_c: servos from it on are told of [degC].
@@ -120,6 +131,27 @@ class PlanningSettings(_Section):
     save_failed_goals: Path | None = None
 
 
+class RecordingSettings(_Section):
+    """The recording of every message that is published.
+
+    Attributes:
+        file: MCAP file to record to; one that exists is left alone, and a number added to the name. None to record
+            nothing.
+        limit_mb: size of a file from which on the next one is begun [MB]; None for no limit.
+        keep_files: how many files are kept of those that a run of the server has written, the newest; 0 for all.
+    """
+
+    file: Path | None = None
+    limit_mb: int | None = Field(default=None, ge=1, le=1_000_000)
+    keep_files: int = Field(default=0, ge=0, le=10_000)
+
+    @model_validator(mode="after")
+    def _only_whole_files_are_given_up(self) -> RecordingSettings:
+        if self.keep_files and self.limit_mb is None:
+            raise ValueError(f"keep_files needs limit_mb: without it there is one file, not {self.keep_files}")
+        return self
+
+
 class EmulatorSettings(_Section):
     """The simulated arm.
 
@@ -139,13 +171,14 @@ class EmulatorSettings(_Section):
 class Settings(BaseSettings):
     """All settings. The command line overrides the environment, and that the file."""
 
-    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix="ARMBRIDGE_", env_nested_delimiter="__")
+    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix=_PREFIX, env_nested_delimiter="__")
 
     server: ServerSettings = ServerSettings()
     arm: ArmSettings = ArmSettings()
     moveit: MoveItParameters = MoveItParameters()
     goals: GoalSettings = GoalSettings()
     planning: PlanningSettings = PlanningSettings()
+    recording: RecordingSettings = RecordingSettings()
     emulator: EmulatorSettings = EmulatorSettings()
 
 
@@ -159,10 +192,59 @@ def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
     Raises:
         ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
     """
+    return load_with_sources(file, overrides)[0]
+
+
+def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Settings, dict[str, str]]:
+    """Read the settings, and tell who has set which.
+
+    Args:
+        file: a TOML file, or None.
+        overrides: section -> key -> value from the command line.
+
+    Returns:
+        The settings, and by key, as in ``server.port``: ``file``, ``environment`` or ``command line``, for those that
+        are not left at their defaults.
+
+    Raises:
+        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
+    """
+    in_file = _read(file) if file else {}
+    if stray := _stray_variables():
+        raise ConfigurationError("; ".join(stray))
     try:
-        return _with_file(_read(file) if file else {})(**overrides)
+        layers = {"file": in_file, "environment": EnvSettingsSource(Settings)(), "command line": overrides}
+        tables = frozenset(setting.key for setting in every_setting(Settings) if setting.is_table)
+        sources = {key: layer for layer, values in layers.items() for key, _ in flattened(values, tables)}
+        return _with_file(in_file)(**overrides), sources
+    except SettingsError as error:
+        raise ConfigurationError(f"environment: {error}") from error
     except ValidationError as error:
-        raise ConfigurationError("; ".join(_sentence(problem) for problem in error.errors())) from error
+        raise ConfigurationError("; ".join(_sentence(each, sources) for each in error.errors())) from error
+
+
+def known_keys() -> list[str]:
+    """Every key that can be set, as in ``server.port``, and the sections."""
+    keys = [setting.key for setting in every_setting(Settings)]
+    sections = {key.rpartition(".")[0] for key in keys}
+    return keys + sorted(sections)
+
+
+def _stray_variables() -> list[str]:
+    """Sentences about environment variables with our prefix that set nothing."""
+    known = known_keys()
+    tables = tuple(f"{setting.key}." for setting in every_setting(Settings) if setting.is_table)
+    names = sorted(name.lower() for name in os.environ if name.upper().startswith(_PREFIX))
+    keys = [name.removeprefix(_PREFIX.lower()).replace("__", ".") for name in names]
+    return [
+        f"environment variable {unknown(key, known, _variable)}"
+        for key in keys
+        if key not in known and not key.startswith(tables)
+    ]
+
+
+def _variable(key: str) -> str:
+    return _PREFIX + key.upper().replace(".", "__")
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -192,8 +274,11 @@ def _with_file(values: dict[str, Any]) -> type[Settings]:
     return FromFile
 
 
-def _sentence(problem: Any) -> str:
+def _sentence(problem: Any, sources: dict[str, str]) -> str:
     key = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        return unknown(key, known_keys())
     value = problem.get("input")
-    shown = "" if isinstance(value, dict | BaseModel) else f" (it is {value!r})"
+    source = f", from the {sources[key]}" if key in sources else ""
+    shown = "" if isinstance(value, dict | BaseModel) else f" (it is {value!r}{source})"
     return f"{key or 'settings'}: {problem['msg']}{shown}"

@@ -5,11 +5,13 @@ ServerError
 ├── ServiceError        a service that cannot do what it is asked for
 ├── RefusedError        a request that cannot be carried out, with the failure that answers it
 ├── ConfigurationError  a setting that is wrong or contradicts another
+├── RecordingError      a recording that cannot be read
 └── StartError          a part of the server that cannot start
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from planners.problem import PlanningFailure
@@ -49,6 +51,13 @@ class RefusedError(ServerError):
 
 class ConfigurationError(ServerError):
     """A setting that is wrong or contradicts another."""
+
+
+class RecordingError(ServerError):
+    """A recording that cannot be read."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        super().__init__(f"recording {path}: {problem}")
 
 
 class StartError(ServerError):

@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.publication import Publication
@@ -29,6 +30,10 @@ MAX_TOPICS = 10_000
 
 # rosbridge_server's unregister_timeout: some clients open a new socket between advertise and publish.
 TYPE_OUTLIVES_USE_S = 10.0
+
+
+# Called with every message of every topic, before its subscribers, and whether it is latched.
+Watcher: TypeAlias = Callable[[Publication, bool], None]
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,15 @@ class Graph:
         self._clock = clock
         self._topics: dict[str, Topic] = {}
         self._retained = Retained()
+        self._watchers: tuple[Watcher, ...] = ()
+
+    def watch(self, watcher: Watcher) -> None:
+        """Call ``watcher`` with every message from now on; nobody sees it in the graph."""
+        self._watchers = (*self._watchers, watcher)
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Call ``watcher`` no more."""
+        self._watchers = tuple(each for each in self._watchers if each != watcher)
 
     def topic_types(self) -> dict[str, str]:
         """Canonical type of every topic in use."""
@@ -190,6 +204,8 @@ class Graph:
         if latch:
             topic.latching.add(node)
         publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received, node)
+        for watch in self._watchers:
+            watch(publication, node in topic.latching)
         for subscriber in list(topic.subscribers.values()):
             subscriber.deliver(publication)
         # Afterwards, when it is known how large the message is.

@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosedError
 
 from robot import model
 from robot.calibration import Calibration
+from server.recording.reader import Recording
 from tests.helpers.client import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.server import RunningServer, read_write_log
 
@@ -322,9 +323,9 @@ async def test_a_signal_stops_the_moving_arm_and_ends_with_0_within_3_s(number: 
     assert_comes_to_rest(log)
 
 
-async def test_a_killed_server_leaves_an_arm_at_rest_and_no_process_behind(tmp_path: Path) -> None:
-    log = tmp_path / "writes.jsonl"
-    with RunningServer(settings={"ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
+async def test_a_killed_server_leaves_an_arm_at_rest_no_process_behind_and_its_recording(tmp_path: Path) -> None:
+    log, recording = tmp_path / "writes.jsonl", tmp_path / "run.mcap"
+    with RunningServer(f"--port 0 --record {recording}", {"ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
         children = psutil.Process(server.process.pid).children(recursive=True)
         async with frame_client(server.url) as client:
             await client.open_goals()
@@ -334,6 +335,7 @@ async def test_a_killed_server_leaves_an_arm_at_rest_and_no_process_behind(tmp_p
     _, alive = psutil.wait_procs(children, timeout=5)
     assert not alive
     assert_comes_to_rest(log)
+    assert "/joint_states" in {track.topic for track in Recording(recording).outline().tracks}
 
 
 async def test_a_serial_port_that_does_not_exist_leaves_a_server_that_says_so() -> None:

@@ -25,10 +25,10 @@ from protocol.registry import Field, Registry
 HEADER = b"\x00\x01\x00\x00"
 
 # As many as there are compiled types in protocol.messages.
-_MAX_COMPILED_TYPES = 1024
+MAX_COMPILED_TYPES = 1024
 
 # Element types of `array` and `struct`: the same letters, and without alignment of the library's own the same sizes.
-_CODES = {
+CODES = {
     "bool": "B",
     "byte": "B",
     "char": "B",
@@ -71,7 +71,7 @@ class _PrimitiveCoder:
     """A number or truth value."""
 
     def __init__(self, base: str) -> None:
-        self._struct = struct.Struct("<?" if base == "bool" else f"<{_CODES[base]}")
+        self._struct = struct.Struct("<?" if base == "bool" else f"<{CODES[base]}")
 
     def write(self, body: bytearray, value: Any) -> None:
         """Append the value, aligned to its own size."""
@@ -94,7 +94,7 @@ class _NumbersCoder:
     """An array of numbers or truth values, behind its length if that is not fixed."""
 
     def __init__(self, field: Field, fixed_length: int | None) -> None:
-        self._code = _CODES[field.base]
+        self._code = CODES[field.base]
         self._size = array.array(self._code).itemsize
         self._fixed_length = fixed_length
 
@@ -150,7 +150,7 @@ class _MessageCoder:
             body.append(0)
 
 
-@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _message_coder(registry: Registry, type_name: str) -> _MessageCoder:
     fields = registry.message(type_name).fields
     return _MessageCoder({field.name: _field_coder(registry, field) for field in fields})
@@ -162,7 +162,7 @@ def _field_coder(registry: Registry, field: Field) -> _Coder:
     fixed_length = field.array.min_length if field.array.fixed else None
     if field.base in OCTETS:
         return _OctetsCoder(fixed_length)
-    if field.base in _CODES:
+    if field.base in CODES:
         return _NumbersCoder(field, fixed_length)
     return _ListCoder(_element_coder(registry, field), fixed_length)
 

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import pytest
 
+from protocol.registry import Registry
 from robot import model
 from robot.calibration import Calibration
 from robot.calibration_files import new_calibration_path, save
 from robot.messages import EmergencyPolicy, EndState
-from server.app import Description, arm_config, check_parameters
-from server.config import ArmSettings
-from server.errors import ConfigurationError
+from server.app import Description, arm_config, check_parameters, open_recorder
+from server.config import ArmSettings, RecordingSettings
+from server.errors import ConfigurationError, StartError
+from server.graph import Graph
 from server.moveit.parameters import MoveItParameters
 
 
@@ -80,3 +82,12 @@ def test_the_arm_process_gets_what_is_set() -> None:
     assert config.on_emergency_stop is EmergencyPolicy.HOLD
     shared = {field.name for field in fields(config)} & set(ArmSettings.model_fields) - {"calibration"}
     assert {name: getattr(config, name) for name in shared} == {name: getattr(settings, name) for name in shared}
+
+
+def test_without_a_file_nothing_is_recorded() -> None:
+    assert open_recorder(RecordingSettings(), Graph(Registry.load()), "so101") is None
+
+
+def test_a_recording_that_cannot_be_written_prevents_the_start(tmp_path: Path) -> None:
+    with pytest.raises(StartError, match=r"recording\.file: .* cannot be written"):
+        open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101")

@@ -16,7 +16,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_help_names_every_command_and_what_exit_codes_mean() -> None:
     answer = run("--help")
-    for command in ("serve", "scan", "calibrate", "doctor", "relax", "plan", "emulate"):
+    for command in ("serve", "scan", "calibrate", "doctor", "relax", "plan", "replay", "emulate", "config"):
         assert command in answer.stdout
     assert "Exit code 0" in answer.stdout
 
@@ -38,6 +38,12 @@ def test_every_command_on_the_arm_takes_its_port_and_explains_itself(command: st
 
 def test_a_command_that_does_not_exist_is_called_wrongly() -> None:
     assert run("dance").returncode == 2
+
+
+def test_an_option_that_does_not_exist_is_answered_with_the_one_that_was_meant() -> None:
+    answer = run("serve", "--prot", "9191")
+    assert answer.returncode == 2
+    assert answer.stderr.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
 
 
 def test_a_port_in_use_is_one_line_and_exit_1() -> None:

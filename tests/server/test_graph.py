@@ -255,3 +255,27 @@ def test_unknown_types_are_relayed_as_they_come_where_it_is_allowed(clock: Clock
     assert graph.topic_types() == {"/t": "acme_msgs/msg/Thing"}
     with pytest.raises(GraphError, match="acme_msgs/Other"):
         graph.advertise(TALKER, "/t", "acme_msgs/Other")
+
+
+def test_who_watches_gets_the_messages_of_every_topic_before_their_subscribers(graph: Graph) -> None:
+    seen: list[tuple[str, bool, int]] = []
+    listener = Listening()
+    graph.subscribe(listener.node, "/a", "std_msgs/Empty", listener.subscriber)
+    graph.advertise(TALKER, "/b", "std_msgs/Empty", latch=True)
+    graph.watch(lambda publication, latched: seen.append((publication.topic, latched, len(listener.messages))))
+    graph.publish(TALKER, "/a", {})
+    graph.publish(TALKER, "/b", {})
+    assert seen == [("/a", False, 0), ("/b", True, 1)]
+
+
+def test_who_watches_no_more_gets_nothing(graph: Graph) -> None:
+    seen: list[Publication] = []
+
+    def watcher(publication: Publication, _latched: bool) -> None:
+        seen.append(publication)
+
+    graph.watch(watcher)
+    graph.unwatch(watcher)
+    graph.advertise(TALKER, "/a", "std_msgs/Empty")
+    graph.publish(TALKER, "/a", {})
+    assert seen == []

@@ -3,19 +3,7 @@ from __future__ import annotations
 import pytest
 
 from server import cli
-from server.commands.serve import _overrides
 from server.commands.terminal import ExitCode
-
-
-def overrides(*arguments):
-    return _overrides(cli._parser().parse_args(["serve", *arguments]))
-
-
-def test_options_override_settings_by_section_and_key():
-    assert overrides("--port", "0", "--serial", "auto", "--log-level", "error") == {
-        "server": {"port": 0, "log_level": "error"},
-        "arm": {"serial": "auto"},
-    }
 
 
 def test_an_id_that_lerobot_does_not_know_is_one_line_and_exit_1(capsys):

@@ -1,0 +1,104 @@
+"""Options that change settings, and the settings that come of them."""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from server.commands.arm_options import CALIBRATION_HELP
+from server.config import Settings, load_with_sources
+from server.errors import ConfigurationError
+
+# Option -> its section and key in the settings.
+_KEYS = {
+    "host": ("server", "host"),
+    "port": ("server", "port"),
+    "log_level": ("server", "log_level"),
+    "serial": ("arm", "serial"),
+    "calibration": ("arm", "calibration"),
+    "urdf": ("arm", "urdf"),
+    "srdf": ("arm", "srdf"),
+    "record": ("recording", "file"),
+    "record_limit_mb": ("recording", "limit_mb"),
+}
+
+
+def add_setting_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the options of a command that needs the settings."""
+    parser.add_argument("--host", help="address to listen on (127.0.0.1)")
+    parser.add_argument("--port", type=int, help="TCP port (9090); 0 takes a free one")
+    parser.add_argument(
+        "--serial",
+        metavar="PORT",
+        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
+    )
+    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    parser.add_argument("--urdf", type=Path, metavar="FILE", help="the robot's URDF, instead of the built-in SO-101's")
+    parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
+    parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record every message to this file")
+    parser.add_argument(
+        "--record-limit-mb", type=int, metavar="MB", help="begin the next file when one has so many megabytes"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
+    )
+    parser.add_argument(
+        "--log-level", choices=("debug", "info", "warning", "error"), help="least level of the log (info)"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="assignments",
+        help="any setting, as in --set goals.capacity=4; may be repeated (armbridge config lists them)",
+    )
+
+
+def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]]:
+    """The settings that file, environment and options make, and who has set which.
+
+    Raises:
+        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
+    """
+    return load_with_sources(options.config, overrides(options))
+
+
+def overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that options override, by section and key.
+
+    Raises:
+        ConfigurationError: a ``--set`` that is no assignment.
+    """
+    values: dict[str, Any] = {}
+    for text in options.assignments:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--set {text}: must be KEY=VALUE, as in --set server.port=9191")
+        _put(values, key.strip().split("."), _value(text, value.strip()))
+    for option, path in _KEYS.items():
+        if (chosen := getattr(options, option)) is not None:
+            _put(values, path, chosen)
+    return values
+
+
+def _put(values: dict[str, Any], path: tuple[str, ...] | list[str], value: Any) -> None:
+    *sections, name = path
+    for section in sections:
+        inner = values.setdefault(section, {})
+        if not isinstance(inner, dict):
+            raise ConfigurationError(f"--set {'.'.join(path)}: {section} has a value already")
+        values = inner
+    values[name] = value
+
+
+def _value(text: str, value: str) -> Any:
+    """Tables and lists as TOML has them; the type of everything else is the setting's."""
+    if not value.startswith(("{", "[")):
+        return value
+    try:
+        return tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"--set {text}: the value is not TOML: {error}") from error

@@ -1,0 +1,161 @@
+"""What can be set: every setting of a model with its meaning, unit, range and default, and the key that was meant."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import to_jsonable_python
+
+# Who mistypes a name has most of it right; below this share of equal letters a proposal misleads.
+LIKENESS = 0.6
+NAME_LIKENESS = 0.75
+
+_LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+
+_ENTRY = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+_UNIT = re.compile(r" \[([^]]+)\](?=\.$)")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting.
+
+    Attributes:
+        key: its name with those of its sections, as in ``server.port``.
+        meaning: what it does, a sentence; empty where docstrings are stripped.
+        unit: of its value; empty without one.
+        range: which values it takes; empty where the meaning alone says so.
+        default: its value when nobody sets it, as it stands in a message.
+        is_table: whether its value has keys of its own.
+        is_number: whether its value is a number.
+    """
+
+    key: str
+    meaning: str
+    unit: str
+    range: str
+    default: Any
+    is_table: bool
+    is_number: bool
+
+    @property
+    def section(self) -> str:
+        """The key without its last part."""
+        return self.key.rpartition(".")[0]
+
+    @property
+    def name(self) -> str:
+        """The last part of the key."""
+        return _name(self.key)
+
+
+def every_setting(model: type[BaseModel], above: str = "") -> Iterator[Setting]:
+    """The settings of a model, and of the sections in it, in their order.
+
+    Args:
+        model: a section, or all of them.
+        above: the sections that it stands in, each with a dot behind it.
+    """
+    meanings = _meanings(model)
+    sections = []
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            sections.append((field.annotation, f"{above}{name}."))
+        else:
+            text, unit = meanings.get(name, ("", ""))
+            default = to_jsonable_python(field.get_default(call_default_factory=True))
+            is_table = get_origin(field.annotation) is dict
+            is_number = bool({int, float} & {field.annotation, *get_args(field.annotation)})
+            yield Setting(f"{above}{name}", text, unit, _range(field), default, is_table, is_number)
+    for section, names in sections:
+        yield from every_setting(section, names)
+
+
+def nearest(key: str, known: Sequence[str]) -> str:
+    """The known key that was probably meant; empty when none is like it.
+
+    Args:
+        key: what was written.
+        known: what may be written.
+    """
+    name = _name(key)
+    # The right name in the wrong section, or in none, tells more than the section does.
+    same_name = [each for each in known if _name(each) == name]
+    found = difflib.get_close_matches(key, same_name or known, n=1, cutoff=0.0 if same_name else LIKENESS)
+    if found:
+        return found[0]
+    by_name = {_name(each): each for each in reversed(known)}
+    found = difflib.get_close_matches(name, list(by_name), n=1, cutoff=NAME_LIKENESS)
+    return by_name[found[0]] if found else ""
+
+
+def unknown(key: str, known: Sequence[str], spelling: Callable[[str], str] = str) -> str:
+    """The sentence that refuses a key.
+
+    Args:
+        key: what was written.
+        known: what may be written.
+        spelling: how both are shown; the default shows them as they are, without the section that they share.
+    """
+    meant = nearest(key, known)
+    if not meant:
+        return f"{spelling(key)}: unknown"
+    shown = spelling(meant) if spelling is not str else meant.removeprefix(key.removesuffix(_name(key)))
+    return f"{spelling(key)}: unknown; did you mean {shown}?"
+
+
+def flattened(values: Mapping[str, Any], tables: frozenset[str], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Nested values as keys with dots.
+
+    Args:
+        values: by section and key.
+        tables: keys whose values are mappings themselves.
+        above: the sections that they stand in, each with a dot behind it.
+    """
+    for name, value in values.items():
+        key = f"{above}{name}"
+        if isinstance(value, Mapping) and key not in tables:
+            yield from flattened(value, tables, f"{key}.")
+        else:
+            yield key, value
+
+
+def _name(key: str) -> str:
+    return key.rpartition(".")[2]
+
+
+def _meanings(model: type[BaseModel]) -> dict[str, tuple[str, str]]:
+    """Meaning and unit of each attribute, from the class's docstring."""
+    _, _, attributes = inspect.cleandoc(model.__doc__ or "").partition("Attributes:")
+    meanings = {}
+    for name, text in _ENTRY.findall(attributes):
+        sentence = " ".join(text.split()).replace("``", "")
+        unit = _UNIT.search(sentence)
+        meanings[name] = (_UNIT.sub("", sentence), unit[1] if unit else "")
+    return meanings
+
+
+def _range(field: FieldInfo) -> str:
+    kind = field.annotation
+    if kind is bool:
+        return "true, false"
+    if get_origin(kind) is Literal:
+        return ", ".join(str(value) for value in get_args(kind))
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return ", ".join(str(member.value) for member in kind)
+    return _limits(field.metadata)
+
+
+def _limits(metadata: Sequence[Any]) -> str:
+    found = []
+    for name, words in _LIMITS.items():
+        found += [f"{words} {getattr(limit, name):g}" for limit in metadata if hasattr(limit, name)]
+    return ", ".join(found)

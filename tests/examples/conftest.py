@@ -1,0 +1,42 @@
+"""One server for all examples, whose simulated arm moves as fast as it can, and examples run as people run them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.server import ROOT, RunningServer
+
+EXAMPLES = ROOT / "examples"
+EXAMPLE_TIMEOUT_S = 60
+
+FAST = {"ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "1", "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1"}
+
+RunExample = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="package")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    states: Path = tmp_path_factory.mktemp("data") / "states.json"
+    with RunningServer(settings={**FAST, "ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(states)}) as running:
+        yield running
+
+
+@pytest.fixture
+def run_example() -> RunExample:
+    """Runs an example to its end."""
+
+    def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, str(EXAMPLES / name), *arguments],
+            capture_output=True,
+            text=True,
+            timeout=EXAMPLE_TIMEOUT_S,
+            check=False,
+        )
+
+    return run

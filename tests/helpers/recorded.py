@@ -1,0 +1,57 @@
+"""Recordings made for tests."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from protocol.codecs import cdr
+from protocol.messages import Stamp, complete
+from protocol.registry import Registry
+from server.recording.mcap_file import Entry, McapFile
+
+REGISTRY = Registry.load()
+START_NS = 1_700_000_000_000_000_000
+
+
+def entry(topic: str, type_name: str, msg: dict[str, Any], at_s: float = 0.0, *, latched: bool = False) -> Entry:
+    """A message as a recording has it, published and recorded ``at_s`` after `START_NS`."""
+    canonical = REGISTRY.canonical(type_name)
+    completed = complete(REGISTRY, canonical, msg, Stamp(0, 0))
+    at_ns = START_NS + round(at_s * 1e9)
+    return Entry(topic, canonical, latched, at_ns, at_ns, cdr.serialize(REGISTRY, canonical, completed))
+
+
+def text(number: int, topic: str = "/t") -> Entry:
+    """One message a second: its number."""
+    return entry(topic, "std_msgs/String", {"data": str(number)}, number)
+
+
+def record(path: Path, entries: Iterable[Entry]) -> Path:
+    """Write a whole recording."""
+    file = McapFile(path.open("wb"), REGISTRY, {})
+    for each in entries:
+        file.add(each)
+    file.end({})
+    return path
+
+
+def record_killed(path: Path, chunks: Iterable[Iterable[Entry]]) -> Path:
+    """Write a recording, in these chunks, of a process that ends without ending it."""
+    with path.open("wb") as stream:
+        file = McapFile(stream, REGISTRY, {})
+        for chunk in chunks:
+            for each in chunk:
+                file.add(each)
+            file.flush()
+    return path
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    """Look again and again; returns whether it came true."""
+    until_s = time.monotonic() + timeout_s
+    while not condition() and time.monotonic() < until_s:
+        time.sleep(0.005)
+    return condition()

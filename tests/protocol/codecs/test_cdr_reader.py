@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.codecs.cdr import HEADER, serialize
+from protocol.codecs.cdr_reader import deserialize
+from protocol.errors import MessageError
+from protocol.registry import Registry
+from tests.helpers.messages import made_up
+
+REGISTRY = Registry.load()
+MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
+
+
+def test_every_type_is_read_back_as_it_was_written() -> None:
+    for seed in (1, 2):
+        for name in MESSAGE_TYPES:
+            message = made_up(REGISTRY, name, seed)
+            assert deserialize(REGISTRY, name, serialize(REGISTRY, name, message)) == message
+
+
+def test_a_message_may_be_filled_up_to_four_octets() -> None:
+    assert deserialize(REGISTRY, "std_msgs/Bool", HEADER + b"\x01\x00\x00\x00") == {"data": True}
+
+
+BROKEN = {
+    "big-endian": ("std_msgs/Bool", b"\x00\x00\x00\x00\x01", "header 00010000, got 00000000"),
+    "nothing": ("std_msgs/Bool", b"", "got nothing"),
+    "too short": ("std_msgs/Float64", HEADER + bytes(4), "8 bytes of CDR at byte 0, got 4"),
+    "too long": ("std_msgs/Bool", HEADER + bytes(5), "1 bytes of std_msgs/Bool, got 4 more"),
+    "text beyond the end": ("std_msgs/String", HEADER + struct.pack("<I", 2**31), "at most 0 elements, got 2147483648"),
+    "no UTF-8": ("std_msgs/String", HEADER + struct.pack("<I", 2) + b"\xff\x00", "text in UTF-8"),
+}
+
+
+@pytest.mark.parametrize(("name", "octets", "words"), BROKEN.values(), ids=BROKEN.keys())
+def test_octets_that_are_no_such_message_are_refused(name: str, octets: bytes, words: str) -> None:
+    with pytest.raises(MessageError, match=words):
+        deserialize(REGISTRY, name, octets)
+
+
+@settings(max_examples=200)
+@given(octets=st.binary(max_size=60), name=st.sampled_from(["sensor_msgs/JointState", "tf2_msgs/TFMessage"]))
+def test_any_octets_are_a_message_or_refused(octets: bytes, name: str) -> None:
+    try:
+        message = deserialize(REGISTRY, name, HEADER + octets)
+    except MessageError:
+        return
+    assert list(message) == [field.name for field in REGISTRY.message(name).fields]

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from server import cli
+from server.commands.setting_options import overrides, read_settings
+from server.errors import ConfigurationError
+
+
+def options(*arguments):
+    return cli._parser().parse_args(["serve", *arguments])
+
+
+def test_options_override_settings_by_section_and_key():
+    assert overrides(options("--port", "0", "--serial", "auto", "--log-level", "error")) == {
+        "server": {"port": 0, "log_level": "error"},
+        "arm": {"serial": "auto"},
+    }
+
+
+def test_a_recording_has_options_of_its_own():
+    assert overrides(options("--record", "run.mcap", "--record-limit-mb", "200")) == {
+        "recording": {"file": Path("run.mcap"), "limit_mb": 200}
+    }
+
+
+def test_any_setting_can_be_assigned():
+    settings, _ = read_settings(options("--set", "moveit.servo.rate_hz=30", "--set", "goals.confirm = true"))
+    assert settings.moveit.servo.rate_hz == 30.0
+    assert settings.goals.confirm is True
+
+
+def test_a_table_is_assigned_as_toml():
+    settings, _ = read_settings(options("--set", "arm.zero_offset_rad={elbow_flex=0.02}"))
+    assert settings.arm.zero_offset_rad == {"elbow_flex": 0.02}
+
+
+def test_an_option_counts_more_than_an_assignment():
+    assert overrides(options("--set", "server.port=1", "--port", "2")) == {"server": {"port": 2}}
+
+
+REFUSED = {
+    "no assignment": (("--set", "server.port"), "--set server.port: must be KEY=VALUE"),
+    "no TOML": (("--set", "arm.zero_offset_rad={a"), "the value is not TOML"),
+    "twice": (("--set", "server=1", "--set", "server.port=2"), "--set server.port: server has a value already"),
+    "option in it": (("--set", "server=1", "--port", "2"), "--set server.port: server has a value already"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED.values(), ids=REFUSED.keys())
+def test_a_wrong_assignment_is_refused(arguments, words):
+    with pytest.raises(ConfigurationError, match=words):
+        overrides(options(*arguments))

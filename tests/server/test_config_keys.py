@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import pytest
+
+from server.config import Settings, known_keys
+from server.config_keys import every_setting, flattened, nearest, unknown
+
+SETTINGS = {setting.key: setting for setting in every_setting(Settings)}
+
+
+def test_every_setting_says_what_it_means() -> None:
+    assert [key for key, setting in SETTINGS.items() if not setting.meaning] == []
+
+
+def test_a_setting_has_meaning_unit_range_and_default() -> None:
+    rate = SETTINGS["arm.joint_state_rate_hz"]
+    assert (rate.meaning, rate.unit, rate.range, rate.default) == (
+        "rate of /joint_states.",
+        "Hz",
+        "at least 1, at most 100",
+        50.0,
+    )
+
+
+def test_the_range_of_a_choice_is_its_values() -> None:
+    assert SETTINGS["goals.policy"].range == "queue, reject, preempt"
+    assert SETTINGS["goals.on_disconnect"].range == "finish, stop"
+    assert SETTINGS["goals.confirm"].range == "true, false"
+
+
+def test_a_meaning_may_go_over_several_lines() -> None:
+    assert SETTINGS["goals.on_disconnect"].meaning.endswith("?on_disconnect=finish.")
+
+
+def test_defaults_do_not_depend_on_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "none")
+    assert {setting.key: setting for setting in every_setting(Settings)} == SETTINGS
+
+
+MEANT = {
+    "moveit.plannr_id": "moveit.planner_id",
+    "servr.port": "server.port",
+    "port": "server.port",
+    "goals.port": "server.port",
+    "serve": "server",
+    "moveit.servo.linear_scales": "moveit.servo.linear_scale",
+    "colour": "",
+    "some.other.place.altogether.capacty": "goals.capacity",
+    "x" * 100_000: "",
+}
+
+
+@pytest.mark.parametrize(("written", "meant"), MEANT.items(), ids=[key[:40] for key in MEANT])
+def test_the_nearest_key_is_the_one_that_was_meant(written: str, meant: str) -> None:
+    assert nearest(written, known_keys()) == meant
+
+
+def test_a_proposal_in_the_same_section_leaves_the_section_out() -> None:
+    assert unknown("moveit.plannr_id", known_keys()) == "moveit.plannr_id: unknown; did you mean planner_id?"
+
+
+def test_a_key_like_no_other_is_refused_without_a_proposal() -> None:
+    assert unknown("colour", known_keys()) == "colour: unknown"
+
+
+def test_tables_keep_their_own_keys_when_sections_are_flattened() -> None:
+    values = {"arm": {"zero": {"elbow": 0.1}, "rate": 1}}
+    assert dict(flattened(values, frozenset({"arm.zero"}))) == {"arm.zero": {"elbow": 0.1}, "arm.rate": 1}

@@ -1,0 +1,144 @@
+"""What README and docs tell to run or to send is run and sent; what needs an arm or a network is at least a command."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from server import cli
+from tests.examples.conftest import FAST
+from tests.helpers.server import ROOT, RunningServer
+from tests.test_readme import blocks
+
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+SERVER_PORT = "9090"
+RUN_TIMEOUT_S = 60
+ANSWER_TIMEOUT_S = 10
+
+# Begins of commands that bring something of others; they are not run.
+FOREIGN = ("python3 -m venv ", "python3 -m http.server ", "/tmp/lab/bin/pip install ")
+
+# The page of the protocol shows what comes as well as what is sent.
+SENT = ("browser.md", "goals.md", "unity.md", "unreal.md")
+
+
+def commands(page: str) -> list[str]:
+    """The lines of a page's sh blocks, without their comments, and its commands within sentences."""
+    text = (ROOT / page).read_text()
+    lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
+    lines += re.findall(r"`((?:armbridge|make) [^`]+)`", text)
+    stripped = (re.split(r"\s+#|\s+>", line)[0].strip() for line in lines)
+    return [line for line in stripped if line]
+
+
+COMMANDS = sorted({line for page in ("README.md", *(f"docs/{page.name}" for page in PAGES)) for line in commands(page)})
+PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
+EXAMPLES = [line for line in COMMANDS if "examples/" in line and not line.startswith(FOREIGN)]
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[RunningServer]:
+    with RunningServer(settings=FAST) as running:
+        yield running
+
+
+def run_python(server: RunningServer, arguments: list[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=RUN_TIMEOUT_S, check=False
+    )
+
+
+@pytest.mark.parametrize("program", [block for _, block in PROGRAMS], ids=[page for page, _ in PROGRAMS])
+def test_a_python_program_of_the_docs_runs(program: str, server: RunningServer) -> None:
+    assert f"port={SERVER_PORT}" in program
+    done = run_python(server, ["-c", program.replace(SERVER_PORT, str(server.port))])
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+@pytest.mark.parametrize("command", EXAMPLES)
+def test_a_command_with_an_example_succeeds(command: str, server: RunningServer) -> None:
+    _, *arguments = shlex.split(command)
+    port = str(server.port)
+    arguments = [port if word == SERVER_PORT else word for word in arguments]
+    done = run_python(server, arguments if port in arguments else [*arguments, port])
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", [line for line in COMMANDS if line.startswith("armbridge ")])
+def test_a_command_of_armbridge_and_its_options_exist(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name, *rest = shlex.split(command)[1:]
+    with pytest.raises(SystemExit) as ended:
+        cli.main([name, "--help"])
+    assert ended.value.code == 0
+    known = re.findall(r"--[\w-]+", capsys.readouterr().out)
+    assert [word for word in rest if word.startswith("--") and word not in known] == []
+
+
+@pytest.mark.parametrize("command", [line for line in COMMANDS if line.startswith("armbridge config")])
+def test_a_command_about_the_configuration_succeeds(command: str) -> None:
+    assert cli.main(shlex.split(command)[1:]) == 0
+
+
+@pytest.mark.parametrize("command", [line for line in COMMANDS if line.startswith("make ")])
+def test_a_target_of_make_exists(command: str) -> None:
+    done = subprocess.run(
+        [*shlex.split(command), "-n"], cwd=ROOT, capture_output=True, text=True, timeout=30, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_other_command_is_known_to_be_of_others() -> None:
+    ours = ("armbridge ", "make ")
+    assert [line for line in COMMANDS if not line.startswith((*ours, *FOREIGN)) and line not in EXAMPLES] == []
+
+
+@pytest.mark.parametrize("page", SENT)
+def test_the_messages_of_a_page_are_taken_without_complaint(page: str, server: RunningServer) -> None:
+    frames = [line for block in blocks(ROOT / "docs" / page, "json") for line in block.splitlines()]
+    assert frames
+    calls = {frame["id"] for frame in map(json.loads, frames) if frame["op"] == "call_service"} | {"last"}
+    with connect(f"ws://127.0.0.1:{server.port}") as client:
+        client.send(json.dumps({"op": "set_level", "level": "warning"}))
+        for frame in frames:
+            client.send(frame)
+        client.send(json.dumps({"op": "call_service", "service": "/arm/stop", "id": "last", "args": {}}))
+        complaints = []
+        while calls:
+            operation = json.loads(client.recv(timeout=ANSWER_TIMEOUT_S))
+            if operation["op"] == "status" or (operation.get("id") in calls and not operation["result"]):
+                complaints.append(operation)
+            calls.discard(operation.get("id"))
+    assert complaints == []
+
+
+# From the engine's axes to ROS's, and metres to the engine's unit.
+UNREAL = (np.diag([1.0, -1.0, 1.0]), 0.01)
+UNITY = (np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), 1.0)
+
+
+def rotation(quaternion: list[float]) -> np.ndarray:
+    """The matrix of a quaternion x, y, z, w; the formula knows no hand."""
+    x, y, z, w = quaternion
+    vector = np.array([x, y, z])
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return (w * w - vector @ vector) * np.eye(3) + 2.0 * np.outer(vector, vector) + 2.0 * w * cross
+
+
+@pytest.mark.parametrize(("page", "engine"), [("unreal.md", UNREAL), ("unity.md", UNITY)])
+def test_the_numbers_of_coordinates_agree_with_the_mirrored_axes(page: str, engine: tuple[np.ndarray, float]) -> None:
+    axes, unit_m = engine
+    rows = re.findall(r"^" + r"\| \(([-\d., ]+)\) " * 4, (ROOT / "docs" / page).read_text(), re.MULTILINE)
+    assert len(rows) >= 3
+    for row in rows:
+        position, quaternion, ros_position, ros_quaternion = ([float(n) for n in cell.split(",")] for cell in row)
+        assert axes @ position * unit_m == pytest.approx(ros_position)
+        assert axes @ rotation(quaternion) @ axes.T == pytest.approx(rotation(ros_quaternion), abs=1e-3)

@@ -27,11 +27,11 @@ run: install
 	exec $(BIN)/armbridge serve $(ARGS)
 
 test: install-dev
-	$(BIN)/python -m pytest --ignore tests/clients $(ARGS)
+	$(BIN)/python -m pytest --ignore tests/clients --ignore tests/examples $(ARGS)
 
-# The clients of others as they are published, each in an environment of its own: a minute of installing.
+# The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev build/compas_fab/.installed
-	$(BIN)/python -m pytest tests/clients $(ARGS)
+	$(BIN)/python -m pytest tests/clients tests/examples $(ARGS)
 
 build/compas_fab/.installed:
 	$(PYTHON) -m venv build/compas_fab

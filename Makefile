@@ -2,10 +2,11 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PAGE := server/page
 COMPAS_FAB := compas_fab==2.0.1
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: install install-dev run test test-clients lint check bench bench-planning campaign campaign-planners lock clean
+.PHONY: install install-dev run page page-if-npm test test-page test-clients lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -23,11 +24,32 @@ $(VENV)/.installed-dev: requirements-dev.lock $(VENV)/.installed
 	$(PIP) install --quiet --require-hashes -r requirements-dev.lock
 	touch $@
 
-run: install
+run: install page-if-npm
 	exec $(BIN)/armbridge serve $(ARGS)
 
+# A wheel made after this has the page in it.
+page: $(PAGE)/dist/index.html
+
+$(PAGE)/dist/index.html: $(PAGE)/node_modules/.package-lock.json \
+		$(wildcard $(PAGE)/*.json $(PAGE)/*.ts) $(PAGE)/index.html $(shell find $(PAGE)/src $(PAGE)/public -type f)
+	cd $(PAGE) && npm run build
+
+$(PAGE)/node_modules/.package-lock.json: $(PAGE)/package-lock.json
+	cd $(PAGE) && npm ci
+	touch $@
+
+# A page that cannot be built does not keep the arm from its server, which then says how to get it.
+page-if-npm:
+	@! command -v npm >/dev/null || $(MAKE) -s page || echo "the page could not be built; the server starts without" >&2
+
+# The page's tests come along where the page is built; they skip, and say why, where there is no chromium.
 test: install-dev
-	$(BIN)/python -m pytest --ignore tests/clients --ignore tests/examples $(ARGS)
+	$(BIN)/python -m pytest --ignore tests/clients --ignore tests/examples $(if $(wildcard server/page/dist/index.html),,--ignore tests/page) $(ARGS)
+
+# The page from its lock: types and build, then its logic, then in the browser.
+test-page: install-dev page
+	cd $(PAGE) && npm test
+	$(BIN)/python -m pytest tests/page $(ARGS)
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev build/compas_fab/.installed
@@ -65,4 +87,4 @@ lock: install-dev
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --output-file requirements-dev.lock --constraints requirements.lock --group dev
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(PAGE)/dist $(PAGE)/node_modules .mypy_cache .ruff_cache .pytest_cache

@@ -31,6 +31,8 @@ from server.config import ArmSettings, RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.emulated_bus import EmulatedBus
 from server.errors import ConfigurationError, StartError
+from server.gateway import page
+from server.gateway.http import HttpGate
 from server.gateway.listener import Listener
 from server.graph import Graph
 from server.joint_states import JointStates
@@ -119,6 +121,7 @@ class App:
             self._graph,
             settings.server.host,
             settings.server.port,
+            HttpGate(description.robot),
             takes_goals_along=settings.goals.on_disconnect == "stop",
         )
         self._pool = PlannerPool(
@@ -141,6 +144,8 @@ class App:
             gc.collect()
             gc.freeze()
             log.info("%s", self._what_runs_where())
+            if not page.is_built(page.PAGE_DIRECTORY):
+                log.info("%s", page.HOW_TO_GET_IT)
             await ending.wait()
             log.info("stopping")
         finally:
@@ -203,8 +208,10 @@ class App:
             bus += f", NOT CONNECTED ({arm.state.reason})"
         elif arm.state.mode is not Mode.HOLDING:
             bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
+        where = f"{self._settings.server.host}:{self._listener.port}"
+        shown = f"http://{where}/ (page), " if page.is_built(page.PAGE_DIRECTORY) else ""
         return (
-            f"armbridge is ready: ws://{self._settings.server.host}:{self._listener.port} (rosbridge), "
+            f"armbridge is ready: ws://{where} (rosbridge), {shown}"
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids)}"
         )

@@ -3,6 +3,7 @@
 ServerError
 ├── GraphError          an operation on a topic, service or action that the graph refuses
 ├── ServiceError        a service that cannot do what it is asked for
+│   └── FileTooLargeError   a file that has more bytes than are served
 ├── RefusedError        a request that cannot be carried out, with the failure that answers it
 ├── ConfigurationError  a setting that is wrong or contradicts another
 ├── RecordingError      a recording that cannot be read
@@ -35,6 +36,10 @@ class GraphError(ServerError):
 
 class ServiceError(ServerError):
     """A service that cannot do what it is asked for; its caller gets the text."""
+
+
+class FileTooLargeError(ServiceError):
+    """A file that has more bytes than are served."""
 
 
 class RefusedError(ServerError):

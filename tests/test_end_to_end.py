@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import http.client
 import itertools
 import json
 import signal
@@ -18,6 +19,7 @@ from websockets.exceptions import ConnectionClosedError
 from robot import model
 from robot.calibration import Calibration
 from server.recording.reader import Recording
+from server.gateway.page import HOW_TO_GET_IT, PAGE_DIRECTORY, is_built
 from tests.helpers.client import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.server import RunningServer, read_write_log
 
@@ -266,6 +268,21 @@ async def test_a_message_of_20_mb_closes_its_connection_only(server: RunningServ
     assert closed.value.rcvd.code == 1009
     assert "exceeds limit of" in closed.value.rcvd.reason
     assert (await client.goal("/moveit_goal_named", {"data": "?"}))["val"] == -16
+
+
+def test_the_page_is_on_the_same_port_or_how_to_get_it(server: RunningServer) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5.0)
+    connection.request("GET", "/")
+    response = connection.getresponse()
+    text = response.read().decode()
+    connection.close()
+    if is_built(PAGE_DIRECTORY):
+        assert (response.status, "<script" in text) == (200, True)
+        assert server.has_logged(f"http://127.0.0.1:{server.port}/ (page)")
+    else:
+        assert (response.status, HOW_TO_GET_IT in text) == (404, True)
+        assert server.has_logged(HOW_TO_GET_IT)
+    assert not any("rejected" in line or "HTTP" in line for line in server.lines)
 
 
 async def test_topics_are_relayed_between_clients(server: RunningServer, client: FrameClient) -> None:

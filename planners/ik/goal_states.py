@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,7 +144,8 @@ class GoalStates:
         """Why nothing was found."""
         if asker.budget.used_up():
             nearest_m = self._point_m(goal, found.nearest_q)
-            return out_of_time(goal, asker.budget.failure(), nearest_m, found.nearest)
+            failure = out_of_time(goal, asker.budget.failure(), nearest_m, found.nearest)
+            return self._with_configuration(failure, found.nearest_q, asker.group)
         if found.colliding:
             return goal_in_collision(found.colliding)
         if also:
@@ -164,7 +165,15 @@ class GoalStates:
             q = found.solutions[0] if found.solutions else found.nearest_q
         asked = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
         nearest = asked.deviation(q)
-        return out_of_reach(goal, self._point_m(goal, q), nearest, asked.violations(q))
+        failure = out_of_reach(goal, self._point_m(goal, q), nearest, asked.violations(q))
+        return self._with_configuration(failure, q, asker.group)
+
+    def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
+        """Tell beside the nearest point, where there is one, the configuration that has it."""
+        if "nearest_m" not in failure.details:
+            return failure
+        nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}
+        return replace(failure, details={**failure.details, "nearest_rad": nearest_rad})
 
     def _point_m(self, goal: TaskGoal, q: Vector) -> list[float]:
         """Where a goal's link has its point [m]; the root link's origin for a goal of constraints."""

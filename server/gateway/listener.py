@@ -1,4 +1,4 @@
-"""The listening socket: makes a connection of every WebSocket client."""
+"""The listening socket: makes a connection of every WebSocket client, and lets the others have their page."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from protocol.limits import Limits
 from server.client_list import ClientList
 from server.errors import StartError
 from server.gateway.connection import Connection
+from server.gateway.http import HttpGate
 from server.gateway.websocket import WRITE_LIMIT_BYTES, WebSocket
 from server.graph import Graph
 
@@ -25,6 +26,13 @@ BACKLOG = 128
 # A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
 # beyond it the socket is closed (1009) before it is read.
 OVERSIZE = 2
+
+# websockets counts an answer over HTTP as part of the handshake, and cuts it short when the time is up, without a word.
+# The largest mesh, 20 MB, takes so long at 170 kB/s, over a poor wireless link.
+OPEN_TIMEOUT_S = 120.0
+
+# Lines of websockets for each answer over HTTP, as if it were a failure: a page that is loaded is none.
+_HTTP_LINES = ("connection rejected", "HTTP response sent")
 
 # Browsers close at once; a client that does not must not hold up the end of the server.
 CLOSE_TIMEOUT_S = 0.5
@@ -37,13 +45,17 @@ class Listener:
         graph: what clients take part in.
         host: address to listen on.
         port: TCP port; 0 takes a free one.
+        http: answers requests that are no WebSocket's.
         takes_goals_along: whether a client's goals are cancelled when it leaves, unless its URL says otherwise.
     """
 
-    def __init__(self, graph: Graph, host: str, port: int, *, takes_goals_along: bool = False) -> None:
+    def __init__(
+        self, graph: Graph, host: str, port: int, http: HttpGate | None = None, *, takes_goals_along: bool = False
+    ) -> None:
         self._graph = graph
         self._host = host
         self._port = port
+        self._http = http or HttpGate()
         self._limits = Limits()
         self._takes_goals_along = takes_goals_along
         self._socket: socket.socket | None = None
@@ -83,6 +95,7 @@ class Listener:
         if self._socket is None:
             raise AssertionError("open before bind")
         self._clients.open()
+        logging.getLogger("websockets.server").addFilter(tells_of_more_than_http)
         self._server = await serve(
             self._serve_client,
             sock=self._socket,
@@ -93,6 +106,8 @@ class Listener:
             write_limit=WRITE_LIMIT_BYTES,
             # Some clients offer a subprotocol and expect it to be passed over.
             select_subprotocol=lambda _connection, _offered: None,
+            process_request=self._http.process_request,
+            open_timeout=OPEN_TIMEOUT_S,
             close_timeout=CLOSE_TIMEOUT_S,
         )
 
@@ -121,3 +136,8 @@ class Listener:
         if error.errno == errno.EADDRINUSE:
             return f"port in use: {where} is taken by another program; choose one with --port"
         return f"cannot listen on {where}: {error.strerror or error}"
+
+
+def tells_of_more_than_http(record: logging.LogRecord) -> bool:
+    """Whether a line of websockets' log is about more than an answer over HTTP."""
+    return not str(record.msg).startswith(_HTTP_LINES)

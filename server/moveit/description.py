@@ -1,7 +1,8 @@
 """The robot's description as clients load it: latched topics, parameters, and the files that the URDF names.
 
 MoveIt's clients read the URDF and SRDF from latched topics (ROS 2) or parameters (ROS 1), and fetch meshes by
-``package://`` URLs from file_server's service ``/file_server/get_file`` (compas_robots, ros-sharp).
+``package://`` URLs from file_server's service ``/file_server/get_file`` (compas_robots, ros-sharp). Those that fetch
+by HTTP are answered by :mod:`server.gateway.http`.
 """
 
 from __future__ import annotations
@@ -10,15 +11,12 @@ import asyncio
 import base64
 import json
 import logging
-import re
-import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from robot.model import RobotModel
-from server.errors import ServiceError
 from server.graph import Graph
+from server.moveit.robot_files import package_name, read_file, with_package_urls
 from server.node import Node
 
 log = logging.getLogger("armbridge.description")
@@ -26,11 +24,6 @@ log = logging.getLogger("armbridge.description")
 URDF_TOPIC = "/robot_description"
 SRDF_TOPIC = "/robot_description_semantic"
 FILE_SERVICE = "/file_server/get_file"
-
-# A mesh of a million triangles is 50 MB; a link's has a thousandth of it. Base64 makes it a third more on the wire.
-MAX_FILE_BYTES = 20 << 20
-
-_SCHEME = re.compile(r"^[a-z][a-z0-9+.-]*://")
 
 
 class RobotDescription:
@@ -65,52 +58,3 @@ class RobotDescription:
         directory, package = self._robot.mesh_directory, package_name(self._robot)
         octets = await asyncio.to_thread(read_file, directory, package, request["name"])
         return {"value": base64.b64encode(octets).decode("ascii")}
-
-
-def package_name(robot: RobotModel) -> str:
-    """Name of the package under which the robot's files are served, as ROS packages are named."""
-    return f"{re.sub(r'[^a-z0-9_]+', '_', robot.name.lower())}_description"
-
-
-def with_package_urls(urdf: str, package: str) -> str:
-    """The URDF with every mesh that is named by a path, such as ``assets/base.stl``, named by a package URL instead.
-
-    Args:
-        urdf: the text.
-        package: whose files they are said to be.
-    """
-    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.model
-    meshes = [mesh for mesh in root.iter("mesh") if not _SCHEME.match(mesh.get("filename", ""))]
-    if not meshes:
-        return urdf
-    for mesh in meshes:
-        mesh.set("filename", f"package://{package}/{mesh.get('filename', '').removeprefix('./')}")
-    return ET.tostring(root, encoding="unicode")
-
-
-def read_file(directory: Path | None, package: str, name: str) -> bytes:
-    """Read one of the robot's files.
-
-    Args:
-        directory: that of the URDF; nothing outside it is served.
-        package: the name in package URLs.
-        name: a ``package://`` URL, or a path within the directory.
-
-    Raises:
-        ServiceError: no such file, one outside the directory, or one that is too large.
-    """
-    if directory is None:
-        raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")
-    nowhere = f"name: {name!r} is no file below package://{package}/"
-    try:
-        path = (directory / name.removeprefix(f"package://{package}/")).resolve()
-        # Whatever the name says, links included, the file must be where the description is.
-        if not path.is_relative_to(directory.resolve()) or not path.is_file():
-            raise ServiceError(nowhere)
-        size_bytes = path.stat().st_size
-        if size_bytes > MAX_FILE_BYTES:
-            raise ServiceError(f"name: {name!r} has {size_bytes} bytes, the limit is {MAX_FILE_BYTES}")
-        return path.read_bytes()
-    # A name with a zero byte is no name of a file.
-    except (OSError, ValueError) as error:
-        raise ServiceError(f"{nowhere}: {error}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,7 @@ class GoalReports:
 
 
 def _refused(failure: PlanningFailure) -> dict[str, Any]:
+    nearest_rad: Mapping[str, float] = failure.details.get("nearest_rad", {})
     return {
         "code": int(failure.code),
         "message": failure.message,
@@ -90,4 +92,5 @@ def _refused(failure: PlanningFailure) -> dict[str, Any]:
         "position_error_m": float(failure.details.get("distance_m", NOT_KNOWN)),
         "orientation_error_rad": NOT_KNOWN,
         "duration_s": NOT_KNOWN,
+        "solution": {"name": list(nearest_rad), "position": list(nearest_rad.values())},
     }

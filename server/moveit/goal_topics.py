@@ -33,6 +33,7 @@ log = logging.getLogger("armbridge.goals")
 
 RESULT_TOPIC = "/moveit_goal_result"
 STATUS_TOPIC = "/moveit_goal_status"
+CANCEL_TOPIC = "/moveit_goal_cancel"
 STOP_TOPIC = "/stop"
 EVENT_TOPIC = "/trajectory_execution_event"
 
@@ -70,6 +71,8 @@ class GoalTopics:
         self._take_goals(queue, NAMED_TOPIC, NAMED_TYPE, translator.named)
         self._take_goals(queue, JOINTS_TOPIC, JOINTS_TYPE, translator.joints)
         self._take_goals(queue, POSE_TOPIC, POSE_TYPE, translator.pose)
+        cancel = Subscriber(lambda publication: queue.cancel(publication.msg["data"], f"cancelled by {CANCEL_TOPIC}"))
+        graph.subscribe(node, CANCEL_TOPIC, "std_msgs/String", cancel)
         stop = Subscriber(lambda _: queue.stop(f"stopped by {STOP_TOPIC}"))
         graph.subscribe(node, STOP_TOPIC, "std_msgs/Empty", stop)
         event = Subscriber(lambda publication: _on_event(queue, publication))
@@ -102,7 +105,8 @@ class GoalTopics:
         succeeded = answer.code is MoveItErrorCode.SUCCESS
         level = logging.INFO if succeeded else logging.WARNING
         log.log(level, "goal %s from %s: %s: %s", goal.goal_id, goal.source, answer.code.name, message)
-        found = {name: json.dumps(value, default=str) for name, value in answer.details.items()}
+        found = {"code": str(int(answer.code))}
+        found |= {name: json.dumps(value, default=str) for name, value in answer.details.items()}
         if instead is not None:
             found["suggested_goal"] = json.dumps(instead.as_data())
         done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)

@@ -14,12 +14,19 @@ from typing import Any
 
 import pytest
 
+from robot import model
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("compas_fab_scenario.py")
 PYTHON = Path(__file__).parents[2] / "build" / "compas_fab" / "bin" / "python"
 
 pytestmark = pytest.mark.skipif(not PYTHON.exists(), reason="compas_fab is not installed: make test-clients does it")
+
+MESHES = SCENARIO.with_name("compas_fab_meshes_scenario.py")
+
+MESH_LINK = '<link name="sign"><visual><geometry><mesh filename="assets/sign.obj"/></geometry></visual></link>'
+MESH_JOINT = '<joint name="sign" type="fixed"><parent link="base_link"/><child link="sign"/></joint>'
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 QUERIES = {"ros1": "?ros=1", "ros2": ""}
 
@@ -91,3 +98,23 @@ def test_both_actions_execute(answers: dict[str, Any], dialect: str) -> None:
         pytest.skip("compas_fab's ROS 2 client does not hear of the end of an action")
     assert answers["executed"] == "done"
     assert answers["followed"] == "done"
+
+
+def test_meshes_come_over_http_from_the_port_of_rosbridge(tmp_path: Path) -> None:
+    robot = model.builtin()
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "sign.obj").write_text(TRIANGLE)
+    (tmp_path / "arm.urdf").write_text(robot.urdf.replace("</robot>", f"{MESH_LINK}{MESH_JOINT}</robot>"))
+    (tmp_path / "arm.srdf").write_text(robot.srdf)
+    files = f"--urdf {tmp_path / 'arm.urdf'} --srdf {tmp_path / 'arm.srdf'}"
+    with RunningServer(arguments=f"--port 0 {files}") as server:
+        done = subprocess.run(
+            [str(PYTHON), str(MESHES), "127.0.0.1", str(server.port)],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+        )
+    assert done.returncode == 0, done.stderr + done.stdout
+    assert json.loads(done.stdout.splitlines()[-1]) == {"package://so101_description/assets/sign.obj": [3]}

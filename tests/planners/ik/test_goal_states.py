@@ -65,6 +65,14 @@ def test_strict_pose_on_five_joints_is_refused_with_its_error_in_degrees(find):
     assert f"{math.degrees(failure.details['orientation_rad']):.1f}°" in failure.message
 
 
+def test_a_point_out_of_reach_comes_with_the_configuration_that_has_the_nearest_one(find, arm, collision, joints):
+    failure = find(PositionGoal(TIP, (0.6, 0.0, 0.3), 0.001))
+    nearest_rad = failure.details["nearest_rad"]
+    assert list(nearest_rad) == list(arm.joints)
+    q = np.array([nearest_rad.get(name, 0.0) for name in joints.names])
+    np.testing.assert_allclose(collision.tip_positions([q], TIP)[0], failure.details["nearest_m"], atol=1e-3)
+
+
 def test_strict_pose_that_can_be_had_is_had(find, goal_states):
     q = np.array([0.4, -0.3, 0.6, 0.5, 0.2, 0.0])
     goal = PoseGoal(TIP, pose_of(goal_states.forward, q), 0.001, (0.01, 0.01, 0.01), strict=True)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import socket
 import time
 from collections.abc import AsyncIterator
@@ -14,7 +15,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from protocol.limits import Limits
 from protocol.registry import Registry
 from server.errors import StartError
-from server.gateway.listener import Listener
+from server.gateway.listener import Listener, tells_of_more_than_http
 from server.graph import Graph
 from server.rosapi.api import RosApi
 from tests.helpers.conformance import cases, play
@@ -142,3 +143,12 @@ async def test_closing_ends_every_connection(listener: Listener) -> None:
     await asyncio.wait_for(listener.close(), 3.0)
     await asyncio.wait_for(websocket.wait_closed(), 3.0)
     assert websocket.close_code == 1001
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [("connection rejected (%d %s)", False), ("HTTP response sent (%d %s)", False), ("connection open", True)],
+)
+def test_pages_that_load_are_no_news(line: str, told: bool) -> None:
+    record = logging.LogRecord("websockets.server", logging.INFO, "", 0, line, (200, "OK"), None)
+    assert tells_of_more_than_http(record) is told

@@ -12,16 +12,12 @@ import pytest
 from protocol.registry import Registry
 from robot import model
 from server.calls import Response
-from server.errors import ServiceError
 from server.graph import Graph, Subscriber
-from server.moveit import description
 from server.moveit.description import (
     FILE_SERVICE,
     SRDF_TOPIC,
     URDF_TOPIC,
     RobotDescription,
-    read_file,
-    with_package_urls,
 )
 from server.node import Node
 
@@ -31,18 +27,11 @@ PACKAGE = "so101_description"
 CLIENT = Node("client")
 
 
-def urdf(*meshes: str) -> str:
-    visuals = "".join(f'<visual><mesh filename="{mesh}"/></visual>' for mesh in meshes)
-    return f'<robot name="so101"><link name="base">{visuals}</link></robot>'
-
-
 @pytest.fixture
 def files(tmp_path: Path) -> Path:
-    (tmp_path / "secret").write_text("key")
     directory = tmp_path / "robot"
     (directory / "assets").mkdir(parents=True)
     (directory / "assets" / "base.stl").write_bytes(b"solid")
-    (directory / "assets" / "out").symlink_to(tmp_path / "secret")
     return directory
 
 
@@ -56,43 +45,9 @@ def test_who_subscribes_later_gets_the_description_and_who_asks_for_it_the_param
     assert json.loads(parameters[topic]) == json.loads(parameters[topic[1:]]) == kept.msg["data"]
 
 
-def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> None:
-    served = with_package_urls(urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"), PACKAGE)
-    names = [mesh.get("filename") for mesh in ET.fromstring(served).iter("mesh")]
-    assert names == [
-        f"package://{PACKAGE}/assets/base.stl",
-        f"package://{PACKAGE}/assets/arm.stl",
-        "package://other/a.stl",
-    ]
-
-
-def test_a_description_without_such_meshes_is_served_to_the_letter() -> None:
-    assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
-
-
 async def test_a_mesh_is_served_by_the_name_that_the_description_gives_it(files: Path) -> None:
     graph = Graph(REGISTRY)
     RobotDescription(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None).open()
     answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
     graph.services.call(CLIENT, FILE_SERVICE, {"name": f"package://{PACKAGE}/assets/base.stl"}, answered.set_result)
     assert base64.b64decode((await answered).values["value"]) == b"solid"
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["../secret", f"package://{PACKAGE}/../secret", "assets/out", "/etc/hosts", "assets", "", "no", "\0", "a" * 999],
-)
-def test_nothing_but_files_below_the_description_is_served(files: Path, name: str) -> None:
-    with pytest.raises(ServiceError, match="name: "):
-        read_file(files, PACKAGE, name)
-
-
-def test_a_file_that_is_too_large_is_refused_with_the_limit(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(description, "MAX_FILE_BYTES", 4)
-    with pytest.raises(ServiceError, match="5 bytes, the limit is 4"):
-        read_file(files, PACKAGE, "assets/base.stl")
-
-
-def test_a_description_without_files_serves_none() -> None:
-    with pytest.raises(ServiceError, match="names no files"):
-        read_file(None, PACKAGE, "assets/base.stl")

@@ -55,3 +55,9 @@ def test_a_refusal_tells_what_is_known_of_it(code: MoveItErrorCode, flags: tuple
     assert not told["free"]
     assert (told["code"], told["message"]) == (int(code), "why")
     assert (told["position_error_m"], told["duration_s"]) == (0.04, NOT_KNOWN)
+
+
+def test_a_point_out_of_reach_is_told_with_the_configuration_that_comes_nearest() -> None:
+    details = {"distance_m": 0.04, "nearest_rad": {"shoulder_pan": 0.3}}
+    told = REPORTS.report(HOME, PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "why", details), None)
+    assert told["solution"] == {"name": ["shoulder_pan"], "position": [0.3]}

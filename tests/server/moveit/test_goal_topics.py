@@ -121,6 +121,26 @@ async def test_a_stop_reaches_the_arm_with_its_source(desk: Desk, topic: str, me
     assert desk.runner.stopped == [f"stopped by {topic}"]
 
 
+async def test_one_goal_is_cancelled_by_its_id(desk: Desk) -> None:
+    desk.runner.go_on.clear()
+    for name in ("ready", "home", "rest"):
+        await desk.publish("/moveit_goal_named", {"data": name})
+    await desk.publish("/moveit_goal_cancel", {"data": "2"})
+    assert [(result["val"], result["source"]) for result in desk.heard[RESULT_TOPIC]] == [(-7, "/moveit_goal_named#2")]
+    assert "/moveit_goal_cancel" in desk.heard[RESULT_TOPIC][0]["message"]
+    await desk.publish("/moveit_goal_cancel", {"data": "99"})
+    assert desk.runner.stopped == []
+    await desk.publish("/moveit_goal_cancel", {"data": "1"})
+    assert desk.runner.stopped == ["cancelled by /moveit_goal_cancel"]
+
+
+async def test_the_last_status_has_the_code(desk: Desk) -> None:
+    await desk.publish("/moveit_goal_named", {"data": "ready"})
+    assert values_of(desk.heard[STATUS_TOPIC][-1])["code"] == "1"
+    await desk.publish("/moveit_goal_named", {"data": "nowhere"})
+    assert values_of(desk.heard[STATUS_TOPIC][-1])["code"] == "-16"
+
+
 async def test_another_event_stops_nothing(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.publish("/trajectory_execution_event", {"data": "dance"})
     assert desk.runner.stopped == []

@@ -1,0 +1,208 @@
+"""The page in Chromium with software rendering: how soon, how fast, how old, and what it costs the server.
+
+``python -m benchmarks.page --seconds 600`` watches it for ten minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import psutil
+from websockets.sync.client import connect
+
+from benchmarks.figures import percentiles, print_table
+from tests.helpers.blocking import call
+from tests.helpers.page import chromium, opened, what_is_missing
+from tests.helpers.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+OPENINGS = 5
+WATCHED_S = 20.0
+
+# The age is looked at over this long at the end of the time: a lag that grows would be greatest there.
+LOOKED_AT_S = 10.0
+
+# Long enough that one goal, or one question of the page, does not count.
+CPU_S = 20.0
+
+# The planner workers load their libraries behind the start, and the page its own behind the first drawing.
+WARM_UP_S = 4.0
+
+SUCCESS = 1
+
+# What the page subscribes to, and the least time between two messages [ms].
+SHOWN = {
+    "/joint_states": 33,
+    "/arm_controller/controller_state": 33,
+    "/arm/state": 0,
+    "/arm/joint_limits": 0,
+    "/diagnostics": 0,
+    "/monitored_planning_scene": 0,
+    "/display_planned_path": 0,
+    "/moveit_goal_status": 0,
+    "/named_states": 0,
+    "/robot_description": 0,
+    "/rosout": 0,
+}
+JOINT_STATES = {"/joint_states": 0}
+
+# After every frame of the browser: whether the page drew in it, and how old the joint state was that it drew, by the
+# clock of the machine that server and browser share.
+WATCH = """() => {
+    window.watched = { ages_s: [], since_ms: performance.now(), frames: window.armbridge.drawn.frames };
+    let frames = window.watched.frames;
+    const look = () => {
+        const drawn = window.armbridge.drawn;
+        if (drawn.frames !== frames) window.watched.ages_s.push(Date.now() / 1000 - drawn.joint_stamp_s);
+        frames = drawn.frames;
+    };
+    const next = () => {
+        setTimeout(look, 0);
+        requestAnimationFrame(next);
+    };
+    requestAnimationFrame(next);
+}"""
+WATCHED = """() => ({
+    ages_s: window.watched.ages_s,
+    drawn: window.armbridge.drawn.frames - window.watched.frames,
+    seconds: (performance.now() - window.watched.since_ms) / 1000,
+})"""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What was drawn in a while."""
+
+    frames_per_s: float
+    ages_s: list[float]
+
+    def in_frames(self) -> list[float]:
+        """The ages in frames of the mean length."""
+        return [age_s * self.frames_per_s for age_s in self.ages_s]
+
+
+def run(seconds: float = WATCHED_S) -> None:
+    """Measure with one server and one browser, or say what is missing."""
+    missing = what_is_missing()
+    if missing:
+        print(f"\nThe page cannot be measured: {missing}")
+        return
+    with RunningServer() as server, chromium() as browser:
+        time.sleep(WARM_UP_S)
+        ready_s = [_ready_s(browser, server) for _ in range(OPENINGS)]
+        watched = _watched(browser, server, seconds)
+        costs = _costs(browser, server)
+    print_table(
+        "The page from its request to the drawn arm [s]",
+        ["openings", "median", "max"],
+        [[str(OPENINGS), *percentiles(ready_s, 50, 100, scale=1.0)]],
+    )
+    print_table(
+        f"A moving arm on the page, at the end of {seconds:.0f} s",
+        ["frames/s", "age of the joint state p50 [ms]", "p99", "in frames p50", "p99", "max"],
+        [
+            [
+                f"{watched.frames_per_s:.1f}",
+                *percentiles(watched.ages_s, 50, 99, digits=1),
+                *percentiles(watched.in_frames(), 50, 99, 100, scale=1.0),
+            ]
+        ],
+    )
+    print_table("What the server's process spends", ["for", "CPU % of a core"], costs)
+
+
+def _ready_s(browser: Browser, server: RunningServer) -> float:
+    with opened(browser) as page:
+        page.open(server.port)
+        return float(page.page.evaluate("window.armbridge.drawn.arm_ms")) / 1e3
+
+
+def _watched(browser: Browser, server: RunningServer, seconds: float) -> Watched:
+    with opened(browser) as page, _moving(server):
+        page.open(server.port)
+        page.page.wait_for_timeout(max(0.0, seconds - LOOKED_AT_S) * 1e3)
+        page.page.evaluate(WATCH)
+        page.page.wait_for_timeout(min(seconds, LOOKED_AT_S) * 1e3)
+        seen: dict[str, Any] = page.page.evaluate(WATCHED)
+    return Watched(seen["drawn"] / seen["seconds"], seen["ages_s"])
+
+
+def _costs(browser: Browser, server: RunningServer) -> list[list[str]]:
+    """The same arm at rest with nobody, with a subscriber, and with the page."""
+    process = psutil.Process(server.process.pid)
+    nobody = _cpu_percent(process)
+    plain = [_cpu_percent(process, functools.partial(_subscribe, server, topics)) for topics in (JOINT_STATES, SHOWN)]
+    with opened(browser) as page:
+        page.open(server.port)
+        page.page.wait_for_timeout(WARM_UP_S * 1e3)
+        shown = _cpu_percent(process, lambda: page.page.wait_for_timeout(CPU_S * 1e3))
+    names = ("nobody", "a plain subscriber to /joint_states", "one to all that the page shows", "the page")
+    return [[name, f"{percent:.2f}"] for name, percent in zip(names, (nobody, *plain, shown), strict=True)]
+
+
+def _cpu_percent(process: psutil.Process, meanwhile: Callable[[], None] = lambda: time.sleep(CPU_S)) -> float:
+    before, started_s = sum(process.cpu_times()[:2]), time.monotonic()
+    meanwhile()
+    return 100.0 * (sum(process.cpu_times()[:2]) - before) / (time.monotonic() - started_s)
+
+
+def _subscribe(server: RunningServer, topics: dict[str, int]) -> None:
+    with connect(server.url, max_size=None) as websocket:
+        for topic, throttle_ms in topics.items():
+            # With a queue the newest message comes when the time is over, and not only the next one after it.
+            wanted = {"throttle_rate": throttle_ms, "queue_length": int(throttle_ms > 0)}
+            websocket.send(json.dumps({"op": "subscribe", "topic": topic, **wanted}))
+        until_s = time.monotonic() + CPU_S
+        while time.monotonic() < until_s:
+            websocket.recv(timeout=CPU_S)
+
+
+@contextmanager
+def _moving(server: RunningServer) -> Iterator[None]:
+    """Goals to and fro, one after the other, until the block ends."""
+    over = threading.Event()
+    mover = threading.Thread(target=_move, args=(server, over))
+    mover.start()
+    try:
+        yield
+    finally:
+        over.set()
+        mover.join()
+
+
+def _move(server: RunningServer, over: threading.Event) -> None:
+    with connect(server.url) as websocket:
+        websocket.send(
+            json.dumps({"op": "subscribe", "topic": "/moveit_goal_result", "type": "moveit_msgs/MoveItErrorCodes"})
+        )
+        turn = 0
+        while not over.is_set():
+            name = ("home", "ready")[turn % 2]
+            websocket.send(json.dumps({"op": "publish", "topic": "/moveit_goal_named", "msg": {"data": name}}))
+            if json.loads(websocket.recv(timeout=30.0))["msg"]["val"] == SUCCESS:
+                turn += 1
+            else:
+                # Somebody kept the emulated servos from answering: on a busy machine the arm has faults.
+                call(server.url, "/arm/reset_fault")
+                over.wait(0.5)
+
+
+def main() -> None:
+    """Read how long to watch, and measure."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=main.__doc__)
+    parser.add_argument("--seconds", type=float, default=WATCHED_S, help="how long the page is watched")
+    run(parser.parse_args().seconds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+import { afterEach, beforeEach, expect, test, vi } from "vitest";
+import { FakeRos } from "./fake-ros";
+import { Link, type LinkNews } from "./link";
+
+vi.mock("roslib", async (original) => ({ ...(await original<typeof import("roslib")>()), Ros: (await import("./fake-ros")).FakeRos }));
+
+const newest = (): FakeRos => FakeRos.made.at(-1) as FakeRos;
+let news: LinkNews[] = [];
+let link: Link;
+
+beforeEach(() => {
+  vi.useFakeTimers();
+  const target = { addEventListener: () => undefined, visibilityState: "visible" };
+  vi.stubGlobal("window", target);
+  vi.stubGlobal("document", target);
+  FakeRos.made = [];
+  news = [];
+  link = new Link("ws://here", (one) => news.push(one));
+  link.open();
+});
+
+afterEach(() => {
+  vi.useRealTimers();
+  vi.unstubAllGlobals();
+});
+
+test("comes back by itself, with every subscription, and sends nothing that is old", () => {
+  link.subscribe("/joint_states", "sensor_msgs/JointState", () => undefined, 33);
+  newest().up();
+  link.publish("/stop", "std_msgs/Empty", {});
+  newest().emit("close");
+  expect(link.isConnected).toBe(false);
+  expect(() => link.publish("/moveit_goal_named", "std_msgs/String", { data: "home" })).toThrow("cannot be reached");
+  vi.advanceTimersByTime(260);
+  expect(FakeRos.made).toHaveLength(2);
+  newest().up();
+  expect(newest().ops("subscribe").map((message) => message["topic"])).toEqual(["/joint_states"]);
+  expect(newest().ops("publish")).toEqual([]);
+  expect(news.map(({ connected }) => connected)).toEqual([true, false, true]);
+});
+
+test("a call ends when the link is lost, and when its time is up", async () => {
+  newest().up();
+  const lost = expect(link.call("/arm/stop", {})).rejects.toThrow("the connection was lost");
+  newest().emit("close");
+  await lost;
+  vi.advanceTimersByTime(260);
+  newest().up();
+  const late = expect(link.call("/arm/stop", {}, 1)).rejects.toThrow("no answer within 1 s");
+  vi.advanceTimersByTime(1001);
+  await late;
+});
+
+test("a goal tells its status and result, also of one that failed", async () => {
+  newest().up();
+  const { result, cancel } = link.goal<{ error_code: { val: number } }>("/move_action", "moveit_msgs/action/MoveGroup", {});
+  const id = newest().ops("send_action_goal")[0]?.["id"];
+  cancel();
+  expect(newest().ops("cancel_action_goal")).toEqual([{ op: "cancel_action_goal", id, action: "/move_action" }]);
+  newest().emit(String(id), { op: "action_result", status: 6, result: true, values: { error_code: { val: -7 } } });
+  await expect(result).resolves.toEqual({ status: 6, values: { error_code: { val: -7 } }, reason: "" });
+});
+
+test("a goal that was not taken tells why", async () => {
+  newest().up();
+  const { result } = link.goal("/move_action", "moveit_msgs/action/MoveGroup", {});
+  const id = newest().ops("send_action_goal")[0]?.["id"];
+  newest().emit(String(id), { op: "action_result", status: 6, result: false, values: "the field is wrong" });
+  await expect(result).resolves.toMatchObject({ values: null, reason: "the field is wrong" });
+});
+
+test("latency is told, and a server that falls silent is left", async () => {
+  newest().up();
+  vi.advanceTimersByTime(5);
+  newest().answer("/rosapi/get_time", {});
+  await vi.advanceTimersByTimeAsync(0);
+  expect(news.at(-1)).toEqual({ connected: true, latency_ms: 5 });
+  const silent = newest();
+  await vi.advanceTimersByTimeAsync(2000 + 4001);
+  expect(silent.closed).toBe(true);
+  expect(news.at(-1)).toEqual({ connected: false, latency_ms: null });
+});
+
+test("attempts that fail follow each other ever more slowly", async () => {
+  for (const wait_ms of [250, 500, 1000, 2000, 2000]) {
+    newest().emit("close");
+    const before = FakeRos.made.length;
+    await vi.advanceTimersByTimeAsync(wait_ms - 1);
+    expect(FakeRos.made).toHaveLength(before);
+    await vi.advanceTimersByTimeAsync(1);
+    expect(FakeRos.made).toHaveLength(before + 1);
+  }
+});

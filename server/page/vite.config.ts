@@ -1,0 +1,25 @@
+import { defineConfig } from "vitest/config";
+
+export default defineConfig({
+  // Relative, so that the page also works behind a proxy that serves it under a path.
+  base: "./",
+  build: {
+    outDir: "dist",
+    target: "es2022",
+    // Every picture stays a file of its own, which the server's policy can name.
+    assetsInlineLimit: 0,
+    // three alone is above vite's limit of 500 kB, and it is loaded from this very machine.
+    chunkSizeWarningLimit: 1500,
+    license: { fileName: "licenses.md" },
+    rolldownOptions: {
+      output: {
+        // A fixed name: the server's ETag tells a browser whether the libraries changed.
+        chunkFileNames: "assets/[name].js",
+        entryFileNames: "assets/[name].js",
+        assetFileNames: "assets/[name][extname]",
+        codeSplitting: { groups: [{ name: "vendor", test: /node_modules/ }] },
+      },
+    },
+  },
+  test: { include: ["src/**/*.test.ts"], environment: "node" },
+});

@@ -1,0 +1,188 @@
+"""The page in Debian's Chromium: started, looked at and steered by Playwright."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shlex
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from tests.helpers.server import ROOT
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Locator, Page
+
+BUILT = ROOT / "server" / "page" / "dist" / "index.html"
+SHOTS = ROOT / "build" / "page"
+
+# WebGL in software, and nothing that calls home.
+FLAGS = (
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+
+DESKTOP = (1280, 800)
+PHONE = (390, 844)
+
+# Software rendering on two shared cores: what takes 0.1 s on a quiet machine takes seconds on a busy one.
+PATIENCE_MS = 10_000
+
+# How often the page is asked whether something is so.
+LOOK_MS = 20
+
+
+def what_is_missing() -> str:
+    """Why the page cannot be opened here; empty when it can."""
+    if shutil.which("chromium") is None:
+        return "chromium is not installed (apt-get install chromium)"
+    try:
+        import playwright  # noqa: F401
+    except ImportError:
+        return "playwright is not installed (make install-dev)"
+    if not BUILT.exists():
+        return f"{BUILT.relative_to(ROOT)} is not built (make page)"
+    return ""
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """A browser that ends with the block."""
+    from playwright.sync_api import sync_playwright
+
+    with TemporaryDirectory() as folder, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=_modest(Path(folder)), args=list(FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def _modest(folder: Path) -> str:
+    """The browser on time that nobody else wants, without root's right to raise its own priority, which it uses.
+
+    Software rendering otherwise keeps the arm's loop and servos from the cores until the arm ends in a fault.
+    """
+    found = shutil.which("chromium")
+    assert found is not None
+    words = [found]
+    if os.geteuid() == 0 and shutil.which("setpriv"):
+        words = ["setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice", *words]
+    if shutil.which("chrt"):
+        words = ["chrt", "--idle", "0", *words]
+    script = folder / "chromium"
+    script.write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
+    script.chmod(0o755)
+    return str(script)
+
+
+@dataclass
+class OpenPage:
+    """One opened page, and what went wrong in it."""
+
+    page: Page
+    errors: list[str] = field(default_factory=list)
+    hosts: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.page.set_default_timeout(PATIENCE_MS)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("console", lambda message: self._heard(message.type, message.text))
+        self.page.on("request", lambda request: self.hosts.add(request.url.split("/")[2]))
+
+    def _heard(self, kind: str, text: str) -> None:
+        # A server that is away is no error of the page; the browser logs every attempt all the same.
+        if kind == "error" and "WebSocket connection" not in text:
+            self.errors.append(text)
+
+    def open(self, port: int) -> None:
+        """Open the page of a server and wait until the arm is drawn."""
+        self.goto(port)
+        self.until("window.armbridge?.drawn.arm_ms > 0")
+
+    def goto(self, port: int) -> None:
+        self.page.goto(f"http://127.0.0.1:{port}/")
+
+    def until(self, condition: str, timeout_ms: float = PATIENCE_MS) -> None:
+        """Wait until an expression in the page is true.
+
+        Asked again and again from here: Playwright's own way of waiting evaluates texts in the page, which the page's
+        Content-Security-Policy forbids.
+        """
+        until_s = time.monotonic() + timeout_ms / 1e3
+        while not self.page.evaluate(condition):
+            assert time.monotonic() < until_s, f"{condition} within {timeout_ms} ms: {self.describe()}"
+            self.page.wait_for_timeout(LOOK_MS)
+
+    def describe(self) -> str:
+        """What a person would see now, for the message of a failed test."""
+        said = {
+            test_id: self.page.get_by_test_id(test_id).text_content()
+            for test_id in ("state-pill", "link-pill", "message", "stop", "target-state", "notices")
+            if self.page.get_by_test_id(test_id).count()
+        }
+        return f"{said}; errors: {self.errors}"
+
+    def until_state(self, condition: str, timeout_ms: float = PATIENCE_MS) -> None:
+        """Wait until an expression over the page's state, ``s``, is true."""
+        self.until(f"(() => {{ const s = window.armbridge.state(); return {condition}; }})()", timeout_ms)
+
+    def state(self, path: str) -> Any:
+        """A part of the page's state, as in ``arm.mode``."""
+        return self.page.evaluate(f"window.armbridge.state().{path}")
+
+    def part(self, test_id: str) -> Locator:
+        """The element of that ``data-testid``."""
+        return self.page.get_by_test_id(test_id)
+
+    def joints(self) -> dict[str, float]:
+        """The joint positions that the page has [rad]."""
+        joints = self.state("joints")
+        return dict(zip(joints["names"], joints["position_rad"], strict=True))
+
+    def until_text(self, test_id: str, text: str, timeout_ms: float = PATIENCE_MS) -> None:
+        """Wait until an element says something."""
+        element = f"document.querySelector({json.dumps(f'[data-testid={json.dumps(test_id)}]')})"
+        self.until(f"!!{element}?.textContent.includes({json.dumps(text)})", timeout_ms)
+
+    def shot(self, name: str) -> Path:
+        """Keep a screenshot as an artefact."""
+        SHOTS.mkdir(parents=True, exist_ok=True)
+        path = SHOTS / f"{name}.png"
+        self.page.screenshot(path=path)
+        return path
+
+    def colours(self) -> int:
+        """How many colours the drawing has: a blank canvas has one."""
+        from PIL import Image
+
+        image = Image.open(io.BytesIO(self.page.locator("canvas").first.screenshot())).convert("RGB").resize((64, 64))
+        return len(image.getcolors(64 * 64) or [])
+
+    def screen_of(self, position_m: tuple[float, float, float]) -> tuple[float, float]:
+        """Where a point of the root link's frame is on the screen [px]."""
+        x, y = self.page.evaluate("p => window.armbridge.screen_of(...p)", list(position_m))
+        return float(x), float(y)
+
+
+@contextmanager
+def opened(browser: Browser, size: tuple[int, int] = DESKTOP, **options: Any) -> Iterator[OpenPage]:
+    """A page in a context of its own: nothing is kept from the one before."""
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+    try:
+        yield OpenPage(context.new_page())
+    finally:
+        context.close()

@@ -1,0 +1,37 @@
+"""One browser a module; the tests are skipped, with the reason, where there is none or the page is not built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.helpers.page import chromium, what_is_missing
+from tests.helpers.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    missing = what_is_missing()
+    if missing:
+        pytest.skip(missing)
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Named states of its own, so that nothing is kept from another run."""
+    folder: Path = tmp_path_factory.mktemp("data")
+    return {"ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(folder / "named_states.json")}
+
+
+@pytest.fixture(scope="module")
+def server(settings: dict[str, str]) -> Iterator[RunningServer]:
+    with RunningServer(settings=settings) as running:
+        yield running

@@ -1,0 +1,35 @@
+"""A server that goes away and comes back."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING
+
+from tests.helpers.page import opened
+from tests.helpers.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+# How long a person waits before pressing STOP again.
+STOP_ANSWER_MS = 5_000
+
+
+def test_the_page_comes_back_by_itself(browser: Browser, settings: dict[str, str]) -> None:
+    with opened(browser) as page:
+        with RunningServer(settings=settings) as first:
+            port = first.port
+            page.open(port)
+            page.until_state("s.link.connected && s.joints.names.length > 0")
+            first.end(signal.SIGKILL)
+            page.until_state("!s.link.connected")
+        page.shot("disconnected")
+        page.part("stop").click()
+        page.until_text("stop", "not acknowledged", STOP_ANSWER_MS)
+        stamp = page.state("joints.stamp")
+        with RunningServer(f"--port {port}", settings):
+            page.until_state(f"s.link.connected && s.joints.stamp > {stamp}")
+            page.part("named-ready").click()
+            page.part("plan-and-move").click()
+            page.until_state("s.goal.code === 1")
+            assert page.errors == []

@@ -18,8 +18,8 @@ from websockets.exceptions import ConnectionClosedError
 
 from robot import model
 from robot.calibration import Calibration
-from server.recording.reader import Recording
 from server.gateway.page import HOW_TO_GET_IT, PAGE_DIRECTORY, is_built
+from server.recording.reader import Recording
 from tests.helpers.client import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.server import RunningServer, read_write_log
 

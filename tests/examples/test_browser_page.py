@@ -4,35 +4,17 @@ from __future__ import annotations
 
 import functools
 import http.server
-import os
 import re
-import shlex
-import shutil
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from tests.examples.conftest import EXAMPLES
+from tests.helpers.page import browser_is_missing, chromium
 from tests.helpers.server import RunningServer
 
 PATIENCE_MS = 20_000
-
-
-@pytest.fixture
-def chromium(tmp_path: Path) -> str:
-    """Chromium on time that nobody else wants: run by root it raises its priority, and the arm's servos fall silent."""
-    found = shutil.which("chromium")
-    if found is None:
-        pytest.skip("chromium is not installed")
-    words = ["chrt", "--idle", "0", found] if shutil.which("chrt") else [found]
-    if os.geteuid() == 0 and shutil.which("setpriv"):
-        words = ["setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice", *words]
-    modest = tmp_path / "chromium"
-    modest.write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
-    modest.chmod(0o755)
-    return str(modest)
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
@@ -50,10 +32,9 @@ def site() -> Iterator[str]:
         web.shutdown()
 
 
-def test_the_page_shows_the_joints_moves_the_arm_and_stops_it(site: str, chromium: str, server: RunningServer) -> None:
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+@pytest.mark.skipif(bool(browser_is_missing()), reason=browser_is_missing())
+def test_the_page_shows_the_joints_moves_the_arm_and_stops_it(site: str, server: RunningServer) -> None:
+    with chromium() as browser:
         page = browser.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.goto(f"{site}/browser_page.html?port={server.port}")
@@ -63,4 +44,3 @@ def test_the_page_shows_the_joints_moves_the_arm_and_stops_it(site: str, chromiu
         page.get_by_role("button", name="rest").click()
         page.get_by_role("button", name="STOP").click()
         page.get_by_text(re.compile("^-7 ")).wait_for()
-        browser.close()

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { emptyState, noGoal, type GoalState } from "../state/state";
+import { emptyState, noGoal, type GoalState, type State } from "../state/state";
 import { afterGoalNews } from "./topics";
 
 const empty = emptyState("ws://here");
@@ -42,6 +42,14 @@ test("after a stop on the way the plan is gone, and the wish stays", () => {
 
 test("after an arrival nothing is wished for, after a refusal the wish stays", () => {
   const wishing = { ...empty, wish: { kind: "joints" as const, joints_rad: { a: 1 } } };
-  expect(afterGoalNews(wishing, news("1", "done", { code: 1 })).wish?.kind).toBe("none");
-  expect(afterGoalNews(wishing, news("1", "done", { code: -12 })).wish).toBeUndefined();
+  const moving = { ...wishing, ...afterGoalNews(wishing, news("1", "executing")) };
+  expect(afterGoalNews(moving, news("1", "done", { code: 1 })).wish?.kind).toBe("none");
+  expect(afterGoalNews(moving, news("1", "done", { code: -12 })).wish).toBeUndefined();
+});
+
+test("what is chosen while the arm moves is still chosen when it arrives", () => {
+  let state: State = { ...empty, wish: { kind: "joints", joints_rad: { a: 1 } } };
+  state = { ...state, ...afterGoalNews(state, news("1", "executing")), wish: { kind: "joints", joints_rad: { a: 2 } } };
+  state = { ...state, ...afterGoalNews(state, news("1", "executing", { fraction: 0.9 })) };
+  expect(afterGoalNews(state, news("1", "done", { code: 1 })).wish).toBeUndefined();
 });

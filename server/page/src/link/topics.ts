@@ -91,15 +91,16 @@ export function afterGoalNews(state: State, goal: GoalState): Partial<State> {
   const behind = inHand && goal.id !== state.goal.id && (goal.state === "queued" || done);
   const gaveWay = done && goal.code === PREEMPTED && waiting.length > 0;
   if (behind || gaveWay) return { waiting };
-  if (!done) return { waiting, goal };
+  const begins = goal.state === "executing" && !(state.goal.id === goal.id && state.goal.state === "executing");
+  if (!done) return { waiting, goal, ...(begins && { carried_out: state.wish }) };
   if (goal.code === SUCCESS) return { waiting, goal, ...nothingWished(state) };
   // The arm stands somewhere on the way: the plan does not begin there.
   const onTheWay = state.goal.id === goal.id && state.goal.state === "executing";
   return onTheWay ? { waiting, goal, plan: NO_PLAN } : { waiting, goal };
 }
 
-/** After a motion what was wished for is where the arm is; a target that is being dragged stays. */
+/** After a motion what was wished for is where the arm is; what the user has chosen meanwhile stays. */
 function nothingWished(state: State): Partial<State> {
-  if (state.target.dragging) return {};
+  if (state.target.dragging || state.wish !== state.carried_out) return {};
   return { wish: { kind: "none", joints_rad: null }, plan: NO_PLAN };
 }

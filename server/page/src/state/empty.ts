@@ -13,6 +13,7 @@ export function emptyState(url: string): State {
     plan: { trajectory: null, tool_path: [], scrub_s: null },
     target: { position_m: null, dragging: false, reachable: null, distance_m: 0, joints_rad: null },
     wish: { kind: "none", joints_rad: null },
+    carried_out: null,
     named: {},
     objects: [],
     log: [],

@@ -195,6 +195,8 @@ export interface State {
   plan: PlanState;
   target: TargetState;
   wish: Wish;
+  /** What was wished for when the motion in hand began. */
+  carried_out: Wish | null;
   named: Record<string, NamedState>;
   objects: SceneObject[];
   log: LogEntry[];

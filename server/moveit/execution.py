@@ -91,7 +91,6 @@ class GoalExecutor:
     async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
         """Plan and play; every wait is bounded, and every way out is an answer."""
         self._end_reason = ""
-        # Who steers the arm gives way to who has a goal for it.
         match request:
             case GivenMotion():
                 return await self._follow(request, report)

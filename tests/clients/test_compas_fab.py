@@ -5,9 +5,6 @@ It is large and wants an environment of its own: ``make test-clients`` makes it 
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +12,7 @@ from typing import Any
 import pytest
 
 from robot import model
+from tests.helpers.scenario import heard_by
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("compas_fab_scenario.py")
@@ -46,17 +44,7 @@ def dialect(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="module")
 def answers(dialect: str, server: RunningServer) -> dict[str, Any]:
     """What the scenario heard, step by step."""
-    done = subprocess.run(
-        [str(PYTHON), str(SCENARIO), f"ws://127.0.0.1:{server.port}/{QUERIES[dialect]}"],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
-    )
-    assert done.returncode == 0, done.stderr + done.stdout
-    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return heard
+    return heard_by(PYTHON, SCENARIO, f"ws://127.0.0.1:{server.port}/{QUERIES[dialect]}")
 
 
 def test_the_robot_is_loaded(answers: dict[str, Any], dialect: str) -> None:
@@ -108,13 +96,5 @@ def test_meshes_come_over_http_from_the_port_of_rosbridge(tmp_path: Path) -> Non
     (tmp_path / "arm.srdf").write_text(robot.srdf)
     files = f"--urdf {tmp_path / 'arm.urdf'} --srdf {tmp_path / 'arm.srdf'}"
     with RunningServer(arguments=f"--port 0 {files}") as server:
-        done = subprocess.run(
-            [str(PYTHON), str(MESHES), "127.0.0.1", str(server.port)],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-            env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
-        )
-    assert done.returncode == 0, done.stderr + done.stdout
-    assert json.loads(done.stdout.splitlines()[-1]) == {"package://so101_description/assets/sign.obj": [3]}
+        heard = heard_by(PYTHON, MESHES, "127.0.0.1", str(server.port), timeout_s=60.0)
+    assert heard == {"package://so101_description/assets/sign.obj": [3]}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import subprocess
 import sys
 import venv
@@ -13,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.scenario import heard_by
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("roslibpy_scenario.py")
@@ -43,17 +42,7 @@ def answers(
 ) -> dict[str, Any]:
     """What the scenario heard, step by step."""
     python = sys.executable if request.param == "2" else old_python(tmp_path_factory.mktemp("venv"))
-    done = subprocess.run(
-        [python, str(SCENARIO), str(server.port)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
-    )
-    assert done.returncode == 0, done.stderr + done.stdout
-    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return heard
+    return heard_by(python, SCENARIO, str(server.port))
 
 
 def test_topics_and_services_are_listed(answers: dict[str, Any]) -> None:

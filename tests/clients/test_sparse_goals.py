@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.helpers.scenario import heard_by
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("sparse_goals_scenario.py")
@@ -19,12 +18,7 @@ SCENARIO = Path(__file__).with_name("sparse_goals_scenario.py")
 def answers() -> dict[str, Any]:
     """What came of each script."""
     with RunningServer() as server:
-        done = subprocess.run(
-            [sys.executable, str(SCENARIO), str(server.port)], capture_output=True, text=True, timeout=120, check=False
-        )
-    assert done.returncode == 0, done.stderr + done.stdout
-    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return heard
+        return heard_by(sys.executable, SCENARIO, str(server.port))
 
 
 def test_segments_planned_alone_and_stitched_by_hand_are_executed(answers: dict[str, Any]) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from server.commands.arm_options import CALIBRATION_HELP
-from server.config import Settings, load_with_sources
+from server.config import Settings
+from server.config_reading import load_with_sources
 from server.errors import ConfigurationError
 
 # Option -> its section and key in the settings.

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from server.config import Settings, known_keys
+from server.config import Settings
 from server.config_keys import every_setting, flattened, nearest, unknown
+from server.config_reading import known_keys
 
 SETTINGS = {setting.key: setting for setting in every_setting(Settings)}
 

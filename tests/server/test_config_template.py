@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from server.config import Settings, load, load_with_sources
+from server.config import Settings
 from server.config_keys import every_setting
+from server.config_reading import load, load_with_sources
 from server.config_template import template, toml_value
 
 TEXT = template(every_setting(Settings))

@@ -1,0 +1,123 @@
+"""Reads the settings from a TOML file, the environment and the command line, and tells who has set which."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic_settings import (
+    BaseSettings,
+    EnvSettingsSource,
+    InitSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsError,
+)
+
+from server.config import PREFIX, Settings
+from server.config_keys import every_setting, flattened, unknown
+from server.errors import ConfigurationError
+
+
+def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
+    """Read the settings.
+
+    Args:
+        file: a TOML file, or None.
+        overrides: section -> key -> value from the command line.
+
+    Raises:
+        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
+    """
+    return load_with_sources(file, overrides)[0]
+
+
+def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Settings, dict[str, str]]:
+    """Read the settings, and tell who has set which.
+
+    Args:
+        file: a TOML file, or None.
+        overrides: section -> key -> value from the command line.
+
+    Returns:
+        The settings, and by key, as in ``server.port``: ``file``, ``environment`` or ``command line``, for those that
+        are not left at their defaults.
+
+    Raises:
+        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
+    """
+    in_file = _read(file) if file else {}
+    if stray := _stray_variables():
+        raise ConfigurationError("; ".join(stray))
+    try:
+        layers = {"file": in_file, "environment": EnvSettingsSource(Settings)(), "command line": overrides}
+        tables = frozenset(setting.key for setting in every_setting(Settings) if setting.is_table)
+        sources = {key: layer for layer, values in layers.items() for key, _ in flattened(values, tables)}
+        return _with_file(in_file)(**overrides), sources
+    except SettingsError as error:
+        raise ConfigurationError(f"environment: {error}") from error
+    except ValidationError as error:
+        raise ConfigurationError("; ".join(_sentence(each, sources) for each in error.errors())) from error
+
+
+def known_keys() -> list[str]:
+    """Every key that can be set, as in ``server.port``, and the sections."""
+    keys = [setting.key for setting in every_setting(Settings)]
+    sections = {key.rpartition(".")[0] for key in keys}
+    return keys + sorted(sections)
+
+
+def _stray_variables() -> list[str]:
+    """Sentences about environment variables with our prefix that set nothing."""
+    known = known_keys()
+    tables = tuple(f"{setting.key}." for setting in every_setting(Settings) if setting.is_table)
+    names = sorted(name.lower() for name in os.environ if name.upper().startswith(PREFIX))
+    keys = [name.removeprefix(PREFIX.lower()).replace("__", ".") for name in names]
+    return [
+        f"environment variable {unknown(key, known, _variable)}"
+        for key in keys
+        if key not in known and not key.startswith(tables)
+    ]
+
+
+def _variable(key: str) -> str:
+    return PREFIX + key.upper().replace(".", "__")
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"configuration {file} cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"configuration {file} is not TOML: {error}") from error
+
+
+def _with_file(values: dict[str, Any]) -> type[Settings]:
+    """The settings class whose last source is the content of the file."""
+
+    class FromFile(Settings):
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - the base class's signature
+            file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - the base class's signature
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            return init_settings, env_settings, InitSettingsSource(settings_cls, values)
+
+    return FromFile
+
+
+def _sentence(problem: Any, sources: dict[str, str]) -> str:
+    key = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        return unknown(key, known_keys())
+    value = problem.get("input")
+    source = f", from the {sources[key]}" if key in sources else ""
+    shown = "" if isinstance(value, dict | BaseModel) else f" (it is {value!r}{source})"
+    return f"{key or 'settings'}: {problem['msg']}{shown}"

@@ -25,6 +25,10 @@ _OUTSIDE_TEXT = re.compile(rb"(?:" + _NO_BRACES + rb"|\{(?:" + _NO_BRACES + rb")
 
 _QUOTE, _OPEN = b'"{'
 
+# How much of something else may stand in front of an object: what clients send there is a few bytes, and to look
+# through ten megabytes of braces takes a third of a second.
+MAX_LEADING_BYTES = 16_384
+
 # A frame that holds more of them than this is not worth reading on, nor its refusals logging.
 MAX_REFUSALS_PER_FRAME = 8
 
@@ -102,7 +106,10 @@ class FrameReader:
 
     def _open(self) -> bool:
         """Go to where the next object may begin; without one nothing of what waits is of use."""
-        start = _START.search(self._pending)
+        start = _START.search(self._pending, 0, MAX_LEADING_BYTES)
+        if start is not None:
+            # It may have taken the end of the search for that of the text.
+            start = _START.match(self._pending, start.start())
         del self._pending[: len(self._pending) if start is None else start.start()]
         self._end = _ObjectEnd()
         return start is not None

@@ -32,6 +32,8 @@ class Limits:
     max_offers: int = 1_000
     # Calls that wait for their responses, and as many goals; clients call one by one, or a burst at their start.
     max_calls_in_flight: int = 1_000
+    # rosbridge_server's default_call_service_timeout: for the answer of a service that this client offers.
+    call_timeout_s: float = 5.0
     # Ten seconds of joint states at 100 Hz with room to spare: a client further behind wants the newest.
     max_queued_topic_bytes: int = 720_896
     # Calls and goals for a provider, which others fill: beyond it they fail, and the provider stays.

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Protocol
 
 from protocol import values
 from protocol.errors import MessageError, describe, shorten
+from protocol.message_budget import BUDGET, values_in
 from protocol.quick_messages import Quick, quick_way
 from protocol.registry import ArrayBounds, Field, Registry
 
@@ -84,8 +85,12 @@ def complete(registry: Registry, type_name: str, value: object, received: Stamp)
         InterfaceError: the type is unknown.
         MessageError: the value does not fit the type.
     """
+    BUDGET.renew()
     quick = quick_way(registry, type_name)(value)
-    return _message_shape(registry, type_name).complete(value, received) if quick is None else quick
+    if quick is not None:
+        return quick
+    BUDGET.renew()
+    return _message_shape(registry, type_name).complete(value, received)
 
 
 class _PrimitiveShape:
@@ -150,8 +155,9 @@ class _OctetArrayShape:
 class _MessageArrayShape:
     """An array of messages."""
 
-    def __init__(self, element: _Shape, quick: Quick, bounds: ArrayBounds) -> None:
+    def __init__(self, element: _Shape, values_of_element: int, quick: Quick, bounds: ArrayBounds) -> None:
         self._element = element
+        self._values_of_element = values_of_element
         self._quick = quick
         self._bounds = bounds
 
@@ -162,7 +168,9 @@ class _MessageArrayShape:
             quick = self._quick(element)
             return self._element.complete(element, received) if quick is None else quick
 
-        return values.to_list(_elements(value, self._bounds), complete_element)
+        elements = _elements(value, self._bounds)
+        BUDGET.take(len(elements) * self._values_of_element)
+        return values.to_list(elements, complete_element)
 
     def default(self, received: Stamp) -> list[Any]:
         """Return default messages for an array of fixed size, else an empty list."""
@@ -259,7 +267,8 @@ def _field_shape(registry: Registry, field: Field) -> _Shape:
         element = _message_shape(registry, field.base)
         if field.array is None:
             return element
-        return _MessageArrayShape(element, quick_way(registry, field.base), field.array)
+        size = values_in(registry, field.base)
+        return _MessageArrayShape(element, size, quick_way(registry, field.base), field.array)
     if field.array is None:
         return _PrimitiveShape(field)
     return (_OctetArrayShape if field.base in _OCTETS else _PrimitiveArrayShape)(field, field.array)

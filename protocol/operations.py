@@ -18,6 +18,9 @@ MAX_NAME_CHARACTERS = 255
 # Clients use UUIDs or topic names with a prefix; the id of every subscription is kept.
 MAX_ID_CHARACTERS = 512
 
+# Of tokens, and of proofs of them.
+MAX_SECRET_CHARACTERS = 512
+
 Name: TypeAlias = Annotated[
     str,
     Field(
@@ -54,6 +57,17 @@ Seconds: TypeAlias = Annotated[
 # ros-sharp always sends 2147483647, so there is no upper bound.
 FragmentSize: TypeAlias = Annotated[
     Annotated[int, Field(gt=0)] | None, Field(description="a number of characters > 0, or null")
+]
+ShortText: TypeAlias = Annotated[
+    str, Field(max_length=MAX_NAME_CHARACTERS, description=f"text of up to {MAX_NAME_CHARACTERS} characters")
+]
+OptionalSecret: TypeAlias = Annotated[
+    Annotated[str, Field(max_length=MAX_SECRET_CHARACTERS)] | None,
+    Field(repr=False, description=f"text of up to {MAX_SECRET_CHARACTERS} characters"),
+]
+# Up to the year 9999; larger ones cannot be told as a time.
+UnixSeconds: TypeAlias = Annotated[
+    float, Field(ge=0, le=253_402_300_799, allow_inf_nan=False, description="seconds since 1970, >= 0")
 ]
 Flag: TypeAlias = Annotated[bool, Field(description="true or false")]
 JsonObject: TypeAlias = Annotated[dict[str, Any], Field(description="an object")]
@@ -293,6 +307,31 @@ class Png(Operation):
     data: Text
 
 
+class Auth(Operation):
+    """Show who the client is, by a token or by a proof of one.
+
+    Attributes:
+        token: the token itself.
+        mac: rosauth's proof: SHA-512 of the token and of the fields below, as hexadecimal text.
+        client: the client's address, as it calls it.
+        dest: the server's.
+        rand: a text of its own for every proof.
+        t: when the proof was made [s since the epoch].
+        level: a role as rosauth knows them.
+        end: until when the proof is good [s since the epoch].
+    """
+
+    op: Literal["auth"] = "auth"
+    token: OptionalSecret = None
+    mac: OptionalSecret = None
+    client: ShortText = ""
+    dest: ShortText = ""
+    rand: ShortText = ""
+    t: UnixSeconds = 0.0
+    level: ShortText = ""
+    end: UnixSeconds = 0.0
+
+
 class SetLevel(Operation):
     """Choose which status messages the client gets from now on."""
 
@@ -326,6 +365,7 @@ _MODELS: tuple[type[Operation], ...] = (
     ActionResult,
     Fragment,
     Png,
+    Auth,
     SetLevel,
     Status,
 )
@@ -358,6 +398,8 @@ def _refusal(op: Any, model: type[Operation], value: dict[str, Any], error: Vali
     """Turn the first of pydantic's findings into one line."""
     # A field of several types yields one finding for each; all of them are about the same field.
     field = str(error.errors(include_url=False)[0]["loc"][0])
+    if not model.model_fields[field].repr:
+        return OperationError(op, field, f"wanted {model.model_fields[field].description}; what came is not shown")
     wanted = model.model_fields[field].description
     got = describe(value[field]) if field in value else "none"
     return OperationError(op, field, f"wanted {wanted}, got {got}")

@@ -52,6 +52,11 @@ class Outbox:
         """Whether nothing waits."""
         return not self._topic_data and not self._replies
 
+    @property
+    def size_bytes(self) -> int:
+        """What waits."""
+        return self._topic_bytes + self._reply_bytes + self._request_bytes
+
     def put_reply(self, parcel: Parcel) -> None:
         """Queue a reply; one alone may have any size, one too many beside others sets `overflowed`."""
         if self._reply_bytes and self._reply_bytes + parcel.size_bytes > self._limits.max_queued_reply_bytes:

@@ -25,6 +25,7 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from protocol import values
+from protocol.message_budget import BUDGET, values_in
 from protocol.registry import ArrayBounds, Field, MessageType, Registry
 
 # Returns the message anew, or None where it is not as it should be in every respect.
@@ -139,6 +140,8 @@ class _Writer:
             self._refuse_if(f"{variable} is None")
         else:
             self._names[convert] = quick_way(self._registry, field.base)
+            self._names["take"] = BUDGET.take
+            self._lines.append(f"take(len({variable}) * {values_in(self._registry, field.base)})")
             self._lines.append(f"{variable} = [{convert}(element) for element in {variable}]")
             self._refuse_if(f"None in {variable}")
         return variable

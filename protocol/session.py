@@ -237,6 +237,11 @@ class Session:
         return not self._outbox.empty
 
     @property
+    def queued_bytes(self) -> int:
+        """What waits to be sent."""
+        return self._outbox.size_bytes
+
+    @property
     def speaks_bson(self) -> bool:
         """Whether the client is answered in BSON, as its last frame was."""
         return self._reader.last_was_bson

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.errors import FrameError
-from protocol.framing import MAX_REFUSALS_PER_FRAME, FrameReader
+from protocol.framing import MAX_LEADING_BYTES, MAX_REFUSALS_PER_FRAME, FrameReader
 from protocol.limits import Limits
 
 operations = st.fixed_dictionaries(
@@ -66,6 +66,12 @@ def test_an_object_in_the_middle_of_a_longer_one_belongs_to_it():
 @pytest.mark.parametrize("garbage", ["hello ", "}}", "{bad} ", "{{{", '"', "]", "{ nothing", "\x00", "a:1,"])
 def test_garbage_before_an_object_is_passed_over(garbage):
     assert read(garbage + '{"op":"a"}') == [{"op": "a"}]
+
+
+@pytest.mark.parametrize("before", ["{", "x"])
+def test_behind_too_much_garbage_nothing_is_looked_for(before):
+    (error,) = read(before * MAX_LEADING_BYTES + ' {"op":"publish"}')
+    assert isinstance(error, FrameError)
 
 
 @pytest.mark.parametrize("garbage", ['{"a" ', '{"a', "{", '{"a":"'])

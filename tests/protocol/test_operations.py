@@ -32,6 +32,7 @@ MINIMAL = {
     "action_result": {"action": "/a", "id": "action_goal:/a:1", "status": 4, "result": True},
     "fragment": {"id": "f", "data": "{}", "num": 0, "total": 1},
     "png": {"data": "iVBO"},
+    "auth": {},
     "set_level": {"level": "error"},
     "status": {"msg": "hello"},
 }
@@ -216,3 +217,10 @@ def test_any_fields_are_read_or_refused_in_one_line(op, fields):
         outcome = error
     assert outcome.op == op
     assert isinstance(outcome, OPERATIONS[op]) or "\n" not in str(outcome)
+
+
+@pytest.mark.parametrize("field", ["token", "mac"])
+def test_a_secret_that_is_refused_is_not_shown(field):
+    refusal = str(refused({"op": "auth", field: "my-secret" * 100}))
+    assert f"field {field}: wanted text of up to 512 characters" in refusal
+    assert "my-secret" not in refusal

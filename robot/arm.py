@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from robot.arm_process import ArmProcess
 from robot.arm_stream import ArmStream
 from robot.messages import (
     ArmConfig,
@@ -27,11 +28,9 @@ from robot.messages import (
     MotionEnded,
     Order,
     Outcome,
-    Shutdown,
     Stop,
     Stream,
 )
-from robot.processes import Child
 from robot.trajectory import Trajectory
 
 log = logging.getLogger("armbridge.arm")
@@ -46,6 +45,10 @@ CLOSE_TIMEOUT_S = 5.5
 
 # A fifth of the shortest silence that the arm process takes for the server's death.
 HEARTBEAT_S = 0.1
+
+# States come once a second at least; a process that says nothing for 5 s hangs. Counted in heartbeats, for a server
+# that was stopped itself must not blame its child.
+SILENT_HEARTBEATS = 50
 
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
@@ -79,7 +82,7 @@ class Arm:
         self._config = config
         self._on_state = on_state
         self._on_health = on_health
-        self._child: Child | None = None
+        self._process = ArmProcess(self._received, self._exited)
         self._motions: dict[int, asyncio.Future[MotionEnded]] = {}
         self._streams: dict[int, ArmStream] = {}
         self._orders: dict[int, asyncio.Future[CommandDone]] = {}
@@ -89,25 +92,57 @@ class Arm:
         self._restart: asyncio.Task[None] | None = None
         self._heartbeat: asyncio.Task[None] | None = None
         self._first_state = asyncio.Event()
+        self._starting = False
+        self._begun = False
+        self._spoken = False
+        self._silent_heartbeats = 0
         self._state_at_s = time.monotonic()
         self.stops = 0
         self._speed_factor = 1.0
         self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason="the arm process is starting")
 
-    async def start(self, timeout_s: float) -> None:
-        """Start the process and wait for its first state, connected or not.
+    async def launch(self) -> None:
+        """Start the process, which looks for no arm before :meth:`start`; orders that come until then are kept."""
+        self._starting = True
+        await self._process.launch()
+
+    async def start(self, timeout_s: float, port: str | None = None) -> None:
+        """Have the process take the arm over, and wait for its first state, connected or not.
+
+        Args:
+            timeout_s: bound of the wait [s].
+            port: of the arm, when it was not known before.
 
         Raises:
             TimeoutError: no state came within ``timeout_s``.
         """
-        await self._start_child()
+        if port is not None:
+            self._config = replace(self._config, port=port)
+        if not self._process.launched:
+            await self.launch()
+        self._begun = True
+        self._process.configure(self._config)
         self._heartbeat = asyncio.create_task(self._beat(), name="heartbeat of the arm process")
-        await asyncio.wait_for(self._first_state.wait(), timeout_s)
+        try:
+            await asyncio.wait_for(self._first_state.wait(), timeout_s)
+        finally:
+            self._starting = False
+
+    async def until_started(self, timeout_s: float) -> None:
+        """Wait while the arm is being started, for ``timeout_s`` at most; not at all when nobody is starting it."""
+        if self._starting:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._first_state.wait(), timeout_s)
+
+    def use_port(self, port: str) -> None:
+        """Have the process look for its arm on another port, as soon as the one in use is lost."""
+        self._config = replace(self._config, port=port)
+        self._process.send(self._config)
 
     @property
     def pid(self) -> int | None:
         """Process id."""
-        return self._child.pid if self._child is not None else None
+        return self._process.pid
 
     @property
     def state_age_s(self) -> float:
@@ -139,7 +174,7 @@ class Arm:
         """Begin to steer joints by their velocities; they stay at rest until the first."""
         motion_id = next(self._ids)
         ended = self._begin(Stream(motion_id, joint_names))
-        stream = ArmStream(motion_id, joint_names, ended, self._send)
+        stream = ArmStream(motion_id, joint_names, ended, self._process.send)
         self._streams[motion_id] = stream
         ended.add_done_callback(lambda _: self._streams.pop(motion_id, None))
         return stream
@@ -164,13 +199,13 @@ class Arm:
             self.stops += 1
             numbers = [None]
         for number in numbers:
-            self._send(Stop(number))
+            self._process.send(Stop(number))
 
     def change_pace(self, change: ChangePace) -> None:
         """Have motions played otherwise from now on."""
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
-        self._send(change)
+        self._process.send(change)
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion in progress has ended; returns whether they have within ``timeout_s``."""
@@ -184,10 +219,9 @@ class Arm:
         number = next(self._ids)
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[CommandDone] = loop.create_future()
-        if self._child is None or not self._child.running:
+        if not self._process.order(Command(number, order)):
             answered.set_result(CommandDone(number, done=False, message="the arm process is not running"))
             return answered
-        self._child.send(Command(number, order))
         self._orders[number] = answered
         late = CommandDone(number, done=False, message=f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s")
         timer = loop.call_later(ORDER_TIMEOUT_S, _settle, answered, late)
@@ -204,41 +238,35 @@ class Arm:
                 await self._restart
         if self._heartbeat is not None:
             self._heartbeat.cancel()
-        if self._child is not None:
-            self._child.send(Shutdown())
-            await self._child.wait(CLOSE_TIMEOUT_S)
-
-    async def _start_child(self) -> None:
-        self._child = Child("robot.control.loop", on_message=self._received, on_exit=self._exited)
-        await self._child.connect()
-        self._child.send(self._config)
+        await self._process.end(CLOSE_TIMEOUT_S)
 
     async def _beat(self) -> None:
         while True:
             await asyncio.sleep(HEARTBEAT_S)
-            if self._child is not None:
-                self._child.send(Heartbeat())
-
-    def _send(self, message: object) -> None:
-        if self._child is not None:
-            self._child.send(message)
+            self._process.send(Heartbeat())
+            self._silent_heartbeats += self._spoken
+            if self._silent_heartbeats > SILENT_HEARTBEATS:
+                log.error("the arm process has said nothing for %g s; ending it", HEARTBEAT_S * SILENT_HEARTBEATS)
+                self._silent_heartbeats = 0
+                await self._process.kill()
 
     def _begin(self, command: Execute | Stream) -> asyncio.Future[MotionEnded]:
         """Send a motion's command; the future is its one end."""
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
         motion_id = command.motion_id
-        if self._child is None or not self._child.running:
+        if not self._process.drives:
             ended.set_result(MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process is not running"))
             return ended
         self._motions[motion_id] = ended
         ended.add_done_callback(lambda _: self._motions.pop(motion_id, None))
         # Told each time: the arm process may be another than the last.
-        self._child.send(ChangePace(speed_factor=self._speed_factor))
-        self._child.send(command)
+        self._process.send(ChangePace(speed_factor=self._speed_factor))
+        self._process.send(command)
         return ended
 
     def _received(self, message: Any) -> None:
         if isinstance(message, ArmState):
+            self._spoken, self._silent_heartbeats = True, 0
             self._take_state(message)
         elif isinstance(message, ArmHealth):
             self._on_health(message)
@@ -279,6 +307,7 @@ class Arm:
         self._on_state(state)
 
     def _exited(self) -> None:
+        self._spoken, self._silent_heartbeats = False, 0
         self._answer_held()
         for motion_id, motion in list(self._motions.items()):
             _settle(motion, MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process ended during the motion"))
@@ -294,8 +323,7 @@ class Arm:
         self._restart = asyncio.create_task(self._start_again(), name="restart arm process")
 
     async def _start_again(self) -> None:
-        if self._child is not None:
-            await self._child.kill()
+        await self._process.kill()
         await asyncio.sleep(RESTART_DELAY_S)
         if self._closing:
             # Python 3.11's wait_for may swallow the cancellation (bpo-37658).
@@ -303,7 +331,9 @@ class Arm:
         # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
         # not be switched on.
         self._config = replace(self._config, start_enabled=False, fault=self.state.fault)
-        await self._start_child()
+        await self._process.launch()
+        if self._begun:
+            self._process.configure(self._config)
 
 
 def _settle(waiting: asyncio.Future[Answer] | None, answer: Answer) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from robot.calibration import Calibration
 from robot.faults import Fault
+from robot.guard_limits import GuardLimits
 from robot.model import RobotModel
 from robot.servos.counters import BusCounters
 from robot.trajectory import Trajectory, Vector
@@ -83,6 +84,7 @@ class ArmConfig:
         warn_temperature_c: servos above it are told of [degC].
         slow_temperature_c: motions slow down while a servo is above it [degC].
         stop_temperature_c: a servo above it is a fault [degC].
+        guard_limits: how hard the servos may push, and what is borne before a motion has failed.
         fault: one that an earlier arm process had latched and nobody has reset.
     """
 
@@ -98,6 +100,7 @@ class ArmConfig:
     warn_temperature_c: float = 55.0
     slow_temperature_c: float = 60.0
     stop_temperature_c: float = 65.0
+    guard_limits: GuardLimits = field(default_factory=GuardLimits)
     fault: Fault | None = None
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from robot.control import succession
 from robot.control.acceptance import names_refusal, refusal
-from robot.control.guards import Flags, Guards, Temperatures
-from robot.control.motion import GOAL_TOLERANCE_RAD, Motion
+from robot.control.guards import DROOP_RAD, Flags, Guards, Temperatures
+from robot.control.motion import Motion
 from robot.control.streaming import Streaming
 from robot.faults import Fault, FaultCode
 from robot.limits import JointBounds
@@ -142,7 +142,7 @@ class Driver:
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._forget_course()
-        motion = Motion(command, self._names, self.bounds)
+        motion = Motion(command, self._names, self.bounds, self.guards.limits)
         ended = succession.succeed(self._motions, motion)
         self._motions.append(motion)
         self._torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
@@ -331,7 +331,7 @@ class Driver:
 
     def _yield_to(self, measured: Measured) -> None:
         """Give way, step by bounded step, where a joint is far from its goal."""
-        away = np.abs(measured.position_rad - self._goal_rad) > GOAL_TOLERANCE_RAD
+        away = np.abs(measured.position_rad - self._goal_rad) > DROOP_RAD
         inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
         self._hold_rad = np.where(away, inside, self._hold_rad)
 

@@ -12,31 +12,26 @@ from numpy.typing import NDArray
 
 from robot.calibration import RAD_PER_TICK
 from robot.faults import Fault, FaultCode
+from robot.guard_limits import GuardLimits
 from robot.servos.registers import StatusBit, status_names
 from robot.servos.telemetry import FREE_SPEED_RAD_S, JUMP_RAD, Measured
 from robot.trajectory import Vector
 
 Flags = NDArray[np.bool_]
 
-TRACKING_ERROR_RAD = 0.35
-TRACKING_TIME_S = 0.2
-
-# A joint that pushes without moving is stalled, well before the servo's own overload timer of 2 s runs out. Far
-# behind its goal, near its torque limit or drawing 60 % of the stall current, and all but standing still.
+# A joint that pushes without moving is stalled: far behind its goal, near its torque limit or drawing much current,
+# and all but standing still.
 STALL_ERROR_RAD = 60 * RAD_PER_TICK
 STALL_SPEED_RAD_S = 30 * RAD_PER_TICK
 STALL_LOAD_SHARE = 0.8
-STALL_CURRENT_A = 1.5
-STALL_TIME_S = 0.3
 
-# No joint nearer to its goal can be stalled or lost.
-NEAR_GOAL_RAD = min(STALL_ERROR_RAD, TRACKING_ERROR_RAD)
+# Backlash and droop under load of real arms: a joint no farther from its goal holds there.
+DROOP_RAD = 0.06
 
 # Ten missed cycles. The servos still follow their last goals meanwhile.
 STALE_AFTER_S = 0.1
 
-# The servo's electronics reset not far below; it lasts longer than the dip of a motor starting.
-MIN_VOLTAGE_V = 4.5
+# Longer than the dip of a motor starting.
 LOW_VOLTAGE_TIME_S = 0.2
 VOLTAGE_BIT_TIME_S = 2.0
 
@@ -57,7 +52,7 @@ _SENTENCES = {
     FaultCode.ENCODER_ERROR: "joint {name} has a servo that complains of its encoder",
     FaultCode.POSITION_JUMP: "joint {name} seems to have jumped: its encoder or horn has slipped",
     FaultCode.SERVO_SILENT: "joint {name} has a servo that has not answered for {age_s:.2f} s",
-    FaultCode.VOLTAGE_LOW: f"joint {{name}} has {{volts:.1f}} V; it needs {MIN_VOLTAGE_V} V at least",
+    FaultCode.VOLTAGE_LOW: "joint {name} has {volts:.1f} V; it needs {least_volts:g} V at least",
     FaultCode.VOLTAGE_HIGH: "joint {name} has {volts:.1f} V, above the {most_volts:.1f} V of its servo",
     FaultCode.STALLED: "joint {name} pushes in vain, {error_rad:.2f} rad short of its goal",
     FaultCode.TRACKING_LOST: "joint {name} is {error_rad:.2f} rad behind its goal: blocked, or too weak for the load",
@@ -96,6 +91,10 @@ class Guards:
         joint_names: order of every array.
         temperatures: when heat is a fault.
         max_voltage_v: what each servo's register MAX_VOLTAGE holds, shape (joints,) [V].
+        limits: what is borne.
+
+    Attributes:
+        limits: the same.
     """
 
     def __init__(
@@ -103,9 +102,13 @@ class Guards:
         joint_names: tuple[str, ...],
         temperatures: Temperatures | None = None,
         max_voltage_v: Vector | None = None,
+        limits: GuardLimits | None = None,
     ) -> None:
         self._names = joint_names
         self._temperatures = temperatures or Temperatures()
+        self.limits = limits or GuardLimits()
+        # No joint nearer to its goal can be stalled or lost.
+        self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
         joints = len(joint_names)
         self._max_voltage_v = np.full(joints, DEFAULT_MAX_VOLTAGE_V) if max_voltage_v is None else max_voltage_v
         self._none: Flags = np.zeros(joints, dtype=bool)
@@ -183,11 +186,11 @@ class Guards:
         In plain numbers: a handful of operations on arrays would cost more than all of them for six joints.
         """
         positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), before.position_rad.tolist(), strict=True)
-        if not all(abs(at - goal) <= NEAR_GOAL_RAD and abs(at - was) <= JUMP_RAD for at, goal, was in positions):
+        if not all(abs(at - goal) <= self._near_goal_rad and abs(at - was) <= JUMP_RAD for at, goal, was in positions):
             return False
         return (
             max(measured.temperature_c.tolist()) < self._temperatures.stop_c
-            and min(measured.voltage_v.tolist()) >= MIN_VOLTAGE_V
+            and min(measured.voltage_v.tolist()) >= self.limits.min_voltage_v
             and not any(measured.status.tolist())
         )
 
@@ -202,20 +205,21 @@ class Guards:
     def _mind_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
         error = np.abs(measured.position_rad - goal_rad)
         self.stalled = self._stalling(error, measured, torque_limit, now_s)
-        self.lost = self._behind.lasting(error > TRACKING_ERROR_RAD, now_s) >= TRACKING_TIME_S
+        lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
+        self.lost = lost_s >= self.limits.tracking_time_s
 
     def _stalling(self, error: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> Flags:
         far = error > STALL_ERROR_RAD
         if not far.any():
             return self._pushing.lasting(far, now_s) > 0.0
         loaded = np.abs(measured.load) > STALL_LOAD_SHARE * torque_limit
-        pushing = loaded | (np.abs(measured.current_a) > STALL_CURRENT_A)
+        pushing = loaded | (np.abs(measured.current_a) > self.limits.stall_current_a)
         standing = np.abs(measured.velocity_rad_s) < STALL_SPEED_RAD_S
         lasting_s = self._pushing.lasting(far & pushing & standing, now_s)
-        return np.asarray(lasting_s >= STALL_TIME_S)
+        return np.asarray(lasting_s >= self.limits.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
-        low, complaining = measured.voltage_v < MIN_VOLTAGE_V, measured.status & StatusBit.VOLTAGE != 0
+        low, complaining = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusBit.VOLTAGE != 0
         low_s, complaining_s = self._low.lasting(low, now_s), self._complaining.lasting(complaining, now_s)
         return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (complaining_s >= VOLTAGE_BIT_TIME_S))
 
@@ -234,6 +238,7 @@ class Guards:
             age_s=measured.age_s[joint],
             volts=volts,
             most_volts=most_volts,
+            least_volts=self.limits.min_voltage_v,
         )
         return Fault(code, sentence, self._names[joint], measured.stamp_s)
 

@@ -10,11 +10,12 @@ import contextlib
 import time
 from typing import Any
 
+from robot.channel import Channel, channel_of_child
+from robot.control.config_check import checked
 from robot.control.pacing import Pacer, become_punctual
 from robot.control.supervisor import Supervisor
 from robot.errors import RobotError
 from robot.messages import ArmConfig, Command, Order
-from robot.processes import Channel, channel_of_child
 from robot.servos.bus import Bus
 from robot.servos.discovery import resolve_port
 
@@ -38,6 +39,7 @@ class ArmLoop:
     def __init__(self, channel: Channel, config: ArmConfig, *, real_time: bool) -> None:
         self._channel = channel
         self._port = config.port
+        self._look_now = False
         self._supervisor = Supervisor(config, self._send, time.monotonic(), real_time=real_time)
 
     def run(self) -> None:
@@ -81,15 +83,19 @@ class ArmLoop:
     def _obey(self, messages: list[Any]) -> None:
         """Obey emergency stops first, the rest in order."""
         for message in sorted(messages, key=_rank):
+            if isinstance(message, ArmConfig):
+                # When its bus is lost, the arm is to be found elsewhere.
+                self._port, self._look_now = message.port, True
             self._supervisor.obey(message, time.monotonic())
 
     def _send(self, message: object, droppable: bool) -> None:
         self._channel.send(message, droppable=droppable)
 
     def _wait(self, wait_s: float) -> None:
-        """Answer the server while there is no bus."""
+        """Answer the server while there is no bus, until it is time to look for one again."""
         until_s = time.monotonic() + wait_s
-        while not self._finished() and (remaining_s := until_s - time.monotonic()) > 0.0:
+        self._look_now = False
+        while not (self._finished() or self._look_now) and (remaining_s := until_s - time.monotonic()) > 0.0:
             if self._channel.closed:
                 self._supervisor.lose_server()
             else:
@@ -105,7 +111,7 @@ def main() -> None:
     channel = channel_of_child()
     config = channel.receive_first()
     if config is not None:
-        ArmLoop(channel, config, real_time=become_punctual()).run()
+        ArmLoop(channel, checked(config), real_time=become_punctual()).run()
 
 
 if __name__ == "__main__":

@@ -6,14 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot.control.playback import Playback
+from robot.guard_limits import GuardLimits
 from robot.limits import JointBounds
 from robot.messages import Execute, MotionEnded, Outcome
 from robot.trajectory import Vector
 
-# Backlash (0.9-1.0 deg) plus droop under load (1.8-2.6 deg) of real arms.
-GOAL_TOLERANCE_RAD = 0.06
-
-SETTLE_TIMEOUT_S = 1.0
 SETTLED_TICKS = 3
 
 
@@ -24,13 +21,15 @@ class Motion:
         command: what was asked for, found acceptable.
         names: the arm's joints, order of the driver's arrays.
         bounds: limits of the joints.
+        limits: when its end is reached.
 
     Attributes:
         columns: places of its joints in the driver's arrays.
     """
 
-    def __init__(self, command: Execute, names: tuple[str, ...], bounds: JointBounds) -> None:
+    def __init__(self, command: Execute, names: tuple[str, ...], bounds: JointBounds, limits: GuardLimits) -> None:
         self.command = command
+        self._limits = limits
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
         self.playback = Playback(command.trajectory, bounds.max_acceleration[self.columns])
         self._end_reached_s: float | None = None
@@ -104,10 +103,10 @@ class Motion:
         if self._end_reached_s is None:
             self._end_reached_s = now_s
         error = np.abs(position_rad - goal_rad)[self.columns]
-        self._settled_ticks = self._settled_ticks + 1 if error.max() <= GOAL_TOLERANCE_RAD else 0
+        self._settled_ticks = self._settled_ticks + 1 if error.max() <= self._limits.goal_tolerance_rad else 0
         if self._settled_ticks >= SETTLED_TICKS:
             return self.ended(Outcome.REACHED, "the arm is there")
-        if now_s - self._end_reached_s < SETTLE_TIMEOUT_S:
+        if now_s - self._end_reached_s < self._limits.settle_timeout_s:
             return None
         return self._not_settled(error)
 
@@ -119,7 +118,7 @@ class Motion:
                 Outcome.GRIPPED, f"joint {name} holds something, {error[worst]:.3f} rad short of its goal"
             )
         message = (
-            f"joint {name} is still {error[worst]:.3f} rad from its goal {SETTLE_TIMEOUT_S:g} s after "
-            f"the end of the motion (tolerance {GOAL_TOLERANCE_RAD} rad)"
+            f"joint {name} is still {error[worst]:.3f} rad from its goal {self._limits.settle_timeout_s:g} s after "
+            f"the end of the motion (tolerance {self._limits.goal_tolerance_rad:g} rad)"
         )
         return self.ended(Outcome.NOT_SETTLED, message)

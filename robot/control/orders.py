@@ -95,7 +95,8 @@ class Orders:
         servos = self._arm.servos
         own_limits = {servo: each.angle_limits_ticks for servo, each in found.items()}
         bounds = self._bounds.within_servos(self._config.calibration, own_limits)
-        guards = Guards(servos.names, self._temperatures, np.array([found[i].max_voltage_v for i in servos.ids]))
+        max_voltage_v = np.array([found[i].max_voltage_v for i in servos.ids])
+        guards = Guards(servos.names, self._temperatures, max_voltage_v, self._config.guard_limits)
         full_torque = servos.full_torque / 1000.0
         driver = Driver(servos.names, bounds, guards, full_torque, self._temperatures, self._early_fault)
         self._arm.begin(driver, Upkeep(servos, found), TickLimits(servos.ticks_range(bounds), own_limits))

@@ -98,7 +98,7 @@ class Supervisor:
         self._real_time = real_time
         names = tuple(joint.joint for joint in config.calibration.joints)
         self._bounds = JointBounds.of(config.robot, names)
-        self.servos = ServoMap(config.calibration, self._bounds)
+        self.servos = ServoMap(config.calibration, self._bounds, config.guard_limits)
         self._ticks_per_state = max(1, round(1.0 / (PERIOD_S * config.state_rate_hz)))
         self._watchdog = Watchdog(config.watchdog_s, now_s)
         self.arm: ArmOnBus | None = None

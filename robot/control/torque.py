@@ -104,7 +104,8 @@ def enable(bus: Bus, servos: ServoMap, limits: TickLimits, ids: Sequence[int]) -
         yield from _await_rest(bus, servos, relaxed)
         for servo in relaxed:
             goals[servo] = yield from _switch_on(bus, servos, servo, limits)
-        start = {servo: controls[servo].torque_limit_permille for servo in ids} | dict.fromkeys(relaxed, FIRST_TORQUE)
+        start = {servo: controls[servo].torque_limit_permille for servo in ids}
+        start |= {servo: _first_torque(servos, servo) for servo in relaxed}
         yield from _raise_torque(bus, servos, start)
     except (StartupError, NoReply) as error:
         left = yield from switch_off(bus, relaxed)
@@ -142,7 +143,7 @@ def _at_rest(ticks: list[int]) -> bool:
 
 def _switch_on(bus: Bus, servos: ServoMap, servo_id: int, limits: TickLimits) -> Steps[int]:
     """Torque on with the goal where the joint is, and at reduced torque; returns the goal."""
-    yield from write_verified(bus, servo_id, Register.TORQUE_LIMIT, FIRST_TORQUE)
+    yield from write_verified(bus, servo_id, Register.TORQUE_LIMIT, _first_torque(servos, servo_id))
     goal = limits.reachable(servo_id, (yield from _present_ticks(bus, servo_id)))
     yield from _set_goal(bus, servos, servo_id, goal)
     now = yield from _present_ticks(bus, servo_id)
@@ -180,6 +181,10 @@ def _raise_torque(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) ->
         )
     for servo in start:
         yield from write_verified(bus, servo, Register.TORQUE_LIMIT, full[servo])
+
+
+def _first_torque(servos: ServoMap, servo_id: int) -> int:
+    return min(FIRST_TORQUE, full_torque(servos)[servo_id])
 
 
 def full_torque(servos: ServoMap) -> dict[int, int]:

@@ -122,10 +122,13 @@ def serve(emulation: Emulation, control: Control) -> None:
 
 
 def _end_on_signals(*, controlled: bool) -> None:
-    """End in good order on SIGTERM and Ctrl-C; a controlled emulator leaves Ctrl-C to its controller."""
+    """End in good order on SIGTERM and Ctrl-C; a controlled emulator leaves all but the former to its controller."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
         sys.exit(0)
 
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, signal.SIG_IGN if controlled else end)
+    if controlled:
+        for number in (signal.SIGHUP, signal.SIGUSR1):
+            signal.signal(number, signal.SIG_IGN)

@@ -37,14 +37,11 @@ from robot.servos.packets import (
     sync_write_parameters,
     wire_time_s,
 )
-from robot.servos.port import SerialPort, open_port
+from robot.servos.port import QUIET_S, SerialPort, open_port
 from robot.servos.registers import LAYOUT, Register, decode, encode
 
 # How often one servo is asked before it counts as silent: single packets get lost while others draw current.
 ATTEMPTS = 3
-
-# A line without a byte for this long is quiet: three USB frames of 1 ms.
-QUIET_S = 0.003
 
 # A line that will not fall quiet is used all the same; the parser rejects what does not fit.
 QUIET_LIMIT_S = 0.03
@@ -252,7 +249,7 @@ class Bus:
         received = b""
         frames: dict[int, StatusFrame] = {}
         while len(frames) < len(ids) and len(received) < MAX_BURST_BYTES:
-            until_s = min(deadline_s, self._last_byte_s + QUIET_S) if received else deadline_s
+            until_s = min(deadline_s, self._last_byte_s + self._port.quiet_s) if received else deadline_s
             chunk = self._port.receive(max(0.0, until_s - time.monotonic()))
             if not chunk:
                 break

@@ -34,10 +34,16 @@ READ_BYTES = 4096
 # Clearing ends even if a device sends faster than it is read.
 MAX_CLEARING_READS = 16
 
-# How late replies may come through the host's own serial port (USB frames, scheduling), and through a
-# network.
+# How late replies may come through the host's own serial port (USB frames, scheduling), through a pseudo terminal,
+# whose bytes a busy machine's kernel carries over when it has nothing better to do, and through a network.
 LOCAL_LATENCY_S = 0.005
+TERMINAL_LATENCY_S = 0.02
 NETWORK_LATENCY_S = 0.05
+
+# A burst of replies that stops for this long has ended: three USB frames of 1 ms; a pseudo terminal may stop in between
+# for as long as its kernel has other work.
+QUIET_S = 0.003
+TERMINAL_QUIET_S = 0.01
 
 # Pseudo terminals: their other end keeps them open, and with that a claim whose owner has died.
 PSEUDO_TERMINALS = "/dev/pts/"
@@ -75,12 +81,14 @@ class SerialPort(PortHandler):
 
     Attributes:
         latency_s: what a reply may take beyond its time on the wire [s].
+        quiet_s: how long a burst of replies may stop before it counts as ended [s].
         discarded_bytes: input thrown away so far because nobody had asked for it.
     """
 
     def __init__(self, port_name: str) -> None:
         super().__init__(port_name)
         self.latency_s = NETWORK_LATENCY_S if "://" in port_name else LOCAL_LATENCY_S
+        self.quiet_s = QUIET_S
         self.discarded_bytes = 0
         self._descriptor: int | None = None
         self._poll = select.poll()
@@ -95,7 +103,9 @@ class SerialPort(PortHandler):
         with contextlib.suppress(io.UnsupportedOperation):
             self._descriptor = line.fileno()
             self._poll.register(self._descriptor, select.POLLIN)
-            if not os.path.realpath(self.port_name).startswith(PSEUDO_TERMINALS):
+            if os.path.realpath(self.port_name).startswith(PSEUDO_TERMINALS):
+                self.latency_s, self.quiet_s = TERMINAL_LATENCY_S, TERMINAL_QUIET_S
+            else:
                 _claim(self._descriptor)
         return True
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from robot.calibration import Calibration, JointCalibration
+from robot.guard_limits import GuardLimits
 from robot.limits import JointBounds
 from robot.servos.registers import GOAL_ADDRESS, Register, encode, goal_block
 from robot.trajectory import Vector
@@ -19,10 +20,7 @@ VELOCITY_CAP_TICKS_S = 1800
 # The register's largest value, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
 SERVO_ACCELERATION = 254
 
-# Register TORQUE_LIMIT in 0.1 %: less than all, so that a servo's own overload protection stays the last resort; the
-# gripper less, so that it does not burn on its grip.
-FULL_TORQUE = 800
-GRIPPER_TORQUE = 500
+PERMILLE = 1000
 
 # Where the goal is in the block that is written to the servos.
 GOAL_AT = Register.GOAL_POSITION - GOAL_ADDRESS
@@ -34,9 +32,13 @@ class ServoMap:
     Args:
         calibration: joints, whose order is that of every array, and their servos.
         bounds: gives the velocity caps.
+        limits: how hard the servos may push.
+
+    Attributes:
+        full_torque: register TORQUE_LIMIT of each servo that holds, shape (joints,) [0.1 %].
     """
 
-    def __init__(self, calibration: Calibration, bounds: JointBounds) -> None:
+    def __init__(self, calibration: Calibration, bounds: JointBounds, limits: GuardLimits | None = None) -> None:
         self.joints = calibration.joints
         self.names = tuple(joint.joint for joint in self.joints)
         self.ids = tuple(joint.servo_id for joint in self.joints)
@@ -49,7 +51,9 @@ class ServoMap:
         self._rad_per_tick = [joint.rad_s_from_ticks_s(1.0) for joint in self.joints]
         blocks = {servo: goal_block(0, cap, SERVO_ACCELERATION) for servo, cap in self.cap_ticks_s.items()}
         self._around_goal = {servo: (block[:GOAL_AT], block[GOAL_AT + 2 :]) for servo, block in blocks.items()}
-        self.full_torque = np.array([GRIPPER_TORQUE if joint.is_gripper else FULL_TORQUE for joint in self.joints])
+        limits = limits or GuardLimits()
+        full, gripper = round(limits.torque_limit * PERMILLE), round(limits.gripper_torque_limit * PERMILLE)
+        self.full_torque = np.array([gripper if joint.is_gripper else full for joint in self.joints])
 
     def label(self, servo_id: int) -> str:
         """Name a servo for people: its joint and its id."""

@@ -198,6 +198,18 @@ async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(r
     assert joint.rad_from_ticks(first[1] | first[2] << 8) == pytest.approx(held_rad, abs=0.1)
 
 
+async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robot.arm.SILENT_HEARTBEATS", 4)
+    hanging = rig.arm.pid
+    assert hanging is not None
+    motion = rig.arm.execute(to(1.0, duration_s=2.0))
+    await rig.until(lambda: rig.pan_rad > 0.1)
+    os.kill(hanging, signal.SIGSTOP)
+    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.PROCESS_LOST
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert rig.arm.pid != hanging
+
+
 async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew(rig: ArmOnBus) -> None:
     rig.arm.change_pace(ChangePace(speed_factor=0.5))
     assert rig.arm.pid is not None
@@ -238,12 +250,47 @@ async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnBus) -> None:
     assert rig.arm.pid is not None
     # The end of the channel is all that the arm process sees of its server's death.
     rig.arm._closing = True
-    assert rig.arm._child is not None
-    assert rig.arm._child._writer is not None
-    rig.arm._child._writer.close()
-    await rig.until(lambda: not rig.arm._child.running)  # type: ignore[union-attr]
+    child = rig.arm._process._child
+    assert child is not None
+    assert child._link is not None
+    child._link._unlink()
+    await rig.until(lambda: not child.running)
     pans = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes()[-4:]]
     assert max(pans) - min(pans) <= 2
+
+
+async def test_who_asks_while_the_arm_is_being_started_waits_for_it(start_emulator: Start, tmp_path: Path) -> None:
+    made = ArmOnBus(start_emulator(), tmp_path / "none")
+    await asyncio.wait_for(made.arm.until_started(10.0), 0.1)
+    await made.arm.launch()
+    waiting = asyncio.create_task(made.arm.until_started(10.0))
+    await asyncio.sleep(0)
+    assert not waiting.done()
+    await made.arm.start(10.0)
+    await asyncio.wait_for(waiting, 0.1)
+    assert made.arm.state.mode is Mode.HOLDING
+    await made.arm.close()
+
+
+async def test_who_waits_for_an_arm_that_does_not_start_waits_no_longer_than_told() -> None:
+    arm = Arm(CONFIG, lambda _state: None)
+    await arm.launch()
+    await asyncio.wait_for(arm.until_started(0.02), 1.0)
+    await arm.close()
+
+
+async def test_an_arm_whose_bus_is_gone_is_found_on_another_port(rig: ArmOnBus, start_emulator: Start) -> None:
+    rig.emulator.process.kill()
+    await rig.until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
+    rig.arm.use_port(start_emulator().port)
+    await rig.until(lambda: rig.arm.state.mode is Mode.RELAXED, 2.0)
+
+
+async def test_a_number_that_cannot_be_does_not_end_the_arm_process() -> None:
+    arm = Arm(replace(CONFIG, port="/dev/nothing", state_rate_hz=0.0), lambda _state: None)
+    await arm.start(10.0)
+    assert "/dev/nothing does not exist" in arm.state.reason
+    await arm.close()
 
 
 async def test_a_port_that_does_not_exist_is_told_and_tried_again() -> None:

@@ -1,86 +1,21 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import logging
 import os
 import signal
-import socket
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from robot import processes
-from robot.processes import MAX_MESSAGE_BYTES, MAX_PENDING_BYTES, Channel, Child, Decoder, encode
+from robot import log_levels, logs, processes
+from robot.logs import LoggerLevel
+from robot.processes import Child
 
 ECHO = "tests.helpers.echo_child"
-
-
-@given(st.lists(st.binary(max_size=300), max_size=8), st.integers(min_value=1, max_value=50))
-def test_messages_survive_any_cutting_of_the_stream(messages: list[bytes], size: int) -> None:
-    stream = b"".join(encode(message) for message in messages)
-    decoder = Decoder()
-    got = [m for start in range(0, len(stream), size) for m in decoder.feed(stream[start : start + size])]
-    assert got == messages
-
-
-def test_a_message_over_the_limit_is_refused() -> None:
-    with pytest.raises(ValueError, match="over the limit"):
-        Decoder().feed(b"\xff\xff\xff\xff")
-
-
-def test_a_message_that_the_other_end_refuses_is_not_sent() -> None:
-    with pytest.raises(ValueError, match="over the limit"):
-        encode(bytes(MAX_MESSAGE_BYTES))
-
-
-@pytest.fixture
-def pair() -> Iterator[tuple[Channel, Channel]]:
-    ours, theirs = socket.socketpair()
-    with ours, theirs:
-        yield Channel(ours), Channel(theirs)
-
-
-def test_a_channel_waits_no_longer_than_told(pair: tuple[Channel, Channel]) -> None:
-    assert pair[0].receive(0.0) == []
-    assert pair[0].receive(0.01) == []
-
-
-def test_a_channel_notices_that_the_other_end_is_gone() -> None:
-    ours, theirs = socket.socketpair()
-    channel = Channel(ours)
-    theirs.close()
-    assert channel.receive_first() is None
-    assert channel.closed
-    channel.send("nobody hears this")
-    ours.close()
-
-
-def test_what_comes_right_behind_the_first_message_is_not_lost(pair: tuple[Channel, Channel]) -> None:
-    child, server = pair
-    for number in range(3):
-        server.send(number)
-    assert child.receive_first() == 0
-    assert child.receive(0.0) == [1, 2]
-    assert child.receive(0.0) == []
-
-
-def test_to_a_server_that_does_not_read_only_what_may_not_be_dropped_is_kept(pair: tuple[Channel, Channel]) -> None:
-    child, server = pair
-    for number in range(5000):
-        child.send(("state", number, b"x" * 1000), droppable=True)
-    child.send("result")
-    received: list[Any] = []
-    while "result" not in received:
-        received += server.receive(0.1)
-        child.receive(0.0)
-    assert len(received) < 5000
-    assert sum(len(encode(message)) for message in received) < MAX_PENDING_BYTES + (2 << 20)
-    numbers = [message[1] for message in received[:-1]]
-    assert numbers == sorted(numbers)
 
 
 async def start_echo(received: list[Any], exited: asyncio.Event) -> Child:
@@ -108,6 +43,18 @@ async def test_a_child_answers_in_order_whatever_the_size() -> None:
         child.send(message)
     await until(received, len(sent))
     assert received == sent
+    await child.kill()
+
+
+async def test_a_signal_that_is_for_the_server_does_not_end_a_child() -> None:
+    received: list[Any] = []
+    child = await start_echo(received, asyncio.Event())
+    child.send("ready?")
+    await until(received, 1)
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1):
+        os.kill(child.pid, number)
+    child.send("still there?")
+    await until(received, 2)
     await child.kill()
 
 
@@ -175,6 +122,42 @@ async def test_an_error_in_serving_one_message_does_not_make_the_server_deaf(
     await until(received, 2)
     assert received == ["good", "good again"]
     assert "serving a message" in caplog.text
+    await child.kill()
+
+
+@pytest.fixture
+def no_changed_levels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log_levels, "_changed", {})
+
+
+async def test_a_level_is_changed_in_children_that_run_and_in_those_that_follow(
+    no_changed_levels: None, capfd: pytest.CaptureFixture[str]
+) -> None:
+    received: list[Any] = []
+    first = await start_echo(received, asyncio.Event())
+    assert log_levels.change(LoggerLevel("armbridge.echo", logging.DEBUG))
+    second = await start_echo(received, asyncio.Event())
+    for child in (first, second):
+        child.send(("log", "armbridge.echo", logging.DEBUG, "said"))
+        child.send("done")
+    await until(received, 2)
+    assert capfd.readouterr().err.count("DEBUG   armbridge.echo: said") == 2
+    assert logging.getLogger("armbridge.echo").level == logging.DEBUG
+    await first.kill()
+    await second.kill()
+
+
+async def test_a_child_logs_as_its_server_does(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(logs, "format_in_use", lambda: "json")
+    received: list[Any] = []
+    child = await start_echo(received, asyncio.Event())
+    child.send(("log", "armbridge.echo_json", logging.ERROR, "said"))
+    child.send("done")
+    await until(received, 1)
+    (line,) = [json.loads(line) for line in capfd.readouterr().err.splitlines()]
+    assert (line["process"], line["pid"], line["message"]) == (ECHO, child.pid, "said")
     await child.kill()
 
 

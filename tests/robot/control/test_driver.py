@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from robot import model
 from robot.control.acceptance import START_TOLERANCE_RAD
 from robot.control.driver import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, Driver
-from robot.control.guards import STALE_AFTER_S, STALL_TIME_S, TRACKING_TIME_S, Guards, Temperatures
-from robot.control.motion import GOAL_TOLERANCE_RAD, SETTLE_TIMEOUT_S
+from robot.control.guards import DROOP_RAD, STALE_AFTER_S, Guards, Temperatures
 from robot.faults import Fault, FaultCode
+from robot.guard_limits import GuardLimits
 from robot.limits import JointBounds
 from robot.messages import ChangePace, Continuation, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
 from robot.servos.registers import StatusBit
@@ -24,6 +24,7 @@ from tests.helpers.trajectories import smooth_move
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 BOUNDS = JointBounds.of(model.builtin(), NAMES)
 PERIOD_S = 0.01
+LIMITS = GuardLimits()
 
 
 class Rig:
@@ -132,7 +133,7 @@ def test_a_short_lag_does_not_end_the_motion() -> None:
     rig = Rig()
     rig.driver.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
     behind = np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
-    for _ in range(round(TRACKING_TIME_S / PERIOD_S) - 1):
+    for _ in range(round(LIMITS.tracking_time_s / PERIOD_S) - 1):
         assert rig.tick(lag=behind) is None
     assert rig.until_end()[0].outcome is Outcome.REACHED
 
@@ -140,10 +141,10 @@ def test_a_short_lag_does_not_end_the_motion() -> None:
 def test_an_arm_that_does_not_settle_is_told_with_joint_and_distance() -> None:
     rig = Rig()
     rig.driver.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
-    ended, seconds = rig.until_end(lag=np.array([0.0, 0.0, -1.5 * GOAL_TOLERANCE_RAD, 0.0, 0.0, 0.0]))
+    ended, seconds = rig.until_end(lag=np.array([0.0, 0.0, -1.5 * LIMITS.goal_tolerance_rad, 0.0, 0.0, 0.0]))
     assert ended.outcome is Outcome.NOT_SETTLED
     assert "elbow_flex" in ended.message
-    assert seconds == pytest.approx(2.0 + SETTLE_TIMEOUT_S, abs=0.05)
+    assert seconds == pytest.approx(2.0 + LIMITS.settle_timeout_s, abs=0.05)
 
 
 def test_a_servo_that_falls_silent_brakes_the_motion() -> None:
@@ -296,7 +297,7 @@ def test_after_a_stall_the_goal_goes_back_to_where_the_joint_is() -> None:
     rig.driver.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
     blocked(rig, 400)
     blocked(rig, 100)
-    assert rig.driver.goal_rad[0] == pytest.approx(BLOCKED_RAD, abs=GOAL_TOLERANCE_RAD)
+    assert rig.driver.goal_rad[0] == pytest.approx(BLOCKED_RAD, abs=DROOP_RAD)
 
 
 def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque() -> None:
@@ -371,10 +372,10 @@ def test_an_overloaded_servo_ends_the_motion_at_once() -> None:
 def test_pushing_for_less_than_the_stall_time_is_no_stall() -> None:
     rig = Rig()
     behind = np.array([-0.2, 0, 0, 0, 0, 0])
-    for _ in range(round(STALL_TIME_S / PERIOD_S) - 1):
+    for _ in range(round(LIMITS.stall_time_s / PERIOD_S) - 1):
         rig.tick(lag=behind, load=0.8)
     rig.tick()
-    for _ in range(round(STALL_TIME_S / PERIOD_S) - 1):
+    for _ in range(round(LIMITS.stall_time_s / PERIOD_S) - 1):
         rig.tick(lag=behind, load=0.8)
     assert rig.driver.fault is None
 

@@ -9,12 +9,11 @@ from robot.control.guards import (
     JUMP_RAD,
     LOW_VOLTAGE_TIME_S,
     STALE_AFTER_S,
-    STALL_TIME_S,
-    TRACKING_TIME_S,
     VOLTAGE_BIT_TIME_S,
     Guards,
 )
 from robot.faults import FaultCode
+from robot.guard_limits import GuardLimits
 from robot.servos.registers import StatusBit
 from robot.servos.telemetry import Measured
 from tests.helpers.readings import reading
@@ -23,16 +22,17 @@ NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_rol
 GOAL = np.zeros(6)
 FULL = np.array([0.8] * 5 + [0.5])
 PERIOD_S = 0.01
+LIMITS = GuardLimits()
 
 
 def at(joint: int, value: float, else_value: float = 0.0) -> list[float]:
     return [value if each == joint else else_value for each in range(6)]
 
 
-def seconds_until(code: FaultCode, position: Any = GOAL, limit_s: float = 3.0, **told: Any) -> float:
+def seconds_until(code: FaultCode, position: Any = GOAL, limits: GuardLimits = LIMITS, **told: Any) -> float:
     """How long the guards bear a reading until they call it this fault [s]."""
-    guards = Guards(NAMES)
-    for tick in range(round(limit_s / PERIOD_S)):
+    guards = Guards(NAMES, limits=limits)
+    for tick in range(round(3.0 / PERIOD_S)):
         fault = guards.check(GOAL, reading(position, **told), FULL, tick * PERIOD_S)
         if fault is not None:
             assert fault.code is code
@@ -40,8 +40,8 @@ def seconds_until(code: FaultCode, position: Any = GOAL, limit_s: float = 3.0, *
     raise AssertionError(f"no {code}")
 
 
-def never(position: Any = GOAL, **told: Any) -> bool:
-    guards = Guards(NAMES)
+def never(position: Any = GOAL, limits: GuardLimits = LIMITS, **told: Any) -> bool:
+    guards = Guards(NAMES, limits=limits)
     return all(guards.check(GOAL, reading(position, **told), FULL, tick * PERIOD_S) is None for tick in range(300))
 
 
@@ -70,16 +70,16 @@ def test_the_servos_own_temperature_bit_counts_as_well() -> None:
 
 
 def test_a_joint_far_behind_is_lost_after_a_while() -> None:
-    assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.4)) == pytest.approx(TRACKING_TIME_S)
+    assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.4)) == pytest.approx(LIMITS.tracking_time_s)
 
 
 def test_a_joint_that_pushes_without_moving_is_stalled_before_the_servo_cuts_its_torque() -> None:
-    assert seconds_until(FaultCode.STALLED, at(1, 0.2), load=at(1, 0.7)) == pytest.approx(STALL_TIME_S)
-    assert STALL_TIME_S < 2.0
+    assert seconds_until(FaultCode.STALLED, at(1, 0.2), load=at(1, 0.7)) == pytest.approx(LIMITS.stall_time_s)
+    assert LIMITS.stall_time_s < 2.0
 
 
 def test_current_alone_shows_a_stall() -> None:
-    assert seconds_until(FaultCode.STALLED, at(1, 0.2), current_a=at(1, -2.0)) == pytest.approx(STALL_TIME_S)
+    assert seconds_until(FaultCode.STALLED, at(1, 0.2), current_a=at(1, -2.0)) == pytest.approx(LIMITS.stall_time_s)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,25 @@ def test_a_low_supply_is_borne_for_as_long_as_a_motor_takes_to_start() -> None:
 def test_a_servo_that_complains_of_its_supply_is_borne_for_a_while(volts: float, code: FaultCode) -> None:
     waited_s = seconds_until(code, voltage_v=volts, status=int(StatusBit.VOLTAGE))
     assert waited_s == pytest.approx(VOLTAGE_BIT_TIME_S)
+
+
+def test_all_that_is_borne_can_be_set() -> None:
+    patient = GuardLimits(tracking_error_rad=0.5, tracking_time_s=0.4, stall_current_a=2.5, stall_time_s=0.6)
+    assert never(at(1, 0.4), patient)
+    assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.6), patient) == pytest.approx(0.4)
+    assert never(at(1, 0.2), patient, current_a=at(1, -2.0))
+    assert seconds_until(FaultCode.STALLED, at(1, 0.2), patient, current_a=at(1, -2.6)) == pytest.approx(0.6)
+    strict = GuardLimits(tracking_error_rad=0.05)
+    assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.06), strict) == pytest.approx(LIMITS.tracking_time_s)
+
+
+def test_an_arm_of_12_v_may_need_more() -> None:
+    guards = Guards(NAMES, max_voltage_v=np.full(6, 14.0), limits=GuardLimits(min_voltage_v=9.0))
+    faults = [guards.check(GOAL, reading(GOAL, voltage_v=8.9), FULL, tick * PERIOD_S) for tick in range(30)]
+    fault = faults[-1]
+    assert fault is not None
+    assert fault.code is FaultCode.VOLTAGE_LOW
+    assert "has 8.9 V; it needs 9 V at least" in fault.message
 
 
 def jumped(step_rad: float, gap_s: float) -> bool:
@@ -145,8 +164,8 @@ def test_silence_of_an_arm_that_is_well_names_the_silent_joint_that_is_farthest_
     ("ill", "bearable_s"),
     [
         (reading(GOAL, voltage_v=4.4), LOW_VOLTAGE_TIME_S),
-        (reading(at(1, 0.2), load=at(1, 0.7)), STALL_TIME_S),
-        (reading(at(1, 0.4)), TRACKING_TIME_S),
+        (reading(at(1, 0.2), load=at(1, 0.7)), LIMITS.stall_time_s),
+        (reading(at(1, 0.4)), LIMITS.tracking_time_s),
     ],
     ids=["low supply", "stall", "tracking"],
 )

@@ -8,8 +8,9 @@ from dataclasses import replace
 import pytest
 
 from robot.faults import Fault, FaultCode
+from robot.guard_limits import GuardLimits
 from robot.messages import Mode, Order
-from robot.servos.registers import StatusBit, Telemetry
+from robot.servos.registers import Register, StatusBit, Telemetry
 from tests.helpers.arm_rig import ArmRig
 from tests.robot.conftest import RunningEmulator
 
@@ -20,6 +21,19 @@ def rig(emulator: RunningEmulator) -> Iterator[ArmRig]:
     made.until_mode(Mode.RELAXED)
     yield made
     made.close()
+
+
+def test_the_guards_bear_what_is_configured(emulator: RunningEmulator) -> None:
+    rig = ArmRig(emulator.port, guard_limits=GuardLimits(min_voltage_v=9.0, torque_limit=0.4))
+    try:
+        rig.until_mode(Mode.FAULT)
+        fault = rig.supervisor.fault
+        assert fault is not None
+        assert "it needs 9 V at least" in fault.message
+        assert rig.bus is not None
+        assert rig.bus.read(1, Register.TORQUE_LIMIT) == 400
+    finally:
+        rig.close()
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from robot import model
 from robot.control.motion import Motion
 from robot.control.streaming import Streaming
 from robot.control.succession import refusal, succeed
+from robot.guard_limits import GuardLimits
 from robot.limits import JointBounds
 from robot.messages import Continuation, Execute, Outcome
 from robot.trajectory import Trajectory
@@ -14,12 +15,13 @@ from tests.helpers.trajectories import smooth_move
 
 NAMES = ("shoulder_pan", "elbow_flex", "gripper")
 BOUNDS = JointBounds.of(model.builtin(), NAMES)
+LIMITS = GuardLimits()
 PATH = smooth_move({"shoulder_pan": (0.0, 1.0), "elbow_flex": (0.0, -0.5)}, 2.0)
 
 
 def in_progress(gripping: bool = False) -> list[Motion | Streaming]:
     """One motion, half done."""
-    motion = Motion(Execute(7, PATH, gripping), NAMES, BOUNDS)
+    motion = Motion(Execute(7, PATH, gripping), NAMES, BOUNDS, LIMITS)
     for _ in range(100):
         motion.advance(0.01, 1.0, 1.0)
     return [motion]
@@ -42,7 +44,7 @@ def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends()
     motions = in_progress()
     former = motions[0]
     assert asked(motions, since(0.9)) == ""
-    successor = Motion(Execute(8, since(0.9), continues=Continuation(7, 0.9)), NAMES, BOUNDS)
+    successor = Motion(Execute(8, since(0.9), continues=Continuation(7, 0.9)), NAMES, BOUNDS, LIMITS)
     ended = succeed(motions, successor)
     assert ended is not None
     assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
@@ -52,7 +54,7 @@ def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends()
 
 def test_a_motion_that_continues_none_ends_none() -> None:
     motions = in_progress()
-    assert succeed(motions, Motion(Execute(8, PATH), NAMES, BOUNDS)) is None
+    assert succeed(motions, Motion(Execute(8, PATH), NAMES, BOUNDS, LIMITS)) is None
     assert len(motions) == 1
 
 

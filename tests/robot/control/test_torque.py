@@ -19,10 +19,11 @@ from robot.control.torque import (
     switch_off,
 )
 from robot.errors import StartupError
+from robot.guard_limits import GuardLimits
 from robot.limits import JointBounds
 from robot.servos.bus import Bus
 from robot.servos.registers import GOAL_ADDRESS, Register, goal_block
-from robot.servos.servo_map import FULL_TORQUE, GRIPPER_TORQUE, ServoMap
+from robot.servos.servo_map import ServoMap
 from tests.helpers.arm_rig import CALIBRATION, ROBOT
 from tests.helpers.sequences import run
 from tests.helpers.server import read_write_log
@@ -83,9 +84,20 @@ def test_torque_comes_on_at_the_goal_and_capped(logged_bus: contextlib.AbstractC
     assert switched_on == {str(servo) for servo in IDS}
 
 
+def test_no_servo_is_given_more_than_its_limit_on_the_way(
+    logged_bus: contextlib.AbstractContextManager[Bus], log: Path
+) -> None:
+    gentle = ServoMap(CALIBRATION, BOUNDS, GuardLimits(torque_limit=0.4, gripper_torque_limit=0.2))
+    with logged_bus as bus:
+        run(enable(bus, gentle, LIMITS, IDS))
+        assert registers(bus, Register.TORQUE_LIMIT) == [400] * 5 + [200]
+    written = [entry["data"] for entry in read_write_log(log) if entry["address"] == Register.TORQUE_LIMIT]
+    assert max(data["6"][0] | data["6"][1] << 8 for data in written if "6" in data) == 200
+
+
 def test_torque_is_raised_to_its_full_value_and_less_for_the_gripper(bus: Bus) -> None:
     switch_on(bus)
-    assert registers(bus, Register.TORQUE_LIMIT) == [FULL_TORQUE] * 5 + [GRIPPER_TORQUE]
+    assert registers(bus, Register.TORQUE_LIMIT) == [800] * 5 + [500]
 
 
 def test_an_arm_that_holds_is_adopted_and_not_one_register_is_written(
@@ -125,7 +137,7 @@ def test_an_arm_whose_relaxing_was_cut_short_gets_its_full_torque_back(bus: Bus)
     switch_on(bus)
     bus.write(2, Register.TORQUE_LIMIT, 100)
     switch_on(bus)
-    assert bus.read(2, Register.TORQUE_LIMIT) == FULL_TORQUE
+    assert bus.read(2, Register.TORQUE_LIMIT) == 800
 
 
 def test_an_arm_outside_its_limits_is_not_switched_on(start_emulator: Start) -> None:

@@ -13,6 +13,7 @@ from robot.emulator.wire import status_packet
 from robot.errors import NoReply, PortLost
 from robot.servos.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, SYNC_READ_PADDINGS, Bus
 from robot.servos.control_block import CONTROL_ADDRESS, CONTROL_BYTES
+from robot.servos.port import LOCAL_LATENCY_S
 from robot.servos.registers import (
     GOAL_ADDRESS,
     LAYOUT,
@@ -165,6 +166,15 @@ def test_the_error_byte_of_a_reply_is_kept_and_its_data_believed(scripted_peer):
         assert [frame.error for frame in read_block(bus).values()] == [32] * 6
 
 
+def test_a_burst_that_a_pseudo_terminal_carries_over_in_two_parts_is_whole(scripted_peer):
+    def halting(instruction):
+        length, *ids = instruction.parameters[1:]
+        return [(0.005 * (i > 1), status_packet(i, 0, bytes(length))) for i in ids]
+
+    with contextlib.closing(Bus.open(scripted_peer(halting).port)) as bus:
+        assert len(read_block(bus)) == 6
+
+
 def test_a_silent_line_is_asked_three_times_and_then_reported(scripted_peer):
     peer = scripted_peer(lambda _instruction: [])
     with contextlib.closing(Bus.open(peer.port)) as bus:
@@ -209,6 +219,7 @@ def test_a_sync_read_after_a_late_one_asks_for_another_length(scripted_peer):
 
     peer = scripted_peer(stale_block)
     with contextlib.closing(Bus.open(peer.port)) as bus:
+        bus._port.latency_s = LOCAL_LATENCY_S
         assert read_block(bus) == {}
         for expected in (2, 3):
             for frame in read_block(bus).values():

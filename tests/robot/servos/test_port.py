@@ -11,7 +11,7 @@ import tty
 import pytest
 
 from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
-from robot.servos.port import LOCAL_LATENCY_S, NETWORK_LATENCY_S, _claim, _refusal, open_port
+from robot.servos.port import LOCAL_LATENCY_S, NETWORK_LATENCY_S, TERMINAL_LATENCY_S, _claim, _refusal, open_port
 
 BAUDRATE = 1_000_000
 
@@ -145,6 +145,12 @@ def test_a_network_port_is_used_like_a_local_one_with_more_patience(line):
             port.receive(1.0)
         assert port.latency_s == NETWORK_LATENCY_S > LOCAL_LATENCY_S
         port.closePort()
+
+
+def test_a_pseudo_terminal_is_given_more_time_than_a_serial_line_for_it_is_the_kernels_to_carry_bytes(line):
+    port = open_port(line[1], BAUDRATE)
+    assert NETWORK_LATENCY_S > port.latency_s == TERMINAL_LATENCY_S > LOCAL_LATENCY_S
+    port.closePort()
 
 
 def test_a_port_without_file_descriptor_is_read_with_a_timeout_too():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot.guard_limits import GuardLimits
 from robot.limits import JointBounds
 from robot.servos.registers import goal_block
 from robot.servos.servo_map import SERVO_ACCELERATION, VELOCITY_CAP_TICKS_S, ServoMap
@@ -49,3 +50,9 @@ def test_a_servo_is_named_by_joint_and_id() -> None:
 def test_velocities_have_the_scale_of_positions() -> None:
     faster = np.subtract(SERVOS.positions_rad([2100] * 6), SERVOS.positions_rad([2000] * 6))
     assert SERVOS.velocities_rad_s([100] * 6) == pytest.approx(faster)
+
+
+def test_the_servos_push_as_hard_as_is_set_and_the_gripper_less() -> None:
+    assert SERVOS.full_torque.tolist() == [800] * 5 + [500]
+    gentle = ServoMap(CALIBRATION, BOUNDS, GuardLimits(torque_limit=0.6, gripper_torque_limit=0.29))
+    assert gentle.full_torque.tolist() == [600] * 5 + [290]

@@ -1,0 +1,158 @@
+"""The socket pair that joins a child process to the server: its messages, and the child's end of it.
+
+Both ends exchange pickled dataclasses behind a four-byte length; both ends are this program's own, nothing from a client
+is ever unpickled. A child whose socket closes has lost its server.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import pickle
+import select
+import signal
+import socket
+import struct
+from typing import Any
+
+from robot import logs
+from robot.logs import LoggerLevel
+
+LENGTH = struct.Struct("<I")
+
+# The largest message is a robot with its hulls (250 kB); anything near this bound is a bug.
+MAX_MESSAGE_BYTES = 64 << 20
+
+# What a child keeps for a server that does not read: 100 arm states of 1 kB, a second of motion.
+MAX_PENDING_BYTES = 128 << 10
+
+READ_BYTES = 64 << 10
+
+# They may be sent to all processes of a service, and would end those that do not know them.
+SIGNALS_OF_SERVER = (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
+
+
+def encode(message: object) -> bytes:
+    """Frame one message for the other end.
+
+    Raises:
+        ValueError: it is larger than the other end takes.
+    """
+    payload = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise ValueError(f"a message of {len(payload)} bytes is over the limit of {MAX_MESSAGE_BYTES}")
+    return LENGTH.pack(len(payload)) + payload
+
+
+class Decoder:
+    """Takes bytes as they come and gives whole messages."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[Any]:
+        """Return the messages completed by ``data``."""
+        self._buffer += data
+        messages = []
+        while len(self._buffer) >= LENGTH.size:
+            (size,) = LENGTH.unpack_from(self._buffer)
+            if size > MAX_MESSAGE_BYTES:
+                raise ValueError(f"a message of {size} bytes is over the limit of {MAX_MESSAGE_BYTES}")
+            end = LENGTH.size + size
+            if len(self._buffer) < end:
+                break
+            messages.append(pickle.loads(self._buffer[LENGTH.size : end]))  # noqa: S301 - our own process
+            del self._buffer[:end]
+        return messages
+
+
+class Channel:
+    """A child's end of the pair: never waits for the server, and notices its death."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._socket = sock
+        self._socket.setblocking(False)
+        self._decoder = Decoder()
+        self._pending = bytearray()
+        self._kept: list[Any] = []
+        self.closed = False
+
+    def fileno(self) -> int:
+        """File descriptor, for ``select``."""
+        return self._socket.fileno()
+
+    def receive(self, timeout_s: float | None) -> list[Any]:
+        """Messages that arrive within ``timeout_s`` (None: wait); empty when none came or the server is gone."""
+        if self._kept:
+            kept, self._kept = self._kept, []
+            return kept
+        while not self.closed:
+            self._flush()
+            writing = [self._socket] if self._pending else []
+            readable, writable, _ = select.select([self._socket], writing, [], timeout_s)
+            if readable:
+                return self._read()
+            if not writable:
+                break
+        return []
+
+    def receive_first(self) -> Any:
+        """Wait for the server's first message; None when the server went away before it."""
+        while not self.closed:
+            messages = self.receive(timeout_s=None)
+            if messages:
+                self._kept = messages[1:]
+                return messages[0]
+        return None
+
+    def _read(self) -> list[Any]:
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except BlockingIOError:
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self.closed = True
+            return []
+        messages = self._decoder.feed(data)
+        for message in messages:
+            if isinstance(message, LoggerLevel):
+                logs.apply(message)
+        return [message for message in messages if not isinstance(message, LoggerLevel)]
+
+    def send(self, message: object, *, droppable: bool = False) -> None:
+        """Send without waiting; a droppable message is dropped while the server does not read."""
+        self._flush()
+        if droppable and len(self._pending) > MAX_PENDING_BYTES:
+            return
+        self._pending += encode(message)
+        self._flush()
+
+    def _flush(self) -> None:
+        while self._pending and not self.closed:
+            try:
+                sent = self._socket.send(self._pending)
+            except BlockingIOError:
+                return
+            except OSError:
+                self.closed = True
+                return
+            del self._pending[:sent]
+
+
+def channel_of_child(arguments: list[str] | None = None) -> Channel:
+    """Open the channel a child was started with, and log as its server does.
+
+    Ctrl-C is the server's to handle, never the child's, and so are the signals of whoever manages the server.
+    """
+    for number in SIGNALS_OF_SERVER:
+        signal.signal(number, signal.SIG_IGN)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--fd", type=int, required=True)
+    parser.add_argument("--log-level", type=int, default=logging.INFO)
+    parser.add_argument("--log-format", choices=("plain", "json"), default="plain")
+    parser.add_argument("--name", default="child")
+    options = parser.parse_args(arguments)
+    logs.configure(options.log_level, options.log_format, options.name)
+    return Channel(socket.socket(fileno=options.fd))

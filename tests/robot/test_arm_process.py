@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from robot import model
+from robot.arm_process import MAX_EARLY_ORDERS, ArmProcess
+from robot.calibration import Calibration
+from robot.messages import ArmConfig, ArmState, Command, CommandDone, Order
+
+CONFIG = ArmConfig(model.builtin(), Calibration.nominal(), port="/dev/does-not-exist")
+
+
+class Desk:
+    """A process and all that it told."""
+
+    def __init__(self) -> None:
+        self.told: list[Any] = []
+        self.exits = 0
+        self.process = ArmProcess(self.told.append, self._exited)
+
+    def _exited(self) -> None:
+        self.exits += 1
+
+    async def until_told(self, kind: type) -> Any:
+        async with asyncio.timeout(10.0):
+            while not (found := [message for message in self.told if isinstance(message, kind)]):
+                await asyncio.sleep(0.005)
+        return found[0]
+
+
+@pytest.fixture
+async def desk() -> AsyncIterator[Desk]:
+    made = Desk()
+    await made.process.launch()
+    yield made
+    await made.process.kill()
+
+
+async def test_an_order_that_comes_before_the_configuration_is_kept_for_it(desk: Desk) -> None:
+    assert desk.process.order(Command(1, Order.EMERGENCY_STOP))
+    assert not desk.process.drives
+    desk.process.configure(CONFIG)
+    answer = await desk.until_told(CommandDone)
+    assert (answer.number, answer.done) == (1, False)
+    assert "not connected" in answer.message
+
+
+async def test_orders_are_kept_up_to_a_bound(desk: Desk) -> None:
+    kept = [desk.process.order(Command(number, Order.ENABLE)) for number in range(MAX_EARLY_ORDERS + 1)]
+    assert kept == [True] * MAX_EARLY_ORDERS + [False]
+
+
+async def test_what_is_said_before_the_configuration_does_not_take_its_place(desk: Desk) -> None:
+    desk.process.send("hello")
+    desk.process.configure(CONFIG)
+    assert "/dev/does-not-exist" in (await desk.until_told(ArmState)).reason
+
+
+async def test_a_configuration_that_comes_again_leads_to_another_port(desk: Desk) -> None:
+    desk.process.configure(CONFIG)
+    await desk.until_told(ArmState)
+    desk.told.clear()
+    desk.process.send(ArmConfig(CONFIG.robot, CONFIG.calibration, port="/dev/elsewhere"))
+    async with asyncio.timeout(5.0):
+        while not any(isinstance(each, ArmState) and "/dev/elsewhere" in each.reason for each in desk.told):
+            await asyncio.sleep(0.005)
+
+
+async def test_a_process_that_has_died_takes_no_orders(desk: Desk) -> None:
+    desk.process.configure(CONFIG)
+    await desk.process.kill()
+    assert (desk.exits, desk.process.drives) == (1, False)
+    assert not desk.process.order(Command(1, Order.ENABLE))
+    desk.process.configure(CONFIG)
+    assert not desk.process.drives
+
+
+async def test_a_process_that_was_never_configured_ends_at_once(desk: Desk) -> None:
+    await asyncio.wait_for(desk.process.end(60.0), 2.0)
+    assert desk.exits == 1

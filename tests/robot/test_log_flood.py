@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import logging
+
+from robot import logs
+from robot.log_flood import BURST, LINES_PER_S, FloodFilter, left_out_note
+
+
+def record(line: int = 7) -> logging.LogRecord:
+    return logging.LogRecord("armbridge.arm", logging.WARNING, "arm.py", line, "hot", (), None)
+
+
+def test_a_flood_from_one_place_is_cut_and_others_are_told() -> None:
+    flood = FloodFilter(lambda: 0.0)
+    assert sum(flood.filter(record()) for _ in range(10 * BURST)) == BURST
+    assert flood.filter(record(line=8))
+
+
+def test_how_many_were_left_out_is_told_with_the_next_line() -> None:
+    now_s = [0.0]
+    flood = FloodFilter(lambda: now_s[0])
+    for _ in range(BURST + 3):
+        flood.filter(record())
+    now_s[0] = 1.0 / LINES_PER_S
+    after = record()
+    assert flood.filter(after)
+    line = logs.PlainFormatter().format(after)
+    assert line.endswith("hot (3 more lines like this were left out before)")
+    assert left_out_note(record()) == ""
+
+
+def test_every_process_logs_through_it() -> None:
+    root = logging.getLogger()
+    former, root.handlers = root.handlers, []
+    try:
+        logs.configure("INFO", "plain")
+        assert [type(each) for each in root.handlers[0].filters] == [FloodFilter]
+    finally:
+        root.handlers = former

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot import logs
+from robot.logs import JsonFormatter, LoggerLevel, PlainFormatter
+
+ROOT = Path(__file__).parents[2]
+
+
+def record(text: str, *values: Any, error: BaseException | None = None) -> logging.LogRecord:
+    raised = None if error is None else (type(error), error, None)
+    return logging.LogRecord("armbridge.arm", logging.WARNING, "arm.py", 7, text, values, raised)
+
+
+def as_json(made: logging.LogRecord) -> dict[str, Any]:
+    line = JsonFormatter("server").format(made)
+    assert "\n" not in line
+    fields: dict[str, Any] = json.loads(line)
+    return fields
+
+
+def test_a_json_line_tells_when_who_and_what() -> None:
+    made = record("%s is hot", "elbow_flex")
+    fields = as_json(made)
+    time = datetime.fromisoformat(fields.pop("time"))
+    assert time.utcoffset() is not None
+    assert time.timestamp() == pytest.approx(made.created, abs=0.001)
+    assert fields == {
+        "level": "warning",
+        "logger": "armbridge.arm",
+        "message": "elbow_flex is hot",
+        "process": "server",
+        "pid": made.process,
+    }
+
+
+def test_a_traceback_stays_within_its_json_line() -> None:
+    fields = as_json(record("failed", error=ValueError("two\nlines")))
+    assert fields["exception"].startswith("ValueError: two\nlines")
+
+
+def test_a_plain_line_is_for_people() -> None:
+    assert PlainFormatter().format(record("hot")).endswith("WARNING armbridge.arm: hot")
+
+
+SECRETS = {
+    "query": "GET /?ros=1&token=s3cret-s3cret HTTP/1.1",
+    "first in a query": "ws://host/?token=s3cret-s3cret&ros=1",
+    "header": "Authorization: Bearer s3cret-s3cret",
+    "access_token": "/metrics?access_token=s3cret-s3cret",
+}
+
+
+@pytest.mark.parametrize("text", SECRETS.values(), ids=SECRETS.keys())
+def test_a_token_is_blotted_out_whoever_logs_it(text: str) -> None:
+    made = record("%s", text, error=ValueError(text))
+    for line in (PlainFormatter().format(made), JsonFormatter("server").format(made)):
+        assert "s3cret" not in line
+        assert "***" in line
+
+
+def test_what_only_looks_like_a_token_is_left_alone() -> None:
+    assert logs.without_secrets("the token is wrong; tokens: 3") == "the token is wrong; tokens: 3"
+
+
+def test_a_level_is_applied_to_its_logger_alone() -> None:
+    logger, beside = logging.getLogger("armbridge.test_logs"), logging.getLogger("armbridge.test_logs_2")
+    logs.apply(LoggerLevel(logger.name, logging.ERROR))
+    assert (logger.level, beside.level) == (logging.ERROR, logging.NOTSET)
+
+
+def test_a_process_that_ends_by_an_exception_says_so_in_json() -> None:
+    program = """
+from robot import logs
+before = logs.format_in_use()
+logs.configure("INFO", "json")
+raise OSError(f"{before}, then {logs.format_in_use()}")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=30, check=False
+    )
+    line = json.loads(done.stderr)
+    assert (line["level"], line["message"]) == ("critical", "ended by an exception")
+    assert "OSError: plain, then json" in line["exception"]
+
+
+@pytest.mark.parametrize("text", ["bye\n2026-01-01 ERROR armbridge: the arm burns", "\x1b[2Jgone", "a\rb"])
+def test_nobody_writes_lines_of_its_own_into_the_plain_log(text: str) -> None:
+    line = PlainFormatter().format(record("closed: %s", text))
+    assert line.isprintable()
+    assert line.endswith(f"closed: {text}".encode("unicode_escape").decode())
+
+
+def test_a_traceback_stays_below_its_plain_line() -> None:
+    first, *below = PlainFormatter().format(record("failed", error=ValueError("two"))).splitlines()
+    assert first.endswith("failed")
+    assert below == ["ValueError: two"]
+
+
+def test_what_a_client_has_made_very_long_is_cut_and_its_length_told() -> None:
+    made = record("no group %s", "x" * 5_000_000)
+    for told in (PlainFormatter().format(made), as_json(made)["message"]):
+        assert len(told) < logs.MAX_MESSAGE_CHARACTERS + 100
+        assert told.endswith("... (5000009 characters)")

@@ -31,8 +31,8 @@ from planners.messages import (
 from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
 from planners.scene import EMPTY_SCENE, Scene, SceneObject
+from robot.channel import Channel, channel_of_child
 from robot.model import RobotModel
-from robot.processes import Channel, channel_of_child
 
 log = logging.getLogger("armbridge.planner")
 

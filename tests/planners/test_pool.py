@@ -12,10 +12,10 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from planners import pool as pool_module
-from planners import worker_process
+from planners import local_workers, worker_process
 from planners.pool import MAX_WAITING, PlannerPool
-from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, Request, StateAnswer
+from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer
+from planners.scene import Scene
 from robot import model
 from tests.helpers import broken_planner
 from tests.helpers.requests import EASY, LONG, REQUESTS, STATE, broken
@@ -77,7 +77,7 @@ async def test_requests_sent_together_while_workers_load_are_all_answered(pool: 
 
 
 async def test_one_worker_stands_by_beside_the_active_ones(both_idle: PlannerPool) -> None:
-    assert len(both_idle.pids) == 2
+    assert len(both_idle.pids) == both_idle.loaded_count == 2
 
 
 @pytest.mark.parametrize(("request_", "kind"), REQUESTS, ids=[type(request).__name__ for request, _ in REQUESTS])
@@ -179,6 +179,7 @@ async def test_workers_that_died_while_idle_cost_no_goal(both_idle: PlannerPool)
 async def test_more_requests_than_may_wait_are_refused(both_idle: PlannerPool) -> None:
     asking = [asyncio.create_task(both_idle.ask(LONG)) for _ in range(MAX_WAITING + 1)]
     await asyncio.sleep(0.1)
+    assert both_idle.waiting_count == MAX_WAITING
     answer = await both_idle.ask(EASY)
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.FAILURE
@@ -198,46 +199,165 @@ async def test_a_robot_that_no_worker_can_load_is_told() -> None:
     assert "planning is not available" in answer.message
 
 
-async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
-    recovering = made_of(model.builtin())
-    await recovering.start()
-    answer = await recovering.ask(EASY)
-    assert isinstance(answer, PlanningFailure)
-    assert "planning is not available: planner processes ended while starting" in answer.message
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.worker")
-    async with asyncio.timeout(20.0):
-        while isinstance(await recovering.ask(EASY), PlanningFailure):
-            await asyncio.sleep(0.01)
-    await recovering.close()
-
-
 async def test_where_workers_have_loaded_requests_wait_for_the_next_that_does(
     both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.1)
+    monkeypatch.setattr(local_workers, "RESTART_PAUSE_S", 0.1)
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
     kill_all(both_idle)
     asking = asyncio.create_task(both_idle.ask(EASY))
     async with asyncio.timeout(20.0):
-        while both_idle._failed_starts < pool_module.MAX_FAILED_STARTS:
+        while both_idle._local._failed_starts < local_workers.MAX_FAILED_STARTS:
             await asyncio.sleep(0.01)
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.broken_planner")
     assert isinstance(await asking, Plan)
 
 
-async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_module, "LOAD_TIMEOUT_S", 0.1)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    # It lives, but never says that it has loaded anything.
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.echo_child")
-    hanging = made_of(model.builtin())
-    await hanging.start()
-    answer = await hanging.ask(EASY)
+class FarWorker:
+    """A worker that joins from afar; it answers what a test gives it, one after the other."""
+
+    takes_questions = False
+
+    def __init__(self, *answers: Answer | None) -> None:
+        self.usable = True
+        self.asked: list[Request] = []
+        self.given_up = 0
+        self._answers = list(answers)
+
+    def has(self, scene: Scene) -> bool:
+        return True
+
+    async def ask(self, request: Request, scene: Scene) -> Answer:
+        self.asked.append(request)
+        answer = self._answers.pop(0)
+        if answer is None:
+            await asyncio.sleep(60.0)
+            raise AssertionError("nobody waits so long")
+        self.usable = answer is not OUT_OF_REACH
+        return answer
+
+    async def cancel(self) -> None:
+        self.given_up += 1
+
+    kill = cancel
+
+
+OUT_OF_REACH = PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, "out of reach")
+FAR_AWAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "far away")
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def busy(both_idle: PlannerPool) -> AsyncIterator[PlannerPool]:
+    """The pool with its local worker in use for a motion."""
+    planning = asyncio.create_task(both_idle.ask(LONG))
+    await asyncio.sleep(0.05)
+    yield both_idle
+    planning.cancel()
+    await asyncio.wait([planning])
+
+
+async def test_a_local_worker_is_taken_before_one_from_afar(both_idle: PlannerPool) -> None:
+    far = FarWorker()
+    both_idle.add(far)
+    assert both_idle.far_count == 1
+    # A scene that the local workers do not have.
+    assert isinstance(await both_idle.ask(EASY, Scene(1)), Plan)
+    both_idle.remove(far)
+    assert both_idle.far_count == 0
+
+
+async def test_a_worker_from_afar_takes_a_motion_that_would_wait_and_leaves_questions(busy: PlannerPool) -> None:
+    far = FarWorker(FAR_AWAY)
+    busy.add(far)
+    assert isinstance(await busy.ask(STATE), StateAnswer)
+    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is FAR_AWAY
+    busy.remove(far)
+
+
+async def test_a_question_waits_for_a_local_worker() -> None:
+    pool = made_of(model.builtin())
+    far = FarWorker()
+    pool.add(far)
+    asking = asyncio.create_task(pool.ask(STATE))
+    await asyncio.sleep(0.05)
+    assert far.asked == []
+    asking.cancel()
+    await asyncio.wait([asking])
+
+
+async def test_a_worker_that_joins_gets_the_motion_that_waits(busy: PlannerPool) -> None:
+    far = FarWorker(FAR_AWAY)
+    waiting = asyncio.create_task(busy.ask(EASY))
+    await asyncio.sleep(0)
+    busy.add(far)
+    assert await asyncio.wait_for(waiting, 1.0) is FAR_AWAY
+    busy.remove(far)
+
+
+async def test_motions_leave_the_spare_to_questions_when_a_worker_from_afar_is_lost(busy: PlannerPool) -> None:
+    far = FarWorker()
+    busy.add(far)
+    far.usable = False
+    asking = asyncio.create_task(busy.ask(EASY))
+    await asyncio.sleep(0.05)
+    assert not asking.done()
+    assert isinstance(await busy.ask(STATE), StateAnswer)
+    busy.remove(far)
+    asking.cancel()
+    await asyncio.wait([asking])
+
+
+async def test_a_motion_whose_worker_came_out_of_reach_gets_another_for_the_time_that_is_left(
+    busy: PlannerPool,
+) -> None:
+    lost, found = FarWorker(OUT_OF_REACH), FarWorker(FAR_AWAY)
+    for far in (lost, found):
+        busy.add(far)
+    assert await asyncio.wait_for(busy.ask(dataclasses.replace(EASY, allowed_time_s=3.0)), 1.0) is FAR_AWAY
+    (again,) = found.asked
+    assert isinstance(again, PlanningProblem)
+    assert 2.0 < again.allowed_time_s < 3.0
+    for far in (lost, found):
+        busy.remove(far)
+
+
+async def test_a_motion_is_given_to_another_worker_only_once(busy: PlannerPool) -> None:
+    those = [FarWorker(OUT_OF_REACH), FarWorker(OUT_OF_REACH), FarWorker(FAR_AWAY)]
+    for far in those:
+        busy.add(far)
+    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is OUT_OF_REACH
+    assert [len(far.asked) for far in those] == [1, 1, 0]
+    for far in those:
+        busy.remove(far)
+
+
+async def test_a_worker_from_afar_that_overruns_is_stopped_and_used_again(busy: PlannerPool) -> None:
+    far = FarWorker(None, FAR_AWAY)
+    busy.add(far)
+    answer = await busy.ask(dataclasses.replace(EASY, allowed_time_s=0.05))
     assert isinstance(answer, PlanningFailure)
-    assert "0.1 s" in answer.message
-    async with asyncio.timeout(20.0):
-        while hanging.load_failure is None:
-            await asyncio.sleep(0.01)
-    await hanging.close()
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is FAR_AWAY
+    assert far.given_up == 1
+    busy.remove(far)
+
+
+async def test_a_worker_that_leaves_while_it_works_answers_and_gets_nothing_more(busy: PlannerPool) -> None:
+    gone, there = FarWorker(None), FarWorker(FAR_AWAY)
+    busy.add(gone)
+    asking = asyncio.create_task(busy.ask(EASY))
+    await asyncio.sleep(0.01)
+    busy.remove(gone)
+    asking.cancel()
+    await asyncio.wait([asking])
+    await asyncio.sleep(0.01)
+    busy.add(there)
+    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is FAR_AWAY
+    assert len(gone.asked) == 1
+    busy.remove(there)
+
+
+async def test_who_waits_for_a_worker_hears_when_there_is_one_and_when_there_is_none(both_idle: PlannerPool) -> None:
+    assert await both_idle.wait_ready(1.0) is None
+    nobody = made_of(model.builtin())
+    assert await nobody.wait_ready(0.01) == "no planner process was ready within 0.01 s"

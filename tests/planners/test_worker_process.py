@@ -22,7 +22,7 @@ from planners.worker_process import (
     parts,
 )
 from robot import model
-from robot.processes import MAX_MESSAGE_BYTES
+from robot.channel import MAX_MESSAGE_BYTES
 from tests.helpers.requests import EASY, REQUESTS, STATE
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2

@@ -1,0 +1,112 @@
+"""Who may connect to the server, and what they may do there, as it is configured."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator
+
+# Shorter ones can be guessed; longer ones do not fit the headers and addresses that they travel in.
+MIN_TOKEN_CHARACTERS, MAX_TOKEN_CHARACTERS = 16, 256
+
+# Every token costs a comparison at every handshake.
+MAX_TOKENS = 100
+
+MAX_GLOBS = 1000
+
+# Names stand in logs, and in answers to others.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+_TOKEN = re.compile(r"[!-~]*")
+
+
+class AccessSettings(BaseModel):
+    """Who may connect, and what they may do.
+
+    Attributes:
+        token: one token with all rights, 16 to 256 characters; None for no such token.
+        admin_tokens: by name, tokens of those who may do everything.
+        operate_tokens: by name, tokens of those who may move the arm and change the scene.
+        view_tokens: by name, tokens of those who may look, plan and stop the arm.
+        token_file: TOML file with the four settings above, apart from the configuration; None for no such file.
+        without_token: what a client may do that shows no token; auto is admin while there are no tokens, and none
+            when there are.
+        insecure: serve an address that others can reach, without tokens.
+        allowed_origins: pages of other hosts that may connect, as in https://app.example.org; * in it stands for any
+            text, and null is the origin of a page from a file.
+        allowed_hosts: names under which clients may address the server, besides those of this machine.
+        topics_glob: patterns of topics that clients may use; empty for all.
+        services_glob: patterns of services and actions that clients may use, besides /rosapi/*; empty for all.
+        params_glob: patterns of parameters that clients may read and set; empty for all.
+        control: lease, one client drives the arm at a time; shared, all may at once.
+        control_idle_s: the arm is free for others when its driver has asked for nothing for so long [s].
+        goals_per_s: goals that each client may send in the long run [1/s].
+        goal_burst: goals that each client may send at once.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    token: SecretStr | None = None
+    admin_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
+    operate_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
+    view_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
+    token_file: Path | None = None
+    without_token: Literal["auto", "none", "view", "operate", "admin"] = "auto"  # noqa: S105 - a role
+    insecure: bool = False
+    allowed_origins: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    allowed_hosts: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    topics_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    services_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    params_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    control: Literal["lease", "shared"] = "lease"
+    control_idle_s: float = Field(default=10.0, ge=1.0, le=3600.0)
+    goals_per_s: float = Field(default=50.0, ge=0.1, le=1000.0)
+    goal_burst: int = Field(default=100, ge=1, le=10_000)
+
+    @field_validator("token")
+    @classmethod
+    def _token_is_long(cls, value: SecretStr | None) -> SecretStr | None:
+        if value is not None:
+            check_token(value.get_secret_value())
+        return value
+
+    @field_validator("admin_tokens", "operate_tokens", "view_tokens")
+    @classmethod
+    def _tokens_are_long(cls, value: dict[str, SecretStr]) -> dict[str, SecretStr]:
+        check_tokens({name: token.get_secret_value() for name, token in value.items()})
+        return value
+
+
+def check_tokens(tokens: Mapping[str, str]) -> None:
+    """Hold tokens and their names against the limits.
+
+    Args:
+        tokens: by name.
+
+    Raises:
+        ValueError: one that is no good; the text never has the token.
+    """
+    for name, token in tokens.items():
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"the name {name!r} must be 1 to 64 letters, digits and . _ @ -, the first no sign")
+        check_token(token, f"the token of {name} ")
+
+
+def check_token(token: str, whose: str = "") -> None:
+    """Hold a token against the limits.
+
+    Args:
+        token: its text.
+        whose: begins the refusal.
+
+    Raises:
+        ValueError: it is no good; the text never has it.
+    """
+    if not MIN_TOKEN_CHARACTERS <= len(token) <= MAX_TOKEN_CHARACTERS:
+        raise ValueError(
+            f"{whose}must have {MIN_TOKEN_CHARACTERS} to {MAX_TOKEN_CHARACTERS} characters, not {len(token)}"
+        )
+    if not _TOKEN.fullmatch(token):
+        raise ValueError(f"{whose}must have letters, digits and signs of ASCII alone, and no spaces")

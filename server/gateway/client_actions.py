@@ -68,7 +68,11 @@ class ClientActions:
         self._numbers = itertools.count(1)
         # Goals that the client has sent: action and the client's id.
         self._sent: dict[Goal, tuple[str, str | int | None]] = {}
-        self.handlers: Mapping[type[Operation], Callable[..., None]] = {
+
+    @property
+    def handlers(self) -> Mapping[type[Operation], Callable[..., None]]:
+        """What carries which operation out."""
+        return {
             SendActionGoal: self._send_goal,
             CancelActionGoal: self._cancel,
             AdvertiseAction: self._advertise,
@@ -167,6 +171,11 @@ class ClientActions:
         if goal is not None and not goal.ended:
             self._sent[goal] = name, operation.id
             goal.when_ended(lambda _result: self._sent.pop(goal))
+
+    def turn_away(self, operation: SendActionGoal, problem: str) -> None:
+        """Answer a goal that the client may not send."""
+        fields = {"op": "action_result", "action": operation.action, "values": problem, "result": False}
+        self._send(with_id({**fields, "status": int(GoalStatus.UNKNOWN)}, operation.id))
 
     def _cancel(self, operation: CancelActionGoal) -> None:
         """Cancel the goal of this id; one that is unknown has most likely just ended."""

@@ -54,7 +54,11 @@ class ClientServices:
         self._asked: dict[str | int | None, Call] = {}
         self._numbers = itertools.count(1)
         self._calls_in_flight = 0
-        self.handlers: Mapping[type[Operation], Callable[..., None]] = {
+
+    @property
+    def handlers(self) -> Mapping[type[Operation], Callable[..., None]]:
+        """What carries which operation out."""
+        return {
             CallService: self._call,
             AdvertiseService: self._advertise,
             UnadvertiseService: self._unadvertise,
@@ -69,7 +73,13 @@ class ClientServices:
             raise OperationError(operation.op, None, f"this client has {len(self._offered)}, the limit is {limit}")
         self._spelling.learn(operation.type, "srv")
         former = self._services.provider(name)
-        self._services.offer_calls(self._node, name, operation.type, lambda call: self._ask(operation.service, call))
+        self._services.offer_calls(
+            self._node,
+            name,
+            operation.type,
+            lambda call: self._ask(operation.service, call),
+            self._limits.call_timeout_s,
+        )
         self._offered.add(name)
         if former not in (None, self._node):
             self._tell("warning", operation, f"service {operation.service}: takes the place of another client's")
@@ -107,11 +117,14 @@ class ClientServices:
 
     # As a caller.
 
+    def turn_away(self, operation: CallService, problem: str) -> None:
+        """Answer a call that the client may not make."""
+        _, mark = _name_and_mark(operation)
+        fields = {"op": "service_response", "service": operation.service, "values": problem, "result": False}
+        self._send(with_id(fields, mark))
+
     def _call(self, operation: CallService) -> None:
-        # `/svc#7` is how rosbridge's first clients gave the id.
-        service, _, mark_in_name = operation.service.partition("#")
-        name = qualify(service)
-        mark = operation.id if operation.id is not None else mark_in_name or None
+        name, mark = _name_and_mark(operation)
         self._spelling.learn(operation.type, "srv")
         type_name = self._services.type_of(name)
 
@@ -132,3 +145,9 @@ class ClientServices:
         self._calls_in_flight += 1
         arguments = self._spelling.from_client(f"{type_name}_Request", operation.args)
         self._services.call(self._node, name, arguments, end, operation.timeout, self._spelling.dialect)
+
+
+def _name_and_mark(operation: CallService) -> tuple[str, str | int | None]:
+    # `/svc#7` is how rosbridge's first clients gave the id.
+    service, _, mark_in_name = operation.service.partition("#")
+    return qualify(service), operation.id if operation.id is not None else mark_in_name or None

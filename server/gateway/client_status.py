@@ -7,6 +7,7 @@ warning what is but was most likely not meant so, info that something has succee
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Mapping
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -26,9 +27,8 @@ from protocol.operations import (
 )
 from protocol.session import Refusal, Session
 from server.errors import GraphError
+from server.gateway.log_share import LogShare
 from server.node import Node
-
-log = logging.getLogger("armbridge.gateway")
 
 Tell: TypeAlias = Callable[[Literal["warning", "info"], Operation, str], None]
 
@@ -62,22 +62,44 @@ class ClientStatus:
         node: the client.
         session: its protocol state.
         wake: called when there is something to send.
+
+    Attributes:
+        refused: how many operations were not carried out.
     """
 
     def __init__(self, node: Node, session: Session, wake: Callable[[], None]) -> None:
+        self.refused = 0
         self._node = node
         self._session = session
         self._wake = wake
-        self.handlers: Mapping[type[Operation], Callable[..., None]] = {
+        self._turned_away = ""
+        # Most clients do nothing wrong.
+        self._log_share: LogShare | None = None
+
+    @property
+    def handlers(self) -> Mapping[type[Operation], Callable[..., None]]:
+        """What carries which operation out."""
+        return {
             SetLevel: self._set_level,
             Status: self._log_status,
         }
 
     def refuse(self, refusal: Refusal) -> None:
         """Say that something is not carried out."""
+        self.refused += 1
         text = one_line(refusal.text)
-        log.warning("%s: refused: %s", self._node, text)
+        self._log(logging.WARNING, f"{self._node}: refused: {text}")
         self._session.status("error", text, refusal.id)
+        self._wake()
+
+    def turn_away(self, operation: Operation, reason: str) -> None:
+        """Say that the client may not do something; the log hears it once, for a client may ask many times a second."""
+        self.refused += 1
+        text = one_line(f"{operation.op}: {reason}")
+        if text != self._turned_away:
+            self._log(logging.WARNING, f"{self._node}: refused: {text}")
+        self._turned_away = text
+        self._session.status("error", text, operation.id)
         self._wake()
 
     def refuse_error(self, op: str, error: ProtocolError | GraphError, mark: str | int | None = None) -> None:
@@ -107,4 +129,9 @@ class ClientStatus:
         self._session.status_level = operation.level
 
     def _log_status(self, operation: Status) -> None:
-        log.log(_LOG_LEVELS[operation.level], "%s says: %s", self._node, one_line(shorten(operation.msg)))
+        self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
+
+    def _log(self, level: int, text: str) -> None:
+        if self._log_share is None:
+            self._log_share = LogShare()
+        self._log_share.write(time.monotonic(), level, text)

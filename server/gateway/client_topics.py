@@ -53,7 +53,11 @@ class ClientTopics:
         self._refuse = refuse
         self._send_at_once = send_at_once
         self._subscriber = Subscriber(self._deliver)
-        self.handlers: Mapping[type[Operation], Callable[..., None]] = {
+
+    @property
+    def handlers(self) -> Mapping[type[Operation], Callable[..., None]]:
+        """What carries which operation out."""
+        return {
             Advertise: self._advertise,
             Unadvertise: self._unadvertise,
             Publish: self._publish,
@@ -81,10 +85,18 @@ class ClientTopics:
 
     def _publish(self, operation: Publish) -> None:
         topic = qualify(operation.topic)
-        message: object = operation.msg
-        if self._session.dialect == "ros1":
-            message = self._spelling.from_client(self._graph.topic_type(topic), message)
+        message = self._message(topic, operation)
         self._graph.publish(self._node, topic, message, latch=operation.latch, lifespan_s=LIFESPAN_S)
+
+    def turn_away(self, operation: Publish, problem: str) -> None:
+        """Have a message answered that the client may not publish."""
+        topic = qualify(operation.topic)
+        self._graph.turn_away(self._node, topic, self._message(topic, operation), problem)
+
+    def _message(self, topic: str, operation: Publish) -> object:
+        if self._session.dialect == "ros1":
+            return self._spelling.from_client(self._graph.topic_type(topic), operation.msg)
+        return operation.msg
 
     def _subscribe(self, operation: Subscribe) -> None:
         topic = qualify(operation.topic)

@@ -1,4 +1,4 @@
-"""HTTP on the port of rosbridge: the page at ``/``, the robot's URDF and meshes below ``/robot/``.
+"""HTTP on the port of rosbridge: the page at ``/``, the robot's files below ``/robot/``, and routes.
 
 One request a connection, answered before there is a WebSocket; requests to upgrade pass, whatever they ask for.
 """
@@ -8,8 +8,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
+from collections.abc import Awaitable, Callable, Mapping
 from http import HTTPStatus
 from pathlib import Path
+from typing import TypeAlias
 from urllib.parse import unquote
 
 from websockets.asyncio.server import ServerConnection
@@ -25,6 +27,9 @@ from server.gateway.media_types import compressible, media_type
 from server.moveit.robot_files import find_file, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
+
+# Answers a request for one path.
+Route: TypeAlias = Callable[[Request], Awaitable[Answer]]
 
 METHODS = ("GET", "HEAD")
 
@@ -51,10 +56,17 @@ class HttpGate:
     Args:
         robot: whose files are served.
         page_directory: the built page; it may come, go and change while the server runs.
+        routes: what else is answered, by path without its first slash; they come before the page's files.
     """
 
-    def __init__(self, robot: RobotModel | None = None, page_directory: Path = page.PAGE_DIRECTORY) -> None:
+    def __init__(
+        self,
+        robot: RobotModel | None = None,
+        page_directory: Path = page.PAGE_DIRECTORY,
+        routes: Mapping[str, Route] | None = None,
+    ) -> None:
         self._robot = robot
+        self._routes = routes or {}
         self._page_directory = page_directory
         # Large meshes do not put the page out, nor does their disk hold it up.
         self._page_files = FileCache()
@@ -74,9 +86,13 @@ class HttpGate:
         else:
             answer = await self._answer(request)
         if answer.status >= HTTPStatus.BAD_REQUEST:
-            log.debug("%s %s: %d", request.method[:20], one_line(shorten(request.path)), answer.status)
+            # Behind the question mark there may be a token.
+            asked = one_line(shorten(request.path.partition("?")[0]))
+            log.debug("%s %s: %d", request.method[:20], asked, answer.status)
         response = answer.response(request)
-        if self._unread_bytes + len(response.body) > MAX_UNREAD_BYTES:
+        # Routes are small, and whether the server lives is to be heard while others read files.
+        is_route = _name(request.path) in self._routes
+        if not is_route and self._unread_bytes + len(response.body) > MAX_UNREAD_BYTES:
             text = f"clients leave {self._unread_bytes} bytes unread, the limit is {MAX_UNREAD_BYTES}; ask again later"
             return Answer.of_text(HTTPStatus.SERVICE_UNAVAILABLE, text, {"Retry-After": "5"}).response(request)
         self._count(connection, len(response.body))
@@ -99,6 +115,8 @@ class HttpGate:
         name = _name(request.path)
         if name is None:
             return Answer.of_text(HTTPStatus.NOT_FOUND, "this is no path to a file")
+        if name in self._routes:
+            return await self._routes[name](request)
         gzipped = accepts_gzip(request.headers) and compressible(name or page.INDEX)
         room, _, inner = name.partition("/")
         try:

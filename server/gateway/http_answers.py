@@ -64,6 +64,11 @@ class Answer:
         return cls(status, f"{text}\n".encode(errors="backslashreplace"), {**about, **(headers or {})})
 
     @classmethod
+    def of_data(cls, status: HTTPStatus, body: bytes, media_type: str) -> Answer:
+        """What holds at the moment of asking, for programs."""
+        return cls(status, body, {"Content-Type": media_type, "Cache-Control": "no-store"})
+
+    @classmethod
     def of_html(cls, status: HTTPStatus, text: str) -> Answer:
         """A page of the server's own."""
         return cls(status, text.encode(), {"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store"})

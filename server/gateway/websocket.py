@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import time
 from collections.abc import Callable
@@ -10,8 +11,11 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
+from websockets.server import ServerProtocol
 
 from protocol.parcel import Parcel
+from server.access.roles import ANYONE, Identity
+from server.gateway.entrance.turnstile import Visit
 
 # Looking a member of an enumeration up takes as long as calling a function.
 _OPEN, _TEXT, _BINARY = State.OPEN, Opcode.TEXT, Opcode.BINARY
@@ -25,7 +29,15 @@ BURST_S = 0.0001
 WRITE_LIMIT_BYTES = 32_768
 
 # Messages of one client are carried out for no longer than this before others have their turn.
-TURN_S = 0.001
+TURN_S = 0.0005
+
+# What the socket has received, up to 256 kB, is read in pieces of this size: of small frames each takes half a
+# millisecond at most. A piece without the end of a message is followed by one four times as large.
+PIECE_BYTES = 2048
+GROWTH = 4
+
+# Whoever connects asks for something at once; what sends its request more slowly only holds the connection.
+REQUEST_TIMEOUT_S = 10.0
 
 
 class WebSocket(ServerConnection):
@@ -36,16 +48,78 @@ class WebSocket(ServerConnection):
     connection, as it does with websockets' own class.
 
     Attributes:
+        visit: its place among all connections, given up when it ends; None where they are not counted.
+        identity: who the client is; None until it says so.
         on_message: called with a message, text or bytes, None while nobody is there to be called; must not raise.
+        received_bytes: what has come, the handshake included.
+        sent_messages: how many messages have been sent; a fragment is one.
+        sent_bytes: what they took on the connection.
     """
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+    # Beside those of websockets' own class there is no room in a dictionary whose keys all connections share.
+    __slots__ = (
+        "_full",
+        "_heard",
+        "_last_sent_s",
+        "_request_timer",
+        "_turn_ends_s",
+        "_unread",
+        "_unsent",
+        "_unsent_bytes",
+        "identity",
+        "on_message",
+        "received_bytes",
+        "sent_bytes",
+        "sent_messages",
+        "visit",
+    )
+
+    def __init__(self, protocol: ServerProtocol, *args: Any, **kwargs: Any) -> None:
+        # websockets' own log would have every address and every message, with the tokens in them.
+        protocol.debug = False
+        super().__init__(protocol, *args, **kwargs)
+        self.visit: Visit | None = None
+        self.identity: Identity | None = ANYONE
+        self._request_timer: asyncio.TimerHandle | None = None
         self.on_message: Callable[[str | bytes], None] | None = None
+        self.received_bytes = 0
+        self.sent_messages = 0
+        self.sent_bytes = 0
         self._turn_ends_s = 0.0
+        # What is still to be read, whether any of it may be, and whether a piece of it was a message's end.
+        self._unread = b""
+        self._full = False
+        self._heard = False
         self._last_sent_s = -math.inf
         self._unsent: list[bytes] = []
         self._unsent_bytes = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin to wait for the request."""
+        super().connection_made(transport)
+        self.recv_messages.pause = self._pause_reading
+        self.recv_messages.resume = self._resume_reading
+        self._request_timer = self.loop.call_later(REQUEST_TIMEOUT_S, self.transport.abort)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Make room for others."""
+        self.take_request()
+        if self.visit is not None:
+            self.visit.end()
+        super().connection_lost(exc)
+
+    def forget_handshake(self) -> None:
+        """Give up what the client said and was answered before it was let in: as much memory as all its state."""
+        if self.request is not None:
+            # websockets itself holds on to the request.
+            self.request.headers.clear()
+        self.response = None
+
+    def take_request(self) -> None:
+        """The whole request is there; nobody waits for it any more."""
+        if self._request_timer is not None:
+            self._request_timer.cancel()
+            self._request_timer = None
 
     @property
     def takes_more(self) -> bool:
@@ -64,15 +138,18 @@ class WebSocket(ServerConnection):
         """
         if not self.takes_more:
             return False
+        on_wire = parcel.on_wire
+        self.sent_messages += len(parcel.frames)
+        self.sent_bytes += len(on_wire)
         if not self._unsent:
             now_s = time.monotonic()
             if now_s - self._last_sent_s > BURST_S:
                 self._last_sent_s = now_s
-                self.transport.write(parcel.on_wire)
+                self.transport.write(on_wire)
                 return True
             self.loop.call_soon(self._write_unsent)
-        self._unsent.append(parcel.on_wire)
-        self._unsent_bytes += len(parcel.on_wire)
+        self._unsent.append(on_wire)
+        self._unsent_bytes += len(on_wire)
         return True
 
     def _write_unsent(self) -> None:
@@ -83,11 +160,53 @@ class WebSocket(ServerConnection):
 
     def data_received(self, data: bytes) -> None:
         """Begin a turn with what the socket has received."""
+        self.received_bytes += len(data)
+        if self._unread or self._full:
+            self._unread += data
+        else:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
+        """Read what has come until the turn is over; the rest waits for the next one, and the socket with it."""
         self._turn_ends_s = time.monotonic() + TURN_S
-        super().data_received(data)
+        begin, size = 0, PIECE_BYTES
+        while begin < len(data) and not self._full:
+            self._heard = False
+            super().data_received(data[begin : begin + size] if begin or size < len(data) else data)
+            begin += size
+            size = PIECE_BYTES if self._heard else GROWTH * size
+            if time.monotonic() >= self._turn_ends_s:
+                break
+        self._unread = data[begin:]
+        if self._unread:
+            self._stop_reading()
+            if not self._full:
+                self.loop.call_soon(self._go_on)
+
+    def _go_on(self) -> None:
+        data, self._unread = self._unread, b""
+        if self.transport.is_closing():
+            return
+        self._take(data)
+        if not self._unread and not self._full:
+            self.transport.resume_reading()
+
+    def _pause_reading(self) -> None:
+        """Leave what comes unread while too many messages wait."""
+        self._full = True
+        self._stop_reading()
+
+    def _resume_reading(self) -> None:
+        self._full = False
+        self.loop.call_soon(self._go_on)
+
+    def _stop_reading(self) -> None:
+        if not self.transport.is_closing():
+            self.transport.pause_reading()
 
     def process_event(self, event: Any) -> None:
         """Hand a message over, or have it wait."""
+        self._heard = True
         if self.on_message is None or not _is_message(event) or not self._may_go_first():
             super().process_event(event)
             return

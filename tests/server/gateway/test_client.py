@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
 
+from protocol.codecs import png
 from protocol.limits import Limits
+from server.access.roles import Identity, Role
+from server.access.settings import AccessSettings
+from server.graph import Subscriber
+from server.node import Node
 from tests.helpers.conformance import cases, play
 from tests.helpers.in_process import InProcess
 
@@ -57,3 +63,75 @@ async def test_messages_that_were_dropped_are_told_when_the_client_leaves(caplog
     await world.close("slow")
     assert f"slow: {slow.session.dropped} messages were dropped" in caplog.text
     assert slow.session.dropped > 0
+
+
+class TestRefused:
+    """Operations of a client that may only look; who waits for an answer gets one."""
+
+    @pytest.fixture
+    def guarded(self) -> InProcess:
+        world = InProcess(access=AccessSettings())
+        world.enter("screen", Identity("screen", Role.VIEW))
+        world.say("screen", op="set_level", level="error")
+        return world
+
+    def test_a_call_gets_a_response(self, guarded: InProcess) -> None:
+        guarded.say("screen", op="call_service", service="arm/enable#7")
+        status, response = guarded.heard("screen")
+        assert (status["op"], status["level"]) == ("status", "error")
+        assert (response["op"], response["service"], response["id"]) == ("service_response", "arm/enable#7", "7")
+        assert response["result"] is False
+        assert response["values"].startswith("service /arm/enable: needs the role operate, this client has view")
+
+    def test_a_goal_gets_a_result(self, guarded: InProcess) -> None:
+        guarded.say("screen", op="send_action_goal", action="/a", action_type="control_msgs/PointHead", id="g")
+        _, result = guarded.heard("screen")
+        assert (result["op"], result["id"], result["status"], result["result"]) == ("action_result", "g", 0, False)
+        assert "needs the role operate" in result["values"]
+
+    def test_a_message_gets_a_status_and_reaches_nobody(self, guarded: InProcess) -> None:
+        guarded.say("other", op="subscribe", topic="/a", type="std_msgs/String")
+        guarded.say("screen", op="publish", topic="/a", msg={"data": "x"}, id="p")
+        (status,) = guarded.heard("screen")
+        assert status["msg"].startswith("publish: topic /a: needs the role operate")
+        assert status["id"] == "p"
+        assert guarded.heard("other") == []
+
+    def test_a_goal_on_a_topic_gets_the_answer_that_the_topic_promises(self, guarded: InProcess) -> None:
+        turned_away: list[Any] = []
+        promising = Subscriber(lambda _: None, turned_away=lambda *told: turned_away.append(told))
+        guarded.graph.subscribe(Node("moveit"), "/moveit_goal_joints", "sensor_msgs/JointState", promising)
+        stamp = {"secs": 5, "nsecs": 6}
+        guarded.client("screen").session.dialect = "ros1"
+        guarded.say("screen", op="publish", topic="moveit_goal_joints", msg={"header": {"stamp": stamp}})
+        ((message, sender, _),) = turned_away
+        assert message["header"]["stamp"] == {"sec": 5, "nanosec": 6}
+        assert sender is guarded.client("screen").node
+
+    @pytest.mark.parametrize("packing", ["png", "fragments", "several in a frame"])
+    def test_packing_an_operation_gets_it_nowhere(self, guarded: InProcess, packing: str) -> None:
+        inside = json.dumps({"op": "advertise", "topic": "/a", "type": "std_msgs/String"})
+        screen = guarded.client("screen")
+        if packing == "png":
+            screen.receive_frame(json.dumps({"op": "png", "data": png.encode(inside.encode())}))
+        elif packing == "fragments":
+            for number, data in enumerate((inside[:10], inside[10:])):
+                fields = {"op": "fragment", "id": "f", "num": number, "total": 2, "data": data}
+                screen.receive_frame(json.dumps(fields))
+        else:
+            screen.receive_frame('{"op":"subscribe","topic":"/b","type":"std_msgs/String"}' + inside)
+        assert "/a" not in guarded.graph.topic_types()
+        assert "needs the role operate" in guarded.heard("screen")[-1]["msg"]
+
+    def test_the_log_hears_of_the_same_refusal_once(self, guarded: InProcess, caplog: pytest.LogCaptureFixture) -> None:
+        for _ in range(5):
+            guarded.say("screen", op="publish", topic="/servo_node/delta_twist_cmds")
+        assert caplog.text.count("screen: refused: publish: topic /servo_node/delta_twist_cmds") == 1
+        assert len(guarded.heard("screen")) == 5
+
+    def test_a_bug_in_the_guard_does_not_take_the_client_with_it(
+        self, guarded: InProcess, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("server.access.guard.rules.of_topic", lambda _name: 1 / 0)
+        guarded.say("screen", op="publish", topic="/a")
+        assert "screen: publish failed" in caplog.text

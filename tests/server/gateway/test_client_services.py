@@ -107,3 +107,15 @@ def test_a_broken_response_under_an_id_that_nobody_has_does_nothing(world: InPro
         world.say("p", op="service_response", service="/s", id=mark)
     world.say("c", op="call_service", service="/s", id="x")
     assert world.heard("c") == []
+
+
+async def test_a_service_that_does_not_answer_in_the_time_that_is_set_fails() -> None:
+    world = InProcess(Limits(call_timeout_s=3.0))
+    world.say("p", op="advertise_service", service="/s", type=TYPE)
+    world.say("c", op="call_service", service="/s", id="x", args={})
+    await world.advance(2.9)
+    assert world.heard("c") == []
+    await world.advance(0.2)
+    (response,) = world.heard("c")
+    assert not response["result"]
+    assert "did not answer in 3 s" in response["values"]

@@ -7,10 +7,16 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from websockets.asyncio.client import connect
+from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from protocol.registry import Registry
+from server.access.access import Access
+from server.access.settings import AccessSettings
+from server.gateway import connection
+from server.gateway.entrance.door import Door
+from server.gateway.entrance.entrance import Entrance
+from server.gateway.entrance.turnstile import ConnectionLimits
 from server.gateway.listener import Listener
 from server.graph import Graph
 from server.node import Node
@@ -168,3 +174,88 @@ async def test_a_client_says_in_its_url_whether_its_goals_end_with_it(
         await client.send(SUBSCRIBE)
         await until_subscribed(graph, 1)
         assert [node.takes_goals_along for node in graph.subscribers("/t")] == [ends]
+
+
+class TestGuarded:
+    """A server with tokens, and clients that show theirs by the op ``auth``."""
+
+    TOKEN = "ada-0123456789abcdef"
+    SCREEN = "screen-0123456789abcdef"
+
+    @pytest.fixture
+    async def guarded_url(self, graph: Graph) -> AsyncIterator[str]:
+        settings = AccessSettings.model_validate(
+            {"admin_tokens": {"ada": self.TOKEN}, "view_tokens": {"screen": self.SCREEN}}
+        )
+        access = Access(settings)
+        listener = Listener(graph, "127.0.0.1", 0, entrance=Entrance(Door(access.tokens)), access=access)
+        await listener.bind()
+        await listener.open()
+        yield f"ws://127.0.0.1:{listener.port}"
+        await listener.close()
+
+    async def closed(self, client: ClientConnection) -> tuple[int | None, str | None]:
+        await asyncio.wait_for(client.wait_closed(), 5.0)
+        return client.close_code, client.close_reason
+
+    async def test_a_wrong_token_closes_the_connection_with_a_reason(self, guarded_url: str) -> None:
+        async with connect(guarded_url) as client:
+            await client.send(json.dumps({"op": "auth", "token": "guess-0123456789abcdef"}))
+            assert await self.closed(client) == (1008, "auth: field token: it is none of the tokens here")
+
+    async def test_anything_else_first_closes_it(self, guarded_url: str, graph: Graph) -> None:
+        async with connect(guarded_url) as client:
+            await client.send(SUBSCRIBE)
+            code, reason = await self.closed(client)
+        assert (code, reason) == (1008, "the first message must be auth, with a token of this server")
+        assert graph.subscribers("/t") == []
+
+    async def test_silence_closes_it(self, guarded_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.05)
+        async with connect(guarded_url) as client:
+            assert await self.closed(client) == (1008, "the op auth is wanted within 0.05 s")
+
+    async def test_a_large_message_closes_it_before_it_is_read(self, guarded_url: str) -> None:
+        async with connect(guarded_url) as client:
+            await client.send("x" * 200_000)
+            code, _ = await self.closed(client)
+        assert code == 1009
+
+    def test_all_of_one_address_together_take_little_memory_before_they_show_a_token(self) -> None:
+        assert ConnectionLimits().max_clients_per_address * connection.MAX_UNKNOWN_BYTES <= 128 << 20
+
+    async def test_a_right_token_lets_it_stay_and_send_what_it_likes(
+        self, guarded_url: str, graph: Graph, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.05)
+        async with connect(guarded_url, max_size=None) as client:
+            await client.send(json.dumps({"op": "auth", "token": self.TOKEN}))
+            await client.send(SUBSCRIBE)
+            for size in (100_000, 1_500_000):
+                await client.send(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * size}}))
+                assert len(await asyncio.wait_for(client.recv(), 5.0)) > size
+            await asyncio.sleep(0.1)
+            assert [str(node).startswith("ada (127.0.0.1:") for node in graph.subscribers("/t")] == [True]
+
+    @pytest.mark.parametrize("by_header", [True, False])
+    async def test_who_may_only_look_is_not_read_for_a_second(self, guarded_url: str, by_header: bool) -> None:
+        header = {"Authorization": f"Bearer {self.SCREEN}"} if by_header else {}
+        async with connect(guarded_url, additional_headers=header) as client:
+            await client.send(json.dumps({"op": "auth", "token": self.SCREEN}))
+            await client.send("x" * (connection.MAX_VIEW_BYTES + 1))
+            assert (await self.closed(client))[0] == 1009
+
+    async def test_who_has_shown_a_token_before_need_not_do_so_again(self, guarded_url: str, graph: Graph) -> None:
+        async with connect(guarded_url, additional_headers={"Authorization": f"Bearer {self.TOKEN}"}) as client:
+            await client.send(SUBSCRIBE)
+            await until_subscribed(graph, 1)
+            assert str(graph.subscribers("/t")[0]).startswith("ada (127.0.0.1:")
+
+
+async def test_a_client_that_hears_little_costs_no_task_of_its_own(graph: Graph, url: str) -> None:
+    async with connect(url) as client:
+        await client.send(SUBSCRIBE)
+        await until_subscribed(graph, 1)
+        graph.publish(TALKER, "/t", {"data": "hello"})
+        await asyncio.wait_for(client.recv(), 5.0)
+        assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("write to")]

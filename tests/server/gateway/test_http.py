@@ -8,20 +8,25 @@ import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import urljoin
 from urllib.request import urlopen
 
 import pytest
 from websockets.asyncio.client import connect
+from websockets.datastructures import Headers
+from websockets.http11 import Request
 
 from protocol.registry import Registry
 from robot import model
 from server.errors import ServiceError
 from server.gateway import http as gate
 from server.gateway import page
+from server.gateway.entrance.reception import OPEN_TIMEOUT_S
 from server.gateway.http import HttpGate
-from server.gateway.listener import OPEN_TIMEOUT_S, Listener
+from server.gateway.http_answers import Answer
+from server.gateway.listener import Listener
 from server.graph import Graph
 from server.moveit import robot_files
 
@@ -77,10 +82,14 @@ class Site:
             connection.close()
 
 
+async def live(_request: Request) -> Answer:
+    return Answer.of_data(HTTPStatus.OK, b"yes", "text/plain")
+
+
 @asynccontextmanager
 async def site_of(folders: Path) -> AsyncIterator[Site]:
     robot = replace(model.builtin(), urdf=URDF, mesh_directory=folders / "robot")
-    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, HttpGate(robot, folders / "dist"))
+    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, HttpGate(robot, folders / "dist", {"livez": live}))
     await listener.bind()
     await listener.open()
     yield Site(listener.port)
@@ -113,6 +122,24 @@ async def test_a_file_is_there_as_what_it_is(site: Site, path: str, kind: str) -
     head, nothing = await site.ask(path, "HEAD")
     assert (head.status, nothing) == (200, b"")
     assert {**head.headers, "Date": ""} == {**got.headers, "Date": ""}
+
+
+async def test_a_route_is_asked_before_the_page_and_for_its_own_path_alone(folders: Path) -> None:
+    async def answer(request: Request) -> Answer:
+        return Answer.of_data(HTTPStatus.OK, request.path.encode(), "text/x-path")
+
+    gate_with_routes = HttpGate(None, folders / "dist", {"index.html": answer, "healthz": answer})
+    asked = [Request(path, Headers()) for path in ("/index.html", "/healthz?verbose", "/healthz/x", "/")]
+    answers = [await gate_with_routes._answer(request) for request in asked]
+    assert [each.body for each in answers[:2]] == [b"/index.html", b"/healthz?verbose"]
+    assert [each.headers["Content-Type"] == "text/x-path" for each in answers] == [True, True, False, False]
+
+
+async def test_what_stands_behind_the_question_mark_is_not_logged(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG, "armbridge.gateway")
+    await site.ask("/nothing?token=s3cret")
+    assert "/nothing: 404" in caplog.text
+    assert "s3cret" not in caplog.text
 
 
 async def test_the_page_may_ask_no_other_host_and_be_in_no_other_page(site: Site) -> None:
@@ -297,7 +324,7 @@ async def test_a_client_that_reads_slowly_gets_all(folders: Path) -> None:
         with socket.socket() as client:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             client.connect(("127.0.0.1", port))
-            client.sendall(f"GET /robot/{PACKAGE}/assets/large.stl HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            client.sendall(f"GET /robot/{PACKAGE}/assets/large.stl HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             got = bytearray()
             while part := client.recv(1 << 20):
                 got += part
@@ -315,12 +342,16 @@ async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
     (folders / "robot" / "assets" / "large.stl").write_bytes(bytes(16 << 20))
     monkeypatch.setattr(gate, "MAX_UNREAD_BYTES", 20 << 20)
     with socket.create_connection(("127.0.0.1", site.port)) as deaf:
-        deaf.sendall(f"GET {path} HTTP/1.1\r\n\r\n".encode())
+        deaf.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
         await asyncio.to_thread(deaf.recv, 1)
         refused, body = await site.ask(path)
         assert (refused.status, refused.headers["Retry-After"]) == (503, "5")
         assert f"clients leave {16 << 20} bytes unread, the limit is {20 << 20}".encode() in body
         assert (await site.ask("/"))[0].status == 200
+        # Whether the server lives is asked by whoever starts it anew when it does not say so.
+        monkeypatch.setattr(gate, "MAX_UNREAD_BYTES", 0)
+        assert [(await site.ask(each))[0].status for each in ("/livez", "/")] == [200, 503]
+        monkeypatch.setattr(gate, "MAX_UNREAD_BYTES", 20 << 20)
     async with asyncio.timeout(5.0):
         while (await site.ask(path))[0].status != 200:
             await asyncio.sleep(0.01)

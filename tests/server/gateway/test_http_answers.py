@@ -56,3 +56,9 @@ def test_a_sentence_has_no_name_to_be_known_by() -> None:
     sent = answer.response(Request("/", Headers({"If-None-Match": "*"})))
     assert (sent.status_code, sent.body, sent.headers["Cache-Control"]) == (404, b"no \\udcff\n", "no-store")
     assert answer.response(Request("/", Headers(), "HEAD")).headers["Content-Length"] == "10"
+
+
+def test_what_holds_at_the_moment_is_not_to_be_kept() -> None:
+    sent = Answer.of_data(HTTPStatus.SERVICE_UNAVAILABLE, b"{}", "application/json").response(Request("/", Headers()))
+    assert (sent.status_code, sent.body, sent.headers["Content-Type"]) == (503, b"{}", "application/json")
+    assert sent.headers["Cache-Control"] == "no-store"

@@ -11,10 +11,14 @@ from typing import Any
 
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import InvalidStatus
+from websockets.typing import Origin
 
 from protocol.limits import Limits
 from protocol.registry import Registry
-from server.errors import StartError
+from server.errors import ConfigurationError, StartError
+from server.gateway.entrance.door import Door
+from server.gateway.entrance.entrance import Entrance
 from server.gateway.listener import Listener, tells_of_more_than_http
 from server.graph import Graph
 from server.rosapi.api import RosApi
@@ -126,6 +130,25 @@ async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(
     assert told == {"op": "status", "level": "error", "msg": f"message of {limit + 1} bytes, the limit is {limit}"}
 
 
+async def test_the_limits_that_are_set_are_those_of_a_client() -> None:
+    made = Listener(Graph(REGISTRY), "127.0.0.1", 0, limits=Limits(max_message_bytes=100_000))
+    await made.bind()
+    await made.open()
+    async with connect(f"ws://127.0.0.1:{made.port}", max_size=None) as websocket:
+        await websocket.send(json.dumps({"op": "set_level", "level": "error"}))
+        await websocket.send("x" * 100_001)
+        told = json.loads(await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S))
+    await made.close()
+    assert told["msg"] == "message of 100001 bytes, the limit is 100000"
+
+
+async def test_who_is_not_let_in_is_counted_by_why(listener: Listener) -> None:
+    for origin in ("https://evil.example", "https://evil.example"):
+        with pytest.raises(InvalidStatus):
+            await connect(f"ws://127.0.0.1:{listener.port}", origin=Origin(origin))
+    assert listener.refused_connections() == {"origin": 2, "limit": 0}
+
+
 async def test_a_taken_port_is_told_with_its_number() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -135,7 +158,35 @@ async def test_a_taken_port_is_told_with_its_number() -> None:
 
 async def test_an_address_that_is_not_ours_is_told() -> None:
     with pytest.raises(StartError, match=r"cannot listen on 192\.0\.2\.1:0"):
-        await Listener(Graph(REGISTRY), "192.0.2.1", 0).bind()
+        await Listener(Graph(REGISTRY), "192.0.2.1", 0, entrance=Entrance(Door(insecure=True))).bind()
+
+
+async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_about_it() -> None:
+    listener = Listener(Graph(REGISTRY), "0.0.0.0", 0)
+    with pytest.raises(ConfigurationError, match="--insecure"):
+        await listener.bind()
+    assert listener.port == 0
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+async def test_the_listener_tells_where_it_is(host: str) -> None:
+    listener = Listener(Graph(REGISTRY), host, 0)
+    await listener.bind()
+    assert listener.url == f"ws://{host}:{listener.port}"
+    assert listener.page_url == f"http://{host}:{listener.port}/"
+    await listener.close()
+
+
+def test_an_address_of_ipv6_has_its_brackets() -> None:
+    assert Listener(Graph(REGISTRY), "::1", 9090).url == "ws://[::1]:9090"
+
+
+async def test_without_a_certificate_there_is_nothing_to_read_again(
+    listener: Listener, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    listener.reload_certificate()
+    assert "nothing to read again: there is no certificate (server.tls_certificate)" in caplog.text
 
 
 async def test_closing_ends_every_connection(listener: Listener) -> None:

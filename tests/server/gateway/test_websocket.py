@@ -128,3 +128,68 @@ async def test_a_connection_that_is_closed_takes_nothing() -> None:
         await link.client.close()
         await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
         assert not link.server.send_at_once(Parcel(Payload(b"{}", text=True)))
+
+
+def flood_of(count: int) -> bytes:
+    frames = (json.dumps({"op": "publish", "topic": "/t", "msg": {"data": str(number)}}) for number in range(count))
+    return b"".join(Frame(Opcode.TEXT, frame.encode()).serialize(mask=True) for frame in frames)
+
+
+async def test_of_a_flood_that_comes_at_once_only_a_turns_worth_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(websocket, "TURN_S", 0.0)
+    async with linked() as link:
+        await link.subscribe()
+        # As if there were time for each message, so that no queue of them fills up first.
+        monkeypatch.setattr(WebSocket, "_may_go_first", lambda _websocket: True)
+        flood = flood_of(1000)
+        link.server.data_received(flood)
+        assert len(link.server._unread) == len(flood) - websocket.PIECE_BYTES
+        async with asyncio.timeout(TIMEOUT_S):
+            while link.server._unread:
+                await asyncio.sleep(0)
+
+
+async def test_a_flood_is_carried_out_in_order_while_the_queue_fills_again_and_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(websocket, "TURN_S", 0.0)
+    async with linked() as link:
+        await link.subscribe()
+        flood = flood_of(1000)
+        for begin in range(0, len(flood), 10_000):
+            link.server.data_received(flood[begin : begin + 10_000])
+        assert await link.received(1000) == NUMBERS
+        assert not link.server._unread
+
+
+async def test_a_large_message_is_not_read_in_small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    pieces: list[int] = []
+    read = websocket.ServerConnection.data_received
+
+    def count(self: WebSocket, data: bytes) -> None:
+        pieces.append(len(data))
+        read(self, data)
+
+    async with linked() as link:
+        monkeypatch.setattr(websocket, "TURN_S", 60.0)
+        monkeypatch.setattr(websocket.ServerConnection, "data_received", count)
+        link.server.data_received(Frame(Opcode.TEXT, b"x" * 200_000).serialize(mask=True))
+    assert pieces[:4] == [websocket.PIECE_BYTES * websocket.GROWTH**number for number in range(4)]
+    assert len(pieces) < 8
+
+
+async def test_what_was_not_read_before_a_connection_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(websocket, "TURN_S", 0.0)
+    async with linked() as link:
+        link.server.data_received(flood_of(1000))
+        link.server.transport.abort()
+        await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
+        await asyncio.sleep(0)
+        assert not link.server._unread
+
+
+async def test_a_connection_forgets_what_was_said_before_it_was_let_in() -> None:
+    async with linked() as link:
+        assert link.server.request is not None
+        assert not link.server.request.headers
+        assert link.server.response is None

@@ -1,0 +1,79 @@
+"""The server's certificate, and its replacement while the server runs."""
+
+from __future__ import annotations
+
+import logging
+import ssl
+from pathlib import Path
+
+from server.errors import ConfigurationError
+
+log = logging.getLogger("armbridge.gateway")
+
+CERTIFICATE, KEY = "server.tls_certificate", "server.tls_key"
+
+_LOCKED = "the key has a passphrase, which nobody can enter; `openssl pkey -in KEY -out NEW` takes it off"
+
+
+class Tls:
+    """A certificate with its key.
+
+    Args:
+        certificate: PEM file, with the certificates that lead to its issuer.
+        key: PEM file.
+
+    Attributes:
+        context: for new connections; those that are open keep what they have.
+
+    Raises:
+        ConfigurationError: the files cannot be used.
+    """
+
+    def __init__(self, certificate: Path, key: Path) -> None:
+        self._certificate = certificate
+        self._key = key
+        self.context = self._read()
+
+    def reload(self) -> None:
+        """Read the files again; ones that cannot be used change nothing, and are told of in the log."""
+        try:
+            self.context = self._read()
+        except ConfigurationError as error:
+            log.warning("the certificate stays as it was: %s", error)
+        else:
+            log.info("certificate read again: %s", self._certificate)
+
+    def _read(self) -> ssl.SSLContext:
+        for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
+            _check_readable(setting, file)
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        context.set_alpn_protocols(["http/1.1"])
+        asked: list[bool] = []
+
+        def passphrase() -> str:
+            asked.append(True)
+            return ""
+
+        try:
+            context.load_cert_chain(self._certificate, self._key, passphrase)
+        except (ssl.SSLError, OSError, ValueError) as error:
+            raise ConfigurationError(self._reason(error, asked_for_passphrase=bool(asked))) from error
+        return context
+
+    def _reason(self, error: Exception, *, asked_for_passphrase: bool) -> str:
+        if asked_for_passphrase:
+            return f"{KEY}: {self._key}: {_LOCKED}"
+        if isinstance(error, ssl.SSLError) and error.reason == "KEY_VALUES_MISMATCH":
+            return f"{KEY}: {self._key} is not the key of the certificate in {self._certificate} ({CERTIFICATE})"
+        for setting, file, kind in ((CERTIFICATE, self._certificate, "CERTIFICATE"), (KEY, self._key, "PRIVATE KEY")):
+            if f"{kind}-----" not in file.read_text(errors="replace"):
+                return f"{setting}: {file} has no {kind} in PEM format"
+        return f"{CERTIFICATE} {self._certificate} and {KEY} {self._key} cannot be used: {error}"
+
+
+def _check_readable(setting: str, file: Path) -> None:
+    try:
+        file.open("rb").close()
+    except OSError as error:
+        raise ConfigurationError(f"{setting}: {file} cannot be read: {error.strerror or error}") from error

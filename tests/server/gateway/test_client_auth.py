@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import base64
+import json
+from hashlib import sha512
+from typing import Any
+
+import pytest
+
+from protocol.codecs import png
+from server.access.roles import Identity, Role
+from server.access.settings import AccessSettings
+from server.gateway.client_auth import MAX_FIRST_BYTES
+from server.gateway.entrance.wrong_tokens import MAX_WRONG, WrongTokens
+from tests.helpers.in_process import InProcess
+
+ADA, SCREEN = "ada-0123456789abcdef", "screen-0123456789abcdef"
+SETTINGS = AccessSettings.model_validate({"admin_tokens": {"ada": ADA}, "view_tokens": {"screen": SCREEN}})
+FIRST = "the first message must be auth, with a token of this server"
+
+
+@pytest.fixture
+def world() -> InProcess:
+    """A server with tokens, and a client that has shown none."""
+    world = InProcess(access=SETTINGS)
+    world.enter("x", None)
+    return world
+
+
+def mac(token: str, now_s: float, rand: str = "r") -> dict[str, Any]:
+    """The fields that roslibjs sends by ``ros.authenticate``."""
+    t, end = int(now_s), int(now_s) + 100
+    text = f"{token}client-addressdest-address{rand}{t}user{end}"
+    fields = {"client": "client-address", "dest": "dest-address", "rand": rand, "t": t, "level": "user", "end": end}
+    return {"op": "auth", "mac": sha512(text.encode()).hexdigest(), **fields}
+
+
+def identity(world: InProcess, name: str = "x") -> Identity | None:
+    return world.client(name).node.identity
+
+
+def test_a_token_says_who_a_client_is(world: InProcess) -> None:
+    world.client("x").node.address = "10.0.0.1:5"
+    world.say("x", op="auth", token=SCREEN)
+    assert identity(world) == Identity("screen", Role.VIEW)
+    assert world.client("x").node.name == "screen (10.0.0.1:5)"
+    assert not world.closed
+
+
+def test_so_does_rosauths_proof_of_one(world: InProcess) -> None:
+    world.say("x", **mac(ADA, world.clock()))
+    assert identity(world) == Identity("ada", Role.ADMIN)
+
+
+def test_what_follows_in_the_same_frame_is_carried_out(world: InProcess) -> None:
+    frame = json.dumps({"op": "auth", "token": ADA}) + json.dumps(
+        {"op": "subscribe", "topic": "/a", "type": "std_msgs/String"}
+    )
+    world.client("x").receive_frame(frame)
+    assert "/a" in world.graph.topic_types()
+
+
+WRONG = {
+    "a token that is nobody's": {"op": "auth", "token": "guess-0123456789abcdef"},
+    "no token": {"op": "auth"},
+    "a proof of another token": mac("guess-0123456789abcdef", 0.0),
+}
+
+
+@pytest.mark.parametrize("operation", WRONG.values(), ids=WRONG.keys())
+def test_a_wrong_auth_ends_the_connection_with_a_reason(world: InProcess, operation: dict[str, Any]) -> None:
+    world.say("x", **operation)
+    assert world.closed["x"].startswith("auth: ")
+    assert identity(world) is None
+
+
+FRAMES = {
+    "a subscription": '{"op":"subscribe","topic":"/joint_states"}',
+    "a stop": '{"op":"publish","topic":"/stop"}',
+    "a level": '{"op":"set_level","level":"info"}',
+    "no operation": '{"op":"authx"}',
+    "no JSON": "auth",
+    "nothing": "",
+    "half an object": '{"op":"auth","token":',
+    "a fragment": '{"op":"fragment","id":"1","num":0,"total":2,"data":"{"}',
+    "a late auth": '{"op":"subscribe","topic":"/a","type":"std_msgs/String"}'
+    + json.dumps({"op": "auth", "token": ADA}),
+    "more than an auth has": json.dumps({"op": "auth", "token": ADA, "more": "x" * MAX_FIRST_BYTES}),
+}
+
+
+@pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES.keys())
+def test_whatever_else_comes_first_ends_the_connection_and_does_nothing(world: InProcess, frame: str) -> None:
+    world.client("x").receive_frame(frame)
+    assert world.closed["x"]
+    assert identity(world) is None
+    assert world.graph.topic_types() == {}
+
+
+def test_the_reason_says_what_is_wanted(world: InProcess) -> None:
+    world.say("x", op="subscribe", topic="/joint_states")
+    assert world.closed["x"] == FIRST
+
+
+def test_packed_into_a_picture_an_operation_is_no_other(world: InProcess) -> None:
+    inside = json.dumps({"op": "subscribe", "topic": "/a", "type": "std_msgs/String"}).encode()
+    picture = png.encode(inside)
+    data = picture if isinstance(picture, str) else base64.b64encode(picture).decode()
+    world.say("x", op="png", data=data)
+    assert world.closed["x"] == FIRST
+
+
+def test_there_is_one_guess_a_connection(world: InProcess) -> None:
+    guess = json.dumps({"op": "auth", "token": "guess-0123456789abcdef"})
+    world.client("x").receive_frame(guess + json.dumps({"op": "auth", "token": ADA}))
+    assert identity(world) is None
+    world.say("x", op="auth", token=ADA)
+    assert identity(world) is None
+
+
+def test_a_proof_that_somebody_has_overheard_is_good_for_nothing(world: InProcess) -> None:
+    overheard = mac(ADA, world.clock())
+    world.say("x", **overheard)
+    world.enter("thief", None)
+    world.say("thief", **overheard)
+    assert "used before" in world.closed["thief"]
+    assert identity(world, "thief") is None
+
+
+def test_a_client_raises_its_rights_by_a_right_token(world: InProcess) -> None:
+    world.say("x", op="auth", token=SCREEN)
+    world.say("x", op="advertise", topic="/a", type="std_msgs/String")
+    assert world.graph.topic_types() == {}
+    world.say("x", op="auth", token=ADA)
+    world.say("x", op="advertise", topic="/a", type="std_msgs/String")
+    assert "/a" in world.graph.topic_types()
+
+
+def test_a_wrong_token_costs_a_client_the_rights_that_it_had(world: InProcess) -> None:
+    world.say("x", op="auth", token=SCREEN)
+    world.say("x", op="auth", token="guess-0123456789abcdef")
+    assert world.closed["x"]
+    world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
+    assert world.graph.topic_types() == {}
+
+
+@pytest.mark.parametrize("fields", [{"role": "admin"}, {"level": "admin"}, {"identity": {"role": 3}}])
+def test_nobody_gives_itself_a_role(world: InProcess, fields: dict[str, Any]) -> None:
+    world.say("x", op="auth", token=SCREEN, **fields)
+    assert identity(world) == Identity("screen", Role.VIEW)
+
+
+def test_without_tokens_auth_changes_nothing() -> None:
+    world = InProcess()
+    world.say("x", op="set_level", level="info")
+    world.say("x", op="auth", token="anything")
+    assert identity(world) == Identity("", Role.ADMIN)
+    assert "this server has no tokens; nothing changes" in world.heard("x")[-1]["msg"]
+    assert not world.closed
+
+
+def test_no_token_gets_into_the_log(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("DEBUG")
+    guess = "guess-0123456789abcdef"
+    world.say("x", op="auth", token=ADA)
+    world.say("x", op="auth", token=[guess])
+    world.say("x", op="auth", token=guess)
+    assert caplog.text
+    assert ADA not in caplog.text
+    assert guess not in caplog.text
+
+
+@pytest.mark.parametrize("frame", ['"%s"', '{"op":"%s"}', "%s", '{"op":"auth","token":["%s"]}'])
+def test_nor_does_one_that_is_shown_in_a_wrong_way(
+    world: InProcess, frame: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    world.client("x").receive_frame(frame.replace("%s", ADA))
+    assert world.closed["x"]
+    assert ADA not in caplog.text + world.closed["x"]
+
+
+@pytest.mark.parametrize(("token", "left"), [("guess-0123456789abcdef", False), (ADA, True)])
+def test_wrong_tokens_are_counted_and_right_ones_not(world: InProcess, token: str, left: bool) -> None:
+    wrong_tokens = WrongTokens(world.clock)
+    for number in range(MAX_WRONG - 1):
+        wrong_tokens.add("", number)
+    world.enter("y", None, wrong_tokens)
+    world.say("y", op="auth", token=token)
+    assert (wrong_tokens.refusal("") is None) is left
+
+
+def test_from_an_address_with_too_many_wrong_ones_a_right_one_is_not_looked_at(world: InProcess) -> None:
+    wrong_tokens = WrongTokens(world.clock)
+    for number in range(MAX_WRONG):
+        wrong_tokens.add("", number)
+    world.enter("y", None, wrong_tokens)
+    world.say("y", op="auth", token=ADA)
+    assert "try again in" in world.closed["y"]
+    assert identity(world, "y") is None
+
+
+def test_showing_the_same_token_again_and_again_fills_no_log(
+    world: InProcess, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "armbridge.gateway")
+    for _ in range(100):
+        world.say("x", op="auth", token=SCREEN)
+    assert caplog.text.count("with the role view") == 1
+    world.say("x", op="auth", token=ADA)
+    assert "with the role admin" in caplog.text

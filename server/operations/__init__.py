@@ -1,0 +1,1 @@
+"""Operations: health, metrics, the log's levels, and the service manager."""

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from robot.faults import FaultCode
+from robot.messages import Mode
+from server.operations.health import ARM_SILENT_S, ARM_STALE_S, health_of
+from server.operations.parts import Parts
+from tests.helpers.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
+
+
+@pytest.fixture
+def parts() -> Parts:
+    """A server at work."""
+    return Parts(arm=WatchedArm(arm_state()), planners=WatchedPlanners(), recorder=WatchedRecorder(), started=True)
+
+
+def test_a_server_at_work_is_live_and_ready_and_has_nothing_to_say(parts: Parts) -> None:
+    health = health_of(parts)
+    assert (health.live, health.ready, health.reasons, health.warnings) == (True, True, (), ())
+
+
+NOT_READY: dict[str, tuple[dict[str, Any], str]] = {
+    "start": ({"started": False}, "the server is starting"),
+    "stop": ({"stopping": True}, "the server is stopping"),
+    "no bus": ({"arm": WatchedArm(arm_state(Mode.DISCONNECTED))}, "the arm is not connected"),
+    "checks": ({"arm": WatchedArm(arm_state(Mode.CONNECTED))}, "the servos are being checked, or were refused"),
+    "fault": (
+        {"arm": WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED))},
+        "the arm has a fault: overheated",
+    ),
+    "stale": (
+        {"arm": WatchedArm(arm_state(), ARM_STALE_S + 0.1)},
+        "the last state of the arm is older than 1.5 s",
+    ),
+    "planners load": ({"planners": WatchedPlanners(loaded_count=0)}, "the planners are loading"),
+    "planners fail": (
+        {"planners": WatchedPlanners(load_failure="no module in /home/me")},
+        "the planners cannot be started",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "reason"), NOT_READY.values(), ids=NOT_READY.keys())
+def test_what_keeps_goals_from_being_carried_out_is_a_reason_not_to_be_ready(
+    parts: Parts, changes: dict[str, Any], reason: str
+) -> None:
+    health = health_of(replace(parts, **changes))
+    assert (health.live, health.ready, health.reasons) == (True, False, (reason,))
+
+
+def test_an_arm_process_that_is_silent_for_long_makes_the_server_dead(parts: Parts) -> None:
+    parts.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
+    health = health_of(parts)
+    assert (health.live, health.ready) == (False, False)
+    assert health.reasons == ("the arm process has been silent for more than 10 s",)
+
+
+@pytest.mark.parametrize("changes", [{"started": False}, {"stopping": True}])
+def test_at_start_and_end_a_silent_arm_process_is_no_death(parts: Parts, changes: dict[str, bool]) -> None:
+    parts.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
+    assert health_of(replace(parts, **changes)).live
+
+
+def test_before_there_is_any_part_the_server_starts() -> None:
+    health = health_of(Parts())
+    assert (health.live, health.reasons) == (True, ("the server is starting",))
+
+
+WARNINGS: dict[str, tuple[dict[str, Any], str]] = {
+    "relaxed": ({"arm": WatchedArm(arm_state(Mode.RELAXED))}, "relaxed"),
+    "recording ended": ({"recorder": WatchedRecorder(ended=True)}, "the recording has ended"),
+    "recording has gaps": ({"recorder": WatchedRecorder(dropped=1)}, "messages are missing"),
+}
+
+
+@pytest.mark.parametrize(("changes", "words"), WARNINGS.values(), ids=WARNINGS.keys())
+def test_what_keeps_nothing_from_working_is_a_warning(parts: Parts, changes: dict[str, Any], words: str) -> None:
+    health = health_of(replace(parts, **changes))
+    assert health.ready
+    (warning,) = health.warnings
+    assert words in warning
+
+
+def test_strangers_hear_of_no_device_file_or_address(parts: Parts) -> None:
+    parts.arm = WatchedArm(arm_state(Mode.DISCONNECTED, FaultCode.BUS_LOST, "no /dev/ttySECRET"))
+    parts.planners = WatchedPlanners(load_failure="cannot read /home/SECRET")
+    assert b"SECRET" not in health_of(parts).answer(good=False).body
+
+
+def test_the_answer_over_http_has_the_status_that_monitors_look_at(parts: Parts) -> None:
+    health = health_of(replace(parts, started=False))
+    assert [int(health.answer(good=good).status) for good in (True, False)] == [200, 503]
+    told = {"live": True, "ready": False, "reasons": ["the server is starting"], "warnings": []}
+    assert json.loads(health.answer(good=False).body) == told

@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import signal
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from protocol.registry import Registry
+from server.graph import Graph
+from server.operations.operations import Operations
+from server.operations.service_manager import ServiceManager
+from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
+from tests.helpers.server import RunningServer
+
+TIMEOUT_S = 5.0
+
+
+def ask(port: int, path: str) -> tuple[int, bytes]:
+    """Status and body of what is answered over HTTP."""
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=TIMEOUT_S) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as refused:
+        return refused.code, refused.read()
+
+
+def health(port: int, path: str = "/healthz") -> tuple[int, dict[str, Any]]:
+    status, body = ask(port, path)
+    return status, json.loads(body)
+
+
+def metrics(port: int) -> dict[str, float]:
+    """The samples of a server, by name and values of labels."""
+    text = ask(port, "/metrics")[1].decode()
+    return {
+        "/".join((each.name, *each.labels.values())): each.value
+        for family in text_string_to_metric_families(text)
+        for each in family.samples
+    }
+
+
+async def test_routes_are_answered_before_any_part_is_there() -> None:
+    operations = Operations(Graph(Registry.load()), ServiceManager())
+    assert set(operations.routes) == {"healthz", "readyz", "livez", "metrics"}
+    assert operations.health().reasons == ("the server is starting",)
+    operations.tell_started()
+    assert operations.health().ready
+    operations.tell_stopping()
+    assert operations.health().reasons == ("the server is stopping",)
+
+
+async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus, client: ArmClient) -> None:
+    port = served.server.port
+    async with asyncio.timeout(TIMEOUT_S):
+        # Planners load behind the start.
+        while (told := await asyncio.to_thread(health, port))[1]["reasons"] == ["the planners are loading"]:
+            await asyncio.sleep(0.1)
+    assert told == (200, {"live": True, "ready": True, "reasons": [], "warnings": []})
+    await client.call("/arm/emergency_stop")
+    await client.until("/arm/state", lambda states: "fault" in values_of(states[-1]))
+    status, faulty = await asyncio.to_thread(health, port)
+    assert (status, faulty["reasons"]) == (503, ["the arm has a fault: emergency_stop"])
+    assert (await asyncio.to_thread(ask, port, "/readyz"))[0] == 503
+    assert (await asyncio.to_thread(ask, port, "/livez"))[0] == 200
+    assert (await asyncio.to_thread(metrics, port))["armbridge_arm_fault/emergency_stop"] == 1
+
+
+async def test_metrics_follow_what_happens(served: ServerOnBus, client: ArmClient) -> None:
+    port = served.server.port
+    before = await asyncio.to_thread(metrics, port)
+    await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "nowhere"})
+    await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "home"})
+    await client.until("/moveit_goal_result", lambda answers: len(answers) == 2)
+    after = await asyncio.to_thread(metrics, port)
+    grown = {name: value - before.get(name, 0.0) for name, value in after.items()}
+    assert grown["armbridge_goals_total/SUCCESS//moveit_goal_named"] == 1
+    assert sum(value for name, value in grown.items() if name.startswith("armbridge_goals_total")) == 2
+    assert grown["armbridge_received_messages_total"] >= 4
+    assert grown["armbridge_sent_messages_total"] > 10
+    assert after["armbridge_bus_replies_total"] > 100
+    assert after["armbridge_clients"] >= 1
+    assert after["armbridge_servo_temperature_celsius/gripper"] > 0
+    assert {f"armbridge_process_threads/{name}" for name in ("server", "arm", "planner_1", "planner_2")} <= set(after)
+
+
+async def test_levels_of_the_log_are_changed_while_the_server_runs(served: ServerOnBus, client: ArmClient) -> None:
+    for level in (logging.DEBUG, 0):
+        levels = [{"name": "armbridge.operations_test", "level": level}]
+        done = await client.call("/armbridge/set_logger_levels", levels=levels)
+        assert done["results"] == [{"successful": True, "reason": ""}]
+    assert served.server.has_logged("the level of armbridge.operations_test is debug now")
+
+
+class Systemd:
+    """A service manager, which keeps all that it hears."""
+
+    def __init__(self, path: Path) -> None:
+        self.heard: list[str] = []
+        self.address = str(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(self.address)
+        self._reader = threading.Thread(target=self._listen)
+        self._reader.start()
+
+    def has_heard(self, words: str, times: int = 1) -> bool:
+        until_s = time.monotonic() + TIMEOUT_S
+        while self.heard.count(words) < times and time.monotonic() < until_s:
+            time.sleep(0.02)
+        return self.heard.count(words) >= times
+
+    def close(self) -> None:
+        self._socket.shutdown(socket.SHUT_RD)
+        self._reader.join(TIMEOUT_S)
+        self._socket.close()
+
+    def _listen(self) -> None:
+        while datagram := self._socket.recv(4096):
+            self.heard += datagram.decode().splitlines()
+
+
+@pytest.fixture(scope="module")
+def systemd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Systemd]:
+    listening = Systemd(tmp_path_factory.mktemp("systemd") / "notify")
+    yield listening
+    listening.close()
+
+
+@pytest.fixture(scope="module")
+def service(systemd: Systemd) -> Iterator[RunningServer]:
+    """A server as systemd starts it, with JSON for journald's readers."""
+    settings = {
+        "NOTIFY_SOCKET": systemd.address,
+        "WATCHDOG_USEC": "300000",
+        "ARMBRIDGE_SERVER__LOG_FORMAT": "json",
+    }
+    with RunningServer(settings=settings) as running:
+        yield running
+
+
+def test_systemd_hears_that_the_server_is_ready_and_again_and_again_that_it_lives(
+    service: RunningServer, systemd: Systemd
+) -> None:
+    assert systemd.has_heard("READY=1")
+    assert systemd.has_heard("WATCHDOG=1", times=systemd.heard.count("WATCHDOG=1") + 3)
+    assert any(words.startswith("STATUS=the server is starting") for words in systemd.heard)
+
+
+def children_of(service: RunningServer) -> list[int]:
+    pid = service.process.pid
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_children_do_not_speak_for_the_server(service: RunningServer) -> None:
+    assert len(children_of(service)) >= 4
+    for child in children_of(service):
+        assert b"NOTIFY_SOCKET" not in Path(f"/proc/{child}/environ").read_bytes()
+
+
+def test_a_signal_to_all_processes_changes_the_level_and_ends_none(service: RunningServer) -> None:
+    children = children_of(service)
+    for words in ("is debug now", "again what the settings say"):
+        for pid in (service.process.pid, *children):
+            os.kill(pid, signal.SIGUSR1)
+        assert service.has_logged(words)
+    assert children_of(service) == children
+
+
+def test_every_line_of_the_log_is_json_also_those_of_children(service: RunningServer) -> None:
+    lines = [json.loads(line) for line in list(service.lines)]
+    assert {line["process"] for line in lines} >= {"server", "robot.control.loop"}
+    assert {"time", "level", "logger", "message", "process", "pid"} <= set.intersection(*(set(line) for line in lines))
+
+
+def test_systemd_hears_that_the_server_ends(service: RunningServer, systemd: Systemd) -> None:
+    assert service.end(signal.SIGTERM)[0] == 0
+    assert systemd.has_heard("STOPPING=1")

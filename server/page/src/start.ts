@@ -1,4 +1,6 @@
 import { inspectable } from "./inspect";
+import { hearControl } from "./link/control";
+import { Entering } from "./link/entering";
 import { Link } from "./link/link";
 import { moveObject } from "./link/messages";
 import { Motions } from "./link/motions";
@@ -7,9 +9,11 @@ import { showPlans } from "./link/shown-plans";
 import { Stopping } from "./link/stopping";
 import { checkTargets } from "./link/target-check";
 import { hearController, hearTopics, startAnew } from "./link/topics";
+import { serverUrl } from "./logic/address";
 import { panel } from "./panel/panel";
 import { emptyState } from "./state/state";
 import { Store } from "./state/store";
+import { heldToken, takeTokenOfAddress } from "./state/token";
 import type { Moved } from "./view/object-drag";
 import { startView } from "./view/view";
 
@@ -17,12 +21,15 @@ import { startView } from "./view/view";
 export function startPage(): void {
   const url = serverUrl(location.href);
   const store = new Store(emptyState(url));
-  const link = new Link(url, (news) => store.patch("link", news));
+  takeTokenOfAddress();
+  const link = new Link(url, (news) => store.patch("link", news), heldToken);
+  const entering = new Entering(link, store);
   const motions = new Motions(link, store);
   const orders = new Orders(link, store);
   const stopping = new Stopping(link, store, () => motions.cancel());
-  panel({ store, motions, orders, stopping });
+  panel({ store, motions, orders, stopping, entering });
   hearTopics(link, store);
+  hearControl(link, store);
   checkTargets(link, store);
   showPlans(link, store, motions);
   const known = new Set<string>();
@@ -38,11 +45,4 @@ export function startPage(): void {
   const canvas = document.querySelector<HTMLCanvasElement>("#view");
   const moved: Moved = (id, position_m, orientation) => orders.changeScene(moveObject(id, position_m, orientation));
   inspectable(store, canvas && startView(canvas, store, moved));
-}
-
-/** The server is where the page came from. */
-function serverUrl(page: string): string {
-  const url = new URL("./", page);
-  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
-  return url.href;
 }

@@ -7,15 +7,19 @@ vi.mock("roslib", async (original) => ({ ...(await original<typeof import("rosli
 const newest = (): FakeRos => FakeRos.made.at(-1) as FakeRos;
 let news: LinkNews[] = [];
 let link: Link;
+let token: string | null = null;
+let woken: (() => void)[] = [];
 
 beforeEach(() => {
   vi.useFakeTimers();
-  const target = { addEventListener: () => undefined, visibilityState: "visible" };
+  woken = [];
+  const target = { addEventListener: (_: string, wake: () => void) => woken.push(wake), visibilityState: "visible" };
   vi.stubGlobal("window", target);
   vi.stubGlobal("document", target);
   FakeRos.made = [];
   news = [];
-  link = new Link("ws://here", (one) => news.push(one));
+  token = null;
+  link = new Link("ws://here", (one) => news.push(one), () => token);
   link.open();
 });
 
@@ -74,11 +78,11 @@ test("latency is told, and a server that falls silent is left", async () => {
   vi.advanceTimersByTime(5);
   newest().answer("/rosapi/get_time", {});
   await vi.advanceTimersByTimeAsync(0);
-  expect(news.at(-1)).toEqual({ connected: true, latency_ms: 5 });
+  expect(news.at(-1)).toEqual({ connected: true, latency_ms: 5, refused: "" });
   const silent = newest();
   await vi.advanceTimersByTimeAsync(2000 + 4001);
   expect(silent.closed).toBe(true);
-  expect(news.at(-1)).toEqual({ connected: false, latency_ms: null });
+  expect(news.at(-1)).toEqual({ connected: false, latency_ms: null, refused: "" });
 });
 
 test("attempts that fail follow each other ever more slowly", async () => {
@@ -90,4 +94,50 @@ test("attempts that fail follow each other ever more slowly", async () => {
     await vi.advanceTimersByTimeAsync(1);
     expect(FakeRos.made).toHaveLength(before + 1);
   }
+});
+
+test("the token is shown before anything else, after every connection", async () => {
+  token = "secret";
+  link.subscribe("/joint_states", "sensor_msgs/JointState", () => undefined);
+  for (let round = 0; round < 2; round += 1) {
+    newest().up();
+    expect(newest().sent[0]).toEqual({ op: "auth", token: "secret" });
+    newest().emit("close");
+    await vi.advanceTimersByTimeAsync(260);
+  }
+});
+
+test("without a token none is shown", () => {
+  newest().up();
+  expect(newest().ops("auth")).toEqual([]);
+});
+
+test("a server that does not let the page in is tried again only with another token", async () => {
+  newest().up();
+  newest().emit("close", { code: 1008, reason: "auth: wrong" });
+  expect(news.at(-1)).toEqual({ connected: false, latency_ms: null, refused: "auth: wrong" });
+  expect(() => link.publish("/stop", "std_msgs/Empty", {})).toThrow("wants a token: auth: wrong");
+  await vi.advanceTimersByTimeAsync(60_000);
+  expect(FakeRos.made).toHaveLength(1);
+  token = "other";
+  link.reopen();
+  expect(news.at(-1)?.refused).toBe("");
+  newest().up();
+  expect(newest().ops("auth")).toEqual([{ op: "auth", token: "other" }]);
+});
+
+test("a device that wakes up does not try a refused token again", () => {
+  newest().up();
+  newest().emit("close", { code: 1008, reason: "auth: wrong" });
+  for (const wake of woken) wake();
+  expect(FakeRos.made).toHaveLength(1);
+});
+
+test("a server that has let the page in may close for other reasons, and is tried again", async () => {
+  newest().up();
+  newest().answer("/rosapi/get_time", {});
+  await vi.advanceTimersByTimeAsync(0);
+  newest().emit("close", { code: 1008, reason: "replies are not read" });
+  await vi.advanceTimersByTimeAsync(260);
+  expect(FakeRos.made).toHaveLength(2);
 });

@@ -8,7 +8,12 @@ import { Heartbeat } from "./heartbeat";
 export interface LinkNews {
   connected: boolean;
   latency_ms: number | null;
+  /** Why the server does not let the page in; empty when it does, or cannot be reached. */
+  refused: string;
 }
+
+/** RFC 6455 7.4.1: so the server closes a connection that has not shown a token it knows. */
+const POLICY_VIOLATION = 1008;
 
 interface Subscription {
   topic: string;
@@ -21,6 +26,9 @@ interface Subscription {
 export class Link {
   private ros: Ros | null = null;
   private connected = false;
+  /** Whether the server has answered anything since it was connected. */
+  private welcome = false;
+  private refused = "";
   private failures = 0;
   private retry: ReturnType<typeof setTimeout> | undefined;
   private readonly subscriptions: Subscription[] = [];
@@ -31,14 +39,16 @@ export class Link {
   /**
    * @param url - where the server listens.
    * @param onNews - called whenever the link goes up or down, and with every latency.
+   * @param token - gives the token to show; null for none.
    */
   constructor(
     readonly url: string,
     private readonly onNews: (news: LinkNews) => void,
+    private readonly token: () => string | null = () => null,
   ) {
     this.heartbeat = new Heartbeat(
       () => this.call("/rosapi/get_time", {}),
-      (latency_ms) => this.onNews({ connected: true, latency_ms }),
+      (latency_ms) => this.answered(latency_ms),
       () => this.lose(this.ros),
     );
   }
@@ -48,6 +58,13 @@ export class Link {
     const retryNow = (): void => this.retryNow();
     window.addEventListener("online", retryNow);
     document.addEventListener("visibilitychange", retryNow);
+    this.connect();
+  }
+
+  /** Connect anew, with the token of the moment. */
+  reopen(): void {
+    this.drop();
+    this.onNews({ connected: false, latency_ms: null, refused: "" });
     this.connect();
   }
 
@@ -98,8 +115,8 @@ export class Link {
   }
 
   private needed(): Ros {
-    if (!this.ros || !this.connected) throw new LinkError("the server cannot be reached; the page keeps trying");
-    return this.ros;
+    if (this.ros && this.connected) return this.ros;
+    throw new LinkError(this.refused ? `the server wants a token: ${this.refused}` : "the server cannot be reached; the page keeps trying");
   }
 
   /** A promise that ends also when the link does, and after a time. */
@@ -127,11 +144,13 @@ export class Link {
 
   private connect(): void {
     clearTimeout(this.retry);
+    this.refused = "";
+    this.welcome = false;
     // A new one each time: an old one would still send what was left unsent, perhaps a motion nobody wants any more.
     const ros = new Ros();
     this.ros = ros;
     ros.on("connection", () => this.up(ros));
-    ros.on("close", () => this.lose(ros));
+    ros.on("close", (event) => this.closed(ros, event as unknown as Partial<CloseEvent>));
     ros.on("error", () => undefined);
     ros.connect(this.url).catch(() => this.lose(ros));
   }
@@ -140,13 +159,36 @@ export class Link {
     if (ros !== this.ros) return ros.close();
     this.connected = true;
     this.failures = 0;
+    const token = this.token();
+    if (token !== null) ros.callOnConnection({ op: "auth", token } as never);
     for (const subscription of this.subscriptions) listen(ros, subscription);
-    this.onNews({ connected: true, latency_ms: null });
+    this.onNews({ connected: true, latency_ms: null, refused: "" });
     this.heartbeat.start();
+  }
+
+  private answered(latency_ms: number): void {
+    this.welcome = true;
+    this.onNews({ connected: true, latency_ms, refused: "" });
+  }
+
+  private closed(ros: Ros, { code, reason }: Partial<CloseEvent>): void {
+    if (ros !== this.ros || code !== POLICY_VIOLATION || this.welcome) return this.lose(ros);
+    // Who tries a wrong token again and again is shut out: it waits for another one.
+    this.drop();
+    this.refused = reason || "it gave no reason";
+    this.onNews({ connected: false, latency_ms: null, refused: this.refused });
   }
 
   private lose(ros: Ros | null): void {
     if (!ros || ros !== this.ros) return;
+    this.drop();
+    this.failures += 1;
+    this.retry = setTimeout(() => this.connect(), backoff_s(this.failures) * 1000);
+  }
+
+  private drop(): void {
+    clearTimeout(this.retry);
+    const ros = this.ros;
     this.ros = null;
     const wasUp = this.connected;
     this.connected = false;
@@ -154,17 +196,15 @@ export class Link {
     this.publishers.clear();
     for (const lost of [...this.losses]) lost();
     // Closing a dead connection may take minutes: nobody waits for it, and what still comes is not heard.
-    ros.removeAllListeners();
-    ros.close();
-    if (wasUp) this.onNews({ connected: false, latency_ms: null });
-    this.failures += 1;
-    this.retry = setTimeout(() => this.connect(), backoff_s(this.failures) * 1000);
+    ros?.removeAllListeners();
+    ros?.close();
+    if (wasUp) this.onNews({ connected: false, latency_ms: null, refused: "" });
   }
 
   private retryNow(): void {
     if (document.visibilityState === "hidden") return;
     if (this.connected) this.heartbeat.beatNow();
-    else if (!this.ros) this.connect();
+    else if (!this.ros && !this.refused) this.connect();
   }
 }
 

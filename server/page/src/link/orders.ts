@@ -47,6 +47,11 @@ export class Orders {
     });
   }
 
+  /** Take control of the arm from whoever has it. */
+  async takeOver(): Promise<void> {
+    if (await this.order("/arm/release_control")) await this.order("/arm/take_control");
+  }
+
   /** Change how fast the arm moves along its path, now and in motions to come. */
   setSpeedFactor(factor: number): void {
     this.attempt(() => this.link.publish("/arm/speed_factor", "std_msgs/Float64", { data: factor }));

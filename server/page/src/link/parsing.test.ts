@@ -54,3 +54,15 @@ test("a plan has times in seconds, and one without points is none", () => {
 test("named states that cannot be read are none", () => {
   expect(parsing.named("{")).toEqual({});
 });
+
+test("nobody drives, and nothing is left to wait for, where the server says so", () => {
+  const free = status({ holder: "", address: "", policy: "shared", free_in_s: "" }, { hardware_id: "" });
+  expect(parsing.control(free)).toEqual({ holder: "", address: "", policy: "shared", free_in_s: null });
+});
+
+test("an identity that cannot be read is none", () => {
+  for (const text of ["{", "null", '{"address": 1, "role": "view"}', '{"address": "a", "role": "king"}']) {
+    expect(parsing.identity(text)).toBeNull();
+  }
+  expect(parsing.identity('{"address": "a", "role": "view", "name": "x"}')).toEqual({ address: "a", role: "view" });
+});

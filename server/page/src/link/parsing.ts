@@ -1,7 +1,9 @@
 import { noGoal } from "../state/state";
 import type {
   ArmState,
+  Control,
   GoalState,
+  Identity,
   JointValues,
   Joints,
   LogEntry,
@@ -67,6 +69,29 @@ export function arm(status: DiagnosticStatus): ArmState {
     speed_factor: Number.isFinite(speed_factor) ? speed_factor : 1,
     course: values["course"] ?? "forward",
   };
+}
+
+/** What /arm/control says. */
+export function control(status: DiagnosticStatus): Control {
+  const values = keyed(status);
+  const free_in_s = values["free_in_s"] || "none";
+  return {
+    holder: status.hardware_id,
+    address: values["address"] ?? "",
+    policy: values["policy"] === "shared" ? "shared" : "lease",
+    free_in_s: Number.isFinite(Number(free_in_s)) ? Math.max(0, Number(free_in_s)) : null,
+  };
+}
+
+/** What /arm/who_am_i answers; null when it cannot be read. */
+export function identity(text: string): Identity | null {
+  try {
+    const { address, role } = JSON.parse(text) as Partial<Identity>;
+    const known = role === "view" || role === "operate" || role === "admin";
+    return typeof address === "string" && known ? { address, role } : null;
+  } catch {
+    return null;
+  }
 }
 
 /** What /moveit_goal_status says of a goal. */

@@ -27,6 +27,13 @@ export function checkTargets(link: Link, store: Store<State>): void {
     (state) => state.target.position_m,
     (position_m) => position_m && newest.put(position_m),
   );
+  // Nobody has answered while the server was away, and another may think otherwise.
+  store.subscribe(
+    (state) => state.link.connected,
+    (connected, { wish, target: { position_m } }) => {
+      if (connected && wish.kind === "target" && position_m) newest.put(position_m);
+    },
+  );
 }
 
 /** What is shown after an answer about a point, perhaps no more the newest. */

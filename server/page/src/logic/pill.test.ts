@@ -37,3 +37,8 @@ test("a fault is told with its remedy", () => {
   const faulty = state({ arm: { mode: "fault", fault: "overload", fault_message: "Too heavy.", fault_remedy: "Lift it." } });
   expect(sentence(faulty)).toBe("overload: Too heavy. Lift it.");
 });
+
+test("a server that does not let the page in wants a token, and is not away", () => {
+  const state = emptyState("ws://here");
+  expect(sentence({ ...state, link: { ...state.link, refused: "auth" } })).toBe("The server wants a token.");
+});

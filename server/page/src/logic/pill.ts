@@ -29,6 +29,7 @@ function moving(course: string): string {
 
 /** The sentence below the pill: a fault with its remedy, else how the last goal ended or goes. */
 export function sentence({ link, arm, goal }: PillInput): string {
+  if (link.refused) return "The server wants a token.";
   if (!link.connected) return "The server cannot be reached; the page keeps trying. What is shown is old.";
   if (arm.mode === "fault") return `${arm.fault}: ${ended(arm.fault_message)} ${ended(arm.fault_remedy)}`.trim();
   if (arm.mode === "disconnected" || arm.mode === "connected") return arm.message;

@@ -2,6 +2,7 @@ import type { Orders } from "../link/orders";
 import type { State } from "../state/state";
 import { wishNamed } from "../state/wishes";
 import { button, el, section } from "./dom";
+import { gated } from "./gate";
 import { orderButtons } from "./order-buttons";
 import type { Page } from "./page";
 import { speed } from "./speed";
@@ -21,11 +22,12 @@ export function goals(page: Page): HTMLElement {
   for (const part of ["link", "goal", "plan", "wish"] as const) {
     store.subscribe((state) => state[part], (_, state) => show(state));
   }
-  const buttons = el("div", { class: "buttons" }, plan, move, both);
+  const buttons = el("div", { class: "buttons" }, gated(page, "work", plan), gated(page, "drive", move, both));
   return section("goals", "Motion", true, poses(page), buttons, speed(page), orderButtons(page));
 }
 
-function poses({ store, orders }: Page): HTMLElement {
+function poses(page: Page): HTMLElement {
+  const { store, orders } = page;
   const list = el("div", { class: "chips", testid: "named", role: "group", label: "named poses" });
   const choose = (name: string): void => wishNamed(store, name);
   store.subscribe(
@@ -35,7 +37,7 @@ function poses({ store, orders }: Page): HTMLElement {
         const chip = button(name, `named-${name}`, () => choose(name), `Choose the pose “${name}”; nothing moves`);
         if (!saved) return chip;
         const forget = button("×", `delete-${name}`, () => void orders.deletePose(name), `Forget “${name}”`);
-        return el("span", { class: "chip-pair" }, chip, forget);
+        return el("span", { class: "chip-pair" }, chip, gated(page, "configure", forget));
       });
       list.replaceChildren(...chips);
     },
@@ -48,7 +50,7 @@ function poses({ store, orders }: Page): HTMLElement {
       }
     },
   );
-  return el("div", {}, list, saving(orders));
+  return el("div", {}, list, gated(page, "configure", saving(orders)));
 }
 
 function saving(orders: Orders): HTMLElement {

@@ -3,10 +3,12 @@ import { angleText, unitSign } from "../logic/units";
 import { paced } from "../state/pace";
 import type { State } from "../state/state";
 import { button, el, section, write } from "./dom";
+import { gated } from "./gate";
 import type { Page } from "./page";
 
 /** The gripper: a slider that moves it when it is let go of, and buttons for its ends. */
-export function gripper({ store, orders }: Page): HTMLElement {
+export function gripper(page: Page): HTMLElement {
+  const { store, orders } = page;
   const ends = (): [number, number] => limitsOf(store.state)[gripperJoint(store.state) ?? ""] ?? [0, 1];
   const attributes = { min: "0", max: "1", step: "0.001" };
   const slider = el("input", { type: "range", testid: "gripper", label: "gripper, closed to open", attributes });
@@ -14,7 +16,8 @@ export function gripper({ store, orders }: Page): HTMLElement {
   slider.addEventListener("change", () => void orders.moveGripper(Number(slider.value)));
   const open = button("Open", "gripper-open", () => void orders.moveGripper(ends()[1]));
   const close = button("Close", "gripper-close", () => void orders.moveGripper(ends()[0]));
-  const box = section("gripper", "Gripper", true, el("div", { class: "line" }, close, slider, open, measured));
+  const line = el("div", { class: "line" }, close, slider, open, measured);
+  const box = section("gripper", "Gripper", true, gated(page, "drive", line));
   const show = paced<State>(100, (state) => {
     const joint = gripperJoint(state);
     box.hidden = joint === null;

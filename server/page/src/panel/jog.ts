@@ -1,6 +1,8 @@
 import { isJogKey, jogVelocities, keyWords } from "../logic/jog-keys";
 import { armJoints } from "../logic/joint-names";
+import { hindrance } from "../logic/rights";
 import { el, section } from "./dom";
+import { gated } from "./gate";
 import type { Page } from "./page";
 
 /** The server brakes the arm 250 ms after the last command; four commands in that time survive a lost one [ms]. */
@@ -19,7 +21,7 @@ export function jog(page: Page): HTMLElement {
     (_, state) => keys.replaceChildren(...armJoints(state).map(keyLine)),
   );
   holdKeys(page, () => on.checked, () => Number(share.value));
-  const line = el("label", { class: "line" }, on, "Turn joints by keys while they are held");
+  const line = el("label", { class: "line" }, gated(page, "drive", on), "Turn joints by keys while they are held");
   return section("jog", "Keyboard jog", false, line, el("label", { class: "line" }, "Speed ", share), keys);
 }
 
@@ -73,7 +75,7 @@ class Jogger {
 
   private send(): void {
     const { store, orders } = this.page;
-    if (!this.isOn() || !store.state.link.connected) return this.release();
+    if (!this.isOn() || !store.state.link.connected || hindrance("drive", store.state)) return this.release();
     const velocities = jogVelocities(this.held, armJoints(store.state), this.share());
     if (Object.keys(velocities).length > 0) orders.jog(velocities);
   }

@@ -1,6 +1,7 @@
 import { addBox, moveObject, removeObject } from "../link/messages";
 import type { Point, SceneObject } from "../state/state";
 import { button, el, section } from "./dom";
+import { gated } from "./gate";
 import { numberField, type NumberField } from "./number-field";
 import type { Page } from "./page";
 
@@ -22,7 +23,7 @@ export function objects(page: Page): HTMLElement {
   const shapes = el("input", { type: "checkbox", testid: "collision-shapes" });
   shapes.addEventListener("change", () => store.set({ collision_shapes: shapes.checked }));
   const show = el("label", { class: "line" }, shapes, "Show what is checked for contacts");
-  return section("objects", "Scene", false, adding(page), list, show);
+  return section("objects", "Scene", false, gated(page, "work", adding(page), list), show);
 }
 
 function lengths(name: string, first: Point, lower: number): { fields: NumberField[]; values: Point } {

@@ -1,8 +1,10 @@
 import { button, el } from "./dom";
+import { gated } from "./gate";
 import type { Page } from "./page";
 
 /** The orders that concern the whole arm: to let go, to hold, and to clear a fault. */
-export function orderButtons({ store, orders }: Page): HTMLElement {
+export function orderButtons(page: Page): HTMLElement {
+  const { store, orders } = page;
   const order = (service: string) => (): void => void orders.order(service);
   const relax = button("Relax", "relax", order("/arm/relax"), "Lower the torque slowly: the arm sinks");
   const hold = button("Hold", "hold", order("/arm/enable"), "Hold where the arm is");
@@ -15,5 +17,5 @@ export function orderButtons({ store, orders }: Page): HTMLElement {
       reset.disabled = mode !== "fault";
     },
   );
-  return el("div", { class: "buttons" }, relax, hold, reset);
+  return el("div", { class: "buttons" }, gated(page, "drive", relax, hold, reset));
 }

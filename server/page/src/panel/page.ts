@@ -1,3 +1,4 @@
+import type { Entering } from "../link/entering";
 import type { Motions } from "../link/motions";
 import type { Orders } from "../link/orders";
 import type { Stopping } from "../link/stopping";
@@ -10,4 +11,5 @@ export interface Page {
   motions: Motions;
   orders: Orders;
   stopping: Stopping;
+  entering: Entering;
 }

@@ -1,4 +1,6 @@
+import { control } from "./control";
 import { el } from "./dom";
+import { watchGates } from "./gate";
 import { goals } from "./goals";
 import { gripper } from "./gripper";
 import { jog } from "./jog";
@@ -14,6 +16,7 @@ import { status } from "./status";
 import { stopButton } from "./stop-button";
 import { target } from "./target";
 import { themeSwitch } from "./theme";
+import { tokenForm } from "./token-form";
 import { waiting } from "./waiting";
 
 type Part = (page: Page) => HTMLElement;
@@ -24,7 +27,8 @@ const PARTS: Part[] = [goals, target, joints, gripper, servos, objects, waiting,
 export function panel(page: Page): void {
   document.body.append(stopButton(page));
   const host = document.querySelector("#panel") ?? document.body.appendChild(el("div", { id: "panel" }));
-  host.append(status(page), notices(page));
+  host.append(status(page), tokenForm(page), control(page), notices(page));
   document.querySelector("#scene")?.append(scrubber(page));
   for (const part of PARTS) host.append(part(page));
+  watchGates(page);
 }

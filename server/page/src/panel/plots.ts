@@ -65,7 +65,12 @@ function curves(ring: Ring | undefined, state: State): uPlot.AlignedData {
 }
 
 function newChart(host: HTMLElement, unit: () => string): uPlot {
-  const color = (name: string) => (): string => getComputedStyle(host).getPropertyValue(name).trim();
+  // The computed colour: a property's own text may still hold both, for light and for dark.
+  const probe = host.appendChild(el("i", { attributes: { hidden: "" } }));
+  const color = (name: string) => (): string => {
+    probe.style.color = `var(${name})`;
+    return getComputedStyle(probe).color;
+  };
   const axis: uPlot.Axis = {
     stroke: color("--dim"),
     grid: { stroke: color("--line"), width: 1 },

@@ -1,4 +1,5 @@
 import { button, el, write } from "./dom";
+import { gated } from "./gate";
 import type { Page } from "./page";
 
 /** Below this share of the joints' limits a motion lasts minutes. */
@@ -6,7 +7,7 @@ const SLOWEST = 0.01;
 
 /** How fast motions are planned, and how fast the present one goes along its path. */
 export function speed(page: Page): HTMLElement {
-  return el("div", { class: "rows" }, planned(page), pace(page), course(page));
+  return el("div", { class: "rows" }, planned(page), gated(page, "drive", pace(page)), course(page));
 }
 
 function slider(testid: string, label: string, least: number): HTMLInputElement {
@@ -42,12 +43,13 @@ function pace({ store, orders }: Page): HTMLElement {
   return el("label", { class: "line" }, el("span", { text: "Pace, also while it moves" }), input, text);
 }
 
-function course({ store, orders }: Page): HTMLElement {
+function course(page: Page): HTMLElement {
+  const { store, orders } = page;
   const order = (service: string) => (): void => void orders.order(service);
   const pause = button("Pause", "pause", order("/arm/pause"), "Come to rest on the path and wait there");
   const resume = button("Resume", "resume", order("/arm/resume"), "Go on forward");
   const back = button("Step back", "step-back", order("/arm/step_back"), "Go back along the path");
-  const box = el("div", { class: "buttons" }, pause, resume, back);
+  const box = el("div", { class: "buttons" }, gated(page, "work", pause), gated(page, "drive", resume, back));
   const show = (): void => {
     const { arm, goal } = store.state;
     box.hidden = arm.mode !== "moving" && goal.state !== "executing";

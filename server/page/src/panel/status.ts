@@ -2,10 +2,12 @@ import { codeName } from "../logic/codes";
 import { pill, sentence } from "../logic/pill";
 import type { GoalState, LinkState, State } from "../state/state";
 import { button, el, write } from "./dom";
+import { gated } from "./gate";
 import type { Page } from "./page";
 
 /** The pills of arm and link, and the sentence below them. */
-export function status({ store, orders }: Page): HTMLElement {
+export function status(page: Page): HTMLElement {
+  const { store, orders } = page;
   const state = el("span", { class: "pill", id: "state-pill", testid: "state-pill", role: "status", label: "state of the arm" });
   const link = el("span", { class: "pill", id: "link-pill", testid: "link-pill", label: "connection" });
   const message = el("p", { id: "message", testid: "message", role: "status" });
@@ -33,12 +35,12 @@ export function status({ store, orders }: Page): HTMLElement {
   }
   store.subscribe((now) => now.link, (now) => showLink(link, now));
   const pills = el("div", { class: "pills" }, state, link);
-  return el("header", { class: "status" }, pills, message, progress, suggestion, reset);
+  return el("header", { class: "status" }, pills, message, progress, gated(page, "drive", suggestion, reset));
 }
 
-function showLink(element: HTMLElement, { connected, latency_ms }: LinkState): void {
+function showLink(element: HTMLElement, { connected, latency_ms, refused: closed }: LinkState): void {
   const latency = latency_ms === null ? "connected" : `${Math.max(1, Math.round(latency_ms))} ms`;
-  write(element, connected ? latency : "reconnecting…");
+  write(element, connected ? latency : closed ? "not let in" : "reconnecting…");
   element.dataset["kind"] = connected ? "idle" : "fault";
 }
 

@@ -3,7 +3,10 @@ import type { ArmState, GoalState, State } from "./state";
 /** What the page shows before the first message. */
 export function emptyState(url: string): State {
   return {
-    link: { connected: false, latency_ms: null, url },
+    link: { connected: false, latency_ms: null, url, refused: "" },
+    token: { held: false, asked: false },
+    identity: null,
+    control: { holder: "", address: "", policy: "lease", free_in_s: null },
     urdf: null,
     srdf: null,
     joints: { names: [], position_rad: [], velocity: [], effort: [], stamp: 0 },

@@ -14,6 +14,33 @@ export interface LinkState {
   /** Round trip of the last question; null before the first answer. */
   latency_ms: number | null;
   url: string;
+  /** Why the server does not let the page in, until another token is tried; empty when it does. */
+  refused: string;
+}
+
+/** Who this page is to the server, from /arm/who_am_i. */
+export interface Identity {
+  /** IP address and port, which no other client has. */
+  address: string;
+  role: "view" | "operate" | "admin";
+}
+
+/** Who drives the arm, from /arm/control. */
+export interface Control {
+  /** Empty while nobody does. */
+  holder: string;
+  address: string;
+  /** Whether one client drives at a time, or all may. */
+  policy: "lease" | "shared";
+  /** When another may drive, if the holder asks for nothing more; null while nobody drives. */
+  free_in_s: number | null;
+}
+
+/** The token of this page, which itself is kept elsewhere. */
+export interface TokenState {
+  held: boolean;
+  /** Whether the user is asked for one. */
+  asked: boolean;
 }
 
 /** The newest message of /joint_states. */
@@ -185,6 +212,10 @@ export interface SceneObject {
 /** What the page shows. */
 export interface State {
   link: LinkState;
+  token: TokenState;
+  /** Null until the server has told. */
+  identity: Identity | null;
+  control: Control;
   /** Null until /robot_description has come. */
   urdf: string | null;
   srdf: string | null;

@@ -4,6 +4,7 @@ import { OBJLoader } from "three/examples/jsm/loaders/OBJLoader.js";
 import { STLLoader } from "three/examples/jsm/loaders/STLLoader.js";
 import { meshUrl } from "../logic/description";
 import { readBounded } from "../logic/bounded-read";
+import { bearer } from "../state/token";
 
 // The largest mesh of SO-101 has 3 MB; beyond this a browser is busy for seconds and a phone gives up.
 const MESH_LIMIT_BYTES = 30_000_000;
@@ -11,6 +12,7 @@ const KINDS = ["stl", "dae", "obj"];
 // The server answers in milliseconds; a mesh that hangs must not keep its placeholder from being drawn.
 const MESH_TIMEOUT_MS = 20_000;
 const REFUSALS: Record<number, string> = {
+  401: "the server wants a token for it",
   404: "the server does not have it",
   413: "larger than the server gives away",
 };
@@ -62,7 +64,7 @@ function placeholder(color: number): Mesh {
 async function fetchMesh(uri: string): Promise<Object3D> {
   const url = meshUrl(uri, document.baseURI);
   if (url === null) throw new Error("not below the robot's directory");
-  const answer = await fetch(url, { signal: AbortSignal.timeout(MESH_TIMEOUT_MS) });
+  const answer = await fetch(url, { headers: bearer(), signal: AbortSignal.timeout(MESH_TIMEOUT_MS) });
   if (!answer.ok) throw new Error(REFUSALS[answer.status] ?? `the server answers with ${answer.status}`);
   return readMesh(url, await readBounded(answer, MESH_LIMIT_BYTES));
 }

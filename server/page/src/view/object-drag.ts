@@ -1,5 +1,6 @@
 import type { Group, Object3D } from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
+import { hindrance } from "../logic/rights";
 import type { Point, State } from "../state/state";
 import type { PageStore, Part } from "./part";
 import type { SceneObjects } from "./scene-objects";
@@ -38,7 +39,8 @@ export class ObjectDrag implements Part {
   }
 
   update(state: State): void {
-    const chosen = this.standing().find((group) => group.name === state.selected_object) ?? null;
+    const may = hindrance("work", state) === "";
+    const chosen = (may && this.standing().find((group) => group.name === state.selected_object)) || null;
     if (chosen === this.attached || this.arrows?.dragging) return;
     if (chosen === null) this.detach();
     else this.attach(chosen);

@@ -115,6 +115,7 @@ class Drawing implements View {
       (state) => state.wish,
       (state) => state.objects,
       (state) => state.selected_object,
+      (state) => state.identity,
       (state) => state.collision_shapes,
     ];
     return [

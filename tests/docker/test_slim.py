@@ -1,0 +1,88 @@
+"""Taking out of an environment what a running server never loads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from docker import slim
+
+
+def fill(path: Path, content: str = "x") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(content)
+    return path
+
+
+@pytest.fixture
+def packages(tmp_path: Path) -> Path:
+    directory = tmp_path / "lib/python3.13/site-packages"
+    (directory / "cmeel.prefix/lib").mkdir(parents=True)
+    return directory
+
+
+def slimmed(packages: Path) -> None:
+    assert slim.main([str(packages.parents[2])]) == 0
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cmeel.prefix/include/pinocchio/multibody/data.hxx",
+        "cmeel.prefix/lib/cmake/coal/coalConfig.cmake",
+        "cmeel.prefix/lib/libboost.a",
+        "cmeel.prefix/bin/pinocchio_bench",
+        "scipy/linalg/tests/test_basic.py",
+        "uvloop/loop.pyx",
+        "zstandard/_cffi.cpython-313-x86_64-linux-gnu.so",
+        "fontTools/ttLib/__init__.py",
+    ],
+)
+def test_what_the_server_never_loads_goes(packages: Path, name: str) -> None:
+    path = fill(packages / name)
+    slimmed(packages)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cmeel.prefix/lib/libcoal.so",
+        "cmeel.prefix/lib/python3.13/site-packages/coal/__init__.py",
+        "cmeel.prefix/share/doc/coal/LICENSE",
+        "numpy/testing/__init__.py",
+        "zstandard/backend_c.cpython-313-x86_64-linux-gnu.so",
+        "fontTools/agl.py",
+        "fontTools/misc/loggingTools.py",
+        "fontTools/__pycache__/agl.cpython-313.pyc",
+    ],
+)
+def test_what_the_server_loads_stays(packages: Path, name: str) -> None:
+    path = fill(packages / name)
+    slimmed(packages)
+    assert path.read_text() == "x"
+
+
+def test_a_library_under_three_names_is_kept_once(tmp_path: Path) -> None:
+    names = ("libcoal.so", "libcoal.so.3", "libcoal.so.3.0.2")
+    for name in names:
+        fill(tmp_path / name, "code")
+    assert slim.link_copies(tmp_path) == 2 * len("code")
+    assert [(tmp_path / name).read_text() for name in names] == ["code"] * 3
+    assert slim.size_bytes(tmp_path / "libcoal.so") == len("code")
+    assert all((tmp_path / name).is_symlink() for name in names[1:])
+
+
+def test_libraries_that_differ_stay_apart(tmp_path: Path) -> None:
+    paths = [fill(tmp_path / "liba.so", "a"), fill(tmp_path / "libb.so", "b")]
+    assert slim.link_copies(tmp_path) == 0
+    assert not any(path.is_symlink() for path in paths)
+
+
+def test_it_tells_how_much_each_step_has_saved(packages: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fill(packages / "scipy/tests/big", "x" * 2_000_000)
+    slimmed(packages)
+    lines = capsys.readouterr().out.splitlines()
+    assert "    2.0 MB  tests of packages" in lines
+    assert lines[-1] == "    2.0 MB  in all"

@@ -85,7 +85,8 @@ class BridgedAction:
             graph.advertise(self._node, f"{name}/{part.lower()}", _message_type(type_name, f"Action{part}"))
         graph.advertise(self._node, f"{name}/status", STATUS_ARRAY)
         goal_type = _message_type(type_name, "ActionGoal")
-        graph.subscribe(self._node, f"{name}/goal", goal_type, Subscriber(self._take_goal))
+        goals = Subscriber(self._take_goal, turned_away=self._turn_away)
+        graph.subscribe(self._node, f"{name}/goal", goal_type, goals)
         graph.subscribe(self._node, f"{name}/cancel", GOAL_ID, Subscriber(self._take_cancel))
 
     def publish_status(self) -> None:
@@ -108,6 +109,13 @@ class BridgedAction:
         sender = publication.publisher if isinstance(publication.publisher, Node) else self._node
         self._send(tracked.key, sender, message["goal"])
         self.publish_status()
+
+    def _turn_away(self, message: Mapping[str, Any], sender: Node, reason: str) -> None:
+        """Reject a goal that its sender may not send; nobody else waits for it, and it takes no place."""
+        if message:
+            status = {"goal_id": message["goal_id"], "status": int(Status.REJECTED), "text": reason}
+            self._graph.tell(sender, f"{self._name}/status", {"status_list": [*self._tracked.messages(), status]})
+            self._graph.tell(sender, f"{self._name}/result", {"status": status})
 
     def _send(self, key: str, sender: Node, message: Mapping[str, Any]) -> None:
         at_once: list[Result] = []

@@ -5,51 +5,51 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
-import os
-import signal
 import time
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import uvloop
 
 from planners.pool import PlannerPool
 from protocol.registry import Registry
-from robot import model
 from robot.arm import Arm
-from robot.calibration import Calibration
-from robot.calibration_files import find_calibration
-from robot.errors import RobotError
-from robot.limits import within_calibration
-from robot.messages import ArmConfig, ArmHealth, ArmState, Mode
-from robot.model import RobotModel
+from robot.messages import ArmHealth, ArmState, EndState, Mode
+from server.access.access import Access
+from server.access.control import Control
 from server.arm_pace import ArmPace
 from server.arm_services import ArmServices
+from server.arm_setup import Description, arm_config, check_parameters
 from server.arm_state import ArmStateTopics
-from server.config import ArmSettings, RecordingSettings, Settings
+from server.config import RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.emulated_bus import EmulatedBus
-from server.errors import ConfigurationError, StartError
+from server.errors import StartError
 from server.gateway import page
+from server.gateway.entrance.entrance import Entrance
 from server.gateway.http import HttpGate
 from server.gateway.listener import Listener
 from server.graph import Graph
+from server.hangup import on_hangup
 from server.joint_states import JointStates
 from server.moveit.face import MoveItFace
-from server.moveit.parameters import MoveItParameters
+from server.moveit.readiness import ARM_START_TIMEOUT_S
+from server.operations.operations import Operations
+from server.operations.service_manager import environment_manager
+from server.planning_cluster import planning_cluster
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
+from server.stopping import Step, stop_in_order, stop_signals, unless_ended
+from server.timers import call_later
+from server.zenoh.joining import bridge_of
 
 if TYPE_CHECKING:
     from server.recording.recorder import Recorder
 
 log = logging.getLogger("armbridge")
 
-# Opening the bus, checking six servos and raising torque takes 0.7 s; a machine under load takes longer.
-ARM_START_TIMEOUT_S = 15.0
-
-BYTES_PER_MB = 1_000_000
+# What the end of the server may take in all, and each of its steps [s]; an arm that relaxes takes its time besides.
+STOP_TOTAL_S = 2.6
+RELAXING_S = 2.5
 
 
 def serve(settings: Settings) -> None:
@@ -60,38 +60,6 @@ def serve(settings: Settings) -> None:
         StartError: a part that cannot start, such as a port in use.
     """
     uvloop.run(App(settings).run())
-
-
-@dataclass(frozen=True)
-class Description:
-    """The arm by its files: the robot within its calibration.
-
-    Attributes:
-        calibration_file: where the calibration was read; None for that of an ideal arm.
-    """
-
-    robot: RobotModel
-    calibration: Calibration
-    calibration_file: Path | None
-
-    @classmethod
-    def read(cls, settings: ArmSettings) -> Description:
-        """Read the files named in the settings, or the built-in ones.
-
-        Raises:
-            ConfigurationError: a file that cannot be used.
-        """
-        try:
-            if settings.urdf is not None and settings.srdf is not None:
-                robot = model.load(settings.urdf, settings.srdf)
-            else:
-                robot = model.builtin()
-            file = find_calibration(str(settings.calibration), os.environ) if settings.calibration else None
-            read = Calibration.load(file) if file else Calibration.nominal()
-            calibration = read.with_zero_offsets(settings.zero_offset_rad)
-            return cls(within_calibration(robot, calibration), calibration, file)
-        except RobotError as error:
-            raise ConfigurationError(str(error)) from error
 
 
 class App:
@@ -107,8 +75,17 @@ class App:
         check_parameters(settings.moveit, description.robot)
         self._description = description
         registry = Registry.load()
-        self._graph = Graph(registry, relay_unknown_types=settings.server.relay_unknown_types)
-        self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
+        self._graph = Graph(
+            registry,
+            relay_unknown_types=settings.server.relay_unknown_types,
+            unregister_timeout_s=settings.server.unregister_timeout_s,
+        )
+        self._operations = Operations(self._graph, environment_manager())
+        access = self._access = Access(settings.access)
+        self._control = Control(self._graph, access.lease, time.monotonic, call_later)
+        self._rosapi = RosApi(
+            self._graph, self._graph.services, self._graph.actions, registry, time.time, access.params
+        )
         self._rosout: Rosout | None = None
         self._recorder: Recorder | None = None
         self._joint_states = JointStates(self._graph)
@@ -121,58 +98,98 @@ class App:
             self._graph,
             settings.server.host,
             settings.server.port,
-            HttpGate(description.robot),
+            HttpGate(description.robot, routes=self._operations.routes),
             takes_goals_along=settings.goals.on_disconnect == "stop",
+            entrance=Entrance.of(settings.server, settings.access, access.tokens),
+            access=access,
+            limits=settings.server.limits.limits(),
         )
-        self._pool = PlannerPool(
-            description.robot, settings.planning.workers, settings.planning.memory_limit_mb * BYTES_PER_MB
-        )
+        planning = settings.planning
+        self._pool = PlannerPool(description.robot, planning.active_here, planning.memory_limit_bytes)
+        self._cluster = planning_cluster(planning, description.robot, self._pool)
         self._emulated_bus = (
-            EmulatedBus(settings.emulator, description.calibration_file) if settings.arm.serial is None else None
+            EmulatedBus(settings.emulator, description.calibration_file, self._use_port)
+            if settings.arm.serial is None
+            else None
         )
-        self._arm: Arm | None = None
+        self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
+        # Its port is known when it is started.
+        self._arm = Arm(arm_config(settings.arm, description, ""), self._on_state, self._on_health)
 
     async def run(self) -> None:
-        """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails."""
-        ending = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, ending.set)
+        """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
+
+        A second signal hurries the stop.
+        """
+        ending, hurry = stop_signals()
+        on_hangup(self._listener.reload_certificate, ending.set)
         try:
-            await self._start()
-            # What lives as long as the server need not be looked at by every collection.
-            gc.collect()
-            gc.freeze()
-            log.info("%s", self._what_runs_where())
-            if not page.is_built(page.PAGE_DIRECTORY):
-                log.info("%s", page.HOW_TO_GET_IT)
-            await ending.wait()
+            if await unless_ended(ending, self._start()):
+                self._tell_start()
+                await ending.wait()
             log.info("stopping")
         finally:
-            await self._stop()
+            self._operations.tell_stopping()
+            await stop_in_order(self._steps_of_stop(), self._stop_total_s(), hurry)
+            self._operations.close()
         log.info("stopped")
+
+    def _tell_start(self) -> None:
+        self._operations.tell_started()
+        log.info("%s", self._what_runs_where())
+        if not page.is_built(page.PAGE_DIRECTORY):
+            log.info("%s", page.HOW_TO_GET_IT)
 
     async def _start(self) -> None:
         self._rosout = Rosout(self._graph, asyncio.get_running_loop())
         self._rosout.open()
+        self._operations.open()
         self._rosapi.open()
         self._recorder = open_recorder(self._settings.recording, self._graph, self._description.robot.name)
         # The port first: nothing else needs to start, and no arm to be switched on, when it is taken.
         await self._listener.bind()
+        # Interpreters start and load while the server opens its parts. Clients are answered from then on, and what they
+        # want to be moved waits for the arm.
+        if self._emulated_bus is not None:
+            await self._emulated_bus.launch()
+        await self._arm.launch()
+        self._open_parts()
+        self._show_parts()
+        await self._listener.open()
+        if self._bridge is not None:
+            self._bridge.open()
         await self._pool.start()
+        # What lives as long as the server need not be looked at by every collection. Nothing moves yet that could wait.
+        gc.collect()
+        gc.freeze()
         port = self._settings.arm.serial if self._emulated_bus is None else await self._emulated_bus.start()
+        try:
+            await self._arm.start(ARM_START_TIMEOUT_S, port)
+        except TimeoutError as error:
+            raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
+        if self._cluster is not None:
+            self._cluster.start()
+
+    def _open_parts(self) -> None:
         self._joint_states.open()
         self._arm_state.open()
         self._diagnostics.open()
-        self._arm = Arm(arm_config(self._settings.arm, self._description, str(port)), self._on_state, self._on_health)
-        try:
-            await self._arm.start(ARM_START_TIMEOUT_S)
-        except TimeoutError as error:
-            raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
+        self._arm_state.take_state(self._arm.state)
         self._face.open(self._arm, self._pool)
         self._arm_services.open(self._arm, self._face.stop)
         self._arm_pace.open(self._arm)
-        await self._listener.open()
+        self._control.open(lambda: self._face.busy)
+
+    def _show_parts(self) -> None:
+        """Let operations tell of all that is open now."""
+        parts = self._operations.parts
+        parts.traffic, parts.arm, parts.planners = self._listener.traffic, self._arm, self._pool
+        parts.refused_connections = self._listener.refused_connections
+        parts.goal_tally, parts.queue = self._face.goal_tally, self._face.queue
+        parts.recorder, parts.emulator, parts.zenoh = self._recorder, self._emulated_bus, self._bridge
+
+    def _use_port(self, port: str) -> None:
+        self._arm.use_port(port)
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
@@ -183,62 +200,62 @@ class App:
     def _on_health(self, health: ArmHealth) -> None:
         self._arm_state.take_health(health)
         self._diagnostics.take_health(health)
+        self._operations.parts.arm_health = health
 
-    async def _stop(self) -> None:
-        """The arm first, brought to its end state; then the sockets; then the processes that nothing needs any more."""
-        await self._face.close()
-        if self._arm is not None:
-            await self._arm.close()
+    def _steps_of_stop(self) -> list[Step]:
+        """The arm first, brought to its end state; then the clients; then what nothing needs any more."""
+        relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
+        return [
+            Step("goals", self._face.close, 1.1),
+            Step("the arm", self._arm.close, 0.8 + relaxing_s),
+            Step("clients", self._close_clients, 0.6),
+            Step("other machines", self._close_bridge, 0.4),
+            Step("the recording", self._close_recorder, 0.8),
+            Step("the cluster", self._close_cluster, 0.4),
+            Step("planners", self._pool.close, 0.4),
+            Step("the simulated arm", self._close_emulated_bus, 0.4),
+        ]
+
+    def _stop_total_s(self) -> float:
+        relaxing = self._settings.arm.on_exit is EndState.RELAX
+        return STOP_TOTAL_S + RELAXING_S if relaxing else STOP_TOTAL_S
+
+    async def _close_clients(self) -> None:
+        self._control.close()
         self._diagnostics.close()
         await self._listener.close()
-        await self._pool.close()
-        if self._emulated_bus is not None:
-            await self._emulated_bus.close()
+
+    async def _close_bridge(self) -> None:
+        if self._bridge is not None:
+            await self._bridge.close()
+
+    async def _close_recorder(self) -> None:
         if self._recorder is not None:
             await self._recorder.close()
         if self._rosout is not None:
             self._rosout.close()
 
+    async def _close_cluster(self) -> None:
+        if self._cluster is not None:
+            await self._cluster.close()
+
+    async def _close_emulated_bus(self) -> None:
+        if self._emulated_bus is not None:
+            await self._emulated_bus.close()
+
     def _what_runs_where(self) -> str:
         arm = self._arm
-        if arm is None:
-            raise AssertionError("told before the start")
         bus = "simulated" if self._emulated_bus is not None else f"on {self._settings.arm.serial}"
         if arm.state.mode is Mode.DISCONNECTED:
             bus += f", NOT CONNECTED ({arm.state.reason})"
         elif arm.state.mode is not Mode.HOLDING:
             bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
-        where = f"{self._settings.server.host}:{self._listener.port}"
-        shown = f"http://{where}/ (page), " if page.is_built(page.PAGE_DIRECTORY) else ""
+        shown = f"{self._listener.page_url} (page), " if page.is_built(page.PAGE_DIRECTORY) else ""
         return (
-            f"armbridge is ready: ws://{where} (rosbridge), {shown}"
+            f"armbridge is ready: {self._listener.url} (rosbridge), {shown}"
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids)}"
         )
-
-
-def arm_config(settings: ArmSettings, description: Description, port: str) -> ArmConfig:
-    """What the arm process needs to know.
-
-    Args:
-        settings: the section ``arm``.
-        description: the arm by its files.
-        port: its serial port.
-    """
-    return ArmConfig(
-        robot=description.robot,
-        calibration=description.calibration,
-        port=port,
-        state_rate_hz=settings.joint_state_rate_hz,
-        start_enabled=settings.start_enabled,
-        watchdog_s=settings.watchdog_s,
-        on_server_lost=settings.on_server_lost,
-        on_exit=settings.on_exit,
-        on_emergency_stop=settings.on_emergency_stop,
-        warn_temperature_c=settings.warn_temperature_c,
-        slow_temperature_c=settings.slow_temperature_c,
-        stop_temperature_c=settings.stop_temperature_c,
-    )
 
 
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:
@@ -260,26 +277,3 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
     recorder = Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})
     recorder.open()
     return recorder
-
-
-def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:
-    """Hold the parameters against the robot.
-
-    Raises:
-        ConfigurationError: a group, link or frame that the robot does not have.
-    """
-    group, link, frame = (
-        parameters.group_name,
-        parameters.end_effector_link,
-        parameters.planning_frame.lstrip("/"),
-    )
-    if group not in robot.groups:
-        raise ConfigurationError(
-            f"moveit.group_name: there is no group {group!r}; the SRDF has {', '.join(robot.groups)}"
-        )
-    if link and link not in robot.links:
-        raise ConfigurationError(
-            f"moveit.end_effector_link: there is no link {link!r}; the URDF has {', '.join(robot.links)}"
-        )
-    if frame and frame != robot.root_link:
-        raise ConfigurationError(f"moveit.planning_frame: must be the root link {robot.root_link!r}, not {frame!r}")

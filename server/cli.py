@@ -8,12 +8,12 @@ import sys
 from collections.abc import Sequence
 from importlib import metadata
 
-from server.commands import calibrate, config, doctor, emulate, plan, relax, replay, scan, serve
+from server.commands import calibrate, config, doctor, emulate, plan, relax, replay, scan, serve, systemd_unit
 from server.commands.terminal import EXIT_CODES
 from server.config_keys import unknown
 
 # In the order in which someone with a new arm needs them.
-COMMANDS = (serve, scan, calibrate, doctor, relax, plan, replay, emulate, config)
+COMMANDS = (serve, scan, calibrate, doctor, relax, plan, replay, emulate, config, systemd_unit)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -8,9 +8,15 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from robot.logs import LogFormat
 from robot.messages import EmergencyPolicy, EndState
+from server.access.settings import AccessSettings
+from server.arm_guard_settings import GuardSettings
+from server.gateway.session_settings import SessionSettings
 from server.goal_queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
+from server.planning_settings import PlanningSettings
+from server.zenoh.settings import ZenohSettings
 
 # Of the environment variables.
 PREFIX = "ARMBRIDGE_"
@@ -27,13 +33,45 @@ class ServerSettings(_Section):
         host: address to listen on.
         port: TCP port; 0 takes a free one.
         log_level: least level of the log.
+        log_format: lines for people, or a JSON object a line for programs.
         relay_unknown_types: take topics and services whose types the server does not know, and relay them unchecked.
+        tls_certificate: PEM file of the certificate, with those that lead to its issuer, for wss and https; None for
+            neither.
+        tls_key: PEM file of its key, without a passphrase; with tls_certificate only.
+        max_clients: connections at a time, those of a page that loads among them.
+        max_clients_per_address: connections at a time from one address.
+        connections_per_s: new connections a second from one address, in the long run; ten seconds' worth of them may
+            come at once [1/s].
+        ping_interval_s: how often each client is asked whether it is still there [s].
+        ping_timeout_s: time to answer; who does not is disconnected [s].
+        unregister_timeout_s: for how long a topic keeps its type, and what is latched there, after the last one who
+            used it has left: some clients open a new socket between advertise and publish [s].
+        limits: what one client may cost.
     """
 
     host: str = "127.0.0.1"
     port: int = Field(default=9090, ge=0, le=65535)
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: LogFormat = "plain"
     relay_unknown_types: bool = False
+    tls_certificate: Path | None = None
+    tls_key: Path | None = None
+    max_clients: int = Field(default=1000, ge=1, le=100_000)
+    # Behind a container's proxy all clients have one address.
+    max_clients_per_address: int = Field(default=800, ge=1, le=100_000)
+    # A page that loads is thirty connections, and a classroom may come from one address.
+    connections_per_s: float = Field(default=100.0, ge=1.0, le=10_000.0)
+    ping_interval_s: float = Field(default=20.0, ge=1.0, le=3600.0)
+    ping_timeout_s: float = Field(default=20.0, ge=1.0, le=3600.0)
+    unregister_timeout_s: float = Field(default=10.0, ge=0.0, le=3600.0)
+    limits: SessionSettings = SessionSettings()
+
+    @model_validator(mode="after")
+    def _key_and_certificate_come_in_pairs(self) -> ServerSettings:
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            missing = "tls_key" if self.tls_key is None else "tls_certificate"
+            raise ValueError(f"tls_certificate and tls_key must be given together; {missing} is missing")
+        return self
 
 
 class ArmSettings(_Section):
@@ -46,6 +84,7 @@ class ArmSettings(_Section):
         urdf: the robot's URDF; None for the built-in SO-101.
         srdf: the SRDF that goes with it.
         joint_state_rate_hz: rate of ``/joint_states`` [Hz].
+        tf_rate_hz: rate of ``/tf``, at most that of the joint states [Hz].
         start_enabled: make the arm hold as soon as it is connected; else it stays relaxed until it is enabled.
         watchdog_s: silence of the server after which the arm is stopped [s].
         on_server_lost: what becomes of the arm after such a silence.
@@ -54,6 +93,7 @@ class ArmSettings(_Section):
         warn_temperature_c: servos from it on are told of [degC].
         slow_temperature_c: motions run at half speed while a servo has it [degC].
         stop_temperature_c: a servo that has it is a fault, and the arm is relaxed [degC].
+        guards: how hard the servos may push, and what is borne before a motion has failed.
     """
 
     serial: str | None = None
@@ -62,6 +102,8 @@ class ArmSettings(_Section):
     urdf: Path | None = None
     srdf: Path | None = None
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
+    # What a screen shows at most.
+    tf_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
     start_enabled: bool = True
     # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.
     watchdog_s: float = Field(default=0.5, ge=0.3, le=10.0)
@@ -72,6 +114,7 @@ class ArmSettings(_Section):
     warn_temperature_c: float = Field(default=55.0, ge=30.0, le=70.0)
     slow_temperature_c: float = Field(default=60.0, ge=30.0, le=70.0)
     stop_temperature_c: float = Field(default=65.0, ge=30.0, le=70.0)
+    guards: GuardSettings = GuardSettings()
 
     @model_validator(mode="after")
     def _descriptions_come_in_pairs(self) -> ArmSettings:
@@ -96,6 +139,8 @@ class GoalSettings(_Section):
         on_disconnect: what becomes of the goals that a client has sent to actions when it leaves; it may say otherwise
             in its URL, by ``?on_disconnect=stop`` or ``?on_disconnect=finish``.
         confirm: wait for a message on ``/moveit_goal_confirm`` between plan and motion.
+        confirm_timeout_s: a goal that is not confirmed within this time is answered TIMED_OUT [s].
+        max_paused_s: a goal that was paused or going back for longer, all times together, is given up [s].
         named_states_file: where saved states are kept; None for a file in the user's data directory.
     """
 
@@ -103,22 +148,11 @@ class GoalSettings(_Section):
     capacity: int = Field(default=16, ge=1, le=1000)
     on_disconnect: Literal["finish", "stop"] = "finish"
     confirm: bool = False
+    # The goals behind it wait as long.
+    confirm_timeout_s: float = Field(default=120.0, ge=1.0, le=3600.0)
+    # Whoever pauses a motion to look at something is back by then.
+    max_paused_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
     named_states_file: Path | None = None
-
-
-class PlanningSettings(_Section):
-    """The planner processes.
-
-    Attributes:
-        workers: how many goals may be planned at the same time; one more process is kept as a warm spare.
-        memory_limit_mb: data that each process may hold; one that needs more is restarted [MB].
-        save_failed_goals: directory for the goals that could not be planned, as files for ``armbridge plan``; None
-            to keep none.
-    """
-
-    workers: int = Field(default=1, ge=1, le=16)
-    memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
-    save_failed_goals: Path | None = None
 
 
 class RecordingSettings(_Section):
@@ -161,12 +195,27 @@ class EmulatorSettings(_Section):
 class Settings(BaseSettings):
     """All settings. The command line overrides the environment, and that the file."""
 
-    model_config = SettingsConfigDict(extra="forbid", frozen=True, env_prefix=PREFIX, env_nested_delimiter="__")
+    # Inputs may be tokens; who has a refusal to tell decides what it shows.
+    model_config = SettingsConfigDict(
+        extra="forbid", frozen=True, env_prefix=PREFIX, env_nested_delimiter="__", hide_input_in_errors=True
+    )
 
     server: ServerSettings = ServerSettings()
+    access: AccessSettings = AccessSettings()
     arm: ArmSettings = ArmSettings()
     moveit: MoveItParameters = MoveItParameters()
     goals: GoalSettings = GoalSettings()
     planning: PlanningSettings = PlanningSettings()
     recording: RecordingSettings = RecordingSettings()
+    zenoh: ZenohSettings = ZenohSettings()
     emulator: EmulatorSettings = EmulatorSettings()
+
+    @model_validator(mode="after")
+    def _the_arm_settles_within_the_margin(self) -> Settings:
+        margin_s, settle_s = self.moveit.allowed_goal_duration_margin, self.arm.guards.settle_timeout_s
+        if settle_s >= margin_s:
+            raise ValueError(
+                f"arm.guards.settle_timeout_s must be below moveit.allowed_goal_duration_margin, "
+                f"{settle_s:g} s is not below {margin_s:g} s"
+            )
+        return self

@@ -18,7 +18,10 @@ from pydantic_settings import (
 
 from server.config import PREFIX, Settings
 from server.config_keys import every_setting, flattened, unknown
-from server.errors import ConfigurationError
+from server.errors import ConfigurationError, sentence_of
+
+# What may be secret, and must not get into logs by a refusal.
+_SECRET = ("access.token", "access.admin_tokens", "access.operate_tokens", "access.view_tokens")
 
 
 def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
@@ -118,6 +121,9 @@ def _sentence(problem: Any, sources: dict[str, str]) -> str:
     if problem["type"] == "extra_forbidden":
         return unknown(key, known_keys())
     value = problem.get("input")
-    source = f", from the {sources[key]}" if key in sources else ""
-    shown = "" if isinstance(value, dict | BaseModel) else f" (it is {value!r}{source})"
-    return f"{key or 'settings'}: {problem['msg']}{shown}"
+    source = next((f", from the {layer}" for each, layer in sources.items() if f"{key}.".startswith(f"{each}.")), "")
+    if key == "access" or key.startswith(_SECRET):
+        shown = f" (it is not shown{source})"
+    else:
+        shown = "" if isinstance(value, dict | BaseModel) else f" (it is {value!r}{source})"
+    return f"{key or 'settings'}: {sentence_of(problem)}{shown}"

@@ -12,8 +12,9 @@ ServerError
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from planners.problem import PlanningFailure
 
@@ -67,3 +68,8 @@ class RecordingError(ServerError):
 
 class StartError(ServerError):
     """A part of the server that cannot start."""
+
+
+def sentence_of(flaw: Mapping[str, Any]) -> str:
+    """What pydantic says of a flaw, one of ``ValidationError.errors()``; a validator's own sentence as it stands."""
+    return str(flaw["msg"]).removeprefix("Value error, ")

@@ -15,6 +15,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.trajectory import Trajectory
+from server.node import Node
 
 log = logging.getLogger("armbridge.goals")
 
@@ -102,6 +103,7 @@ class QueuedGoal(Generic[Request]):
         on_progress: called with its news.
         on_answer: called once.
         asked: the message it came as; empty when there is none that can be read.
+        only_for: who alone is told of it; None for everybody.
     """
 
     goal_id: str
@@ -110,6 +112,7 @@ class QueuedGoal(Generic[Request]):
     on_progress: Callable[[Progress], None] = lambda _progress: None
     on_answer: Callable[[Answer], None] = lambda _answer: None
     asked: Mapping[str, Any] = field(default_factory=dict)
+    only_for: Node | None = None
 
 
 class GoalRunner(Protocol[Request_contra]):
@@ -167,12 +170,23 @@ class GoalQueue(Generic[Request]):
     async def close(self, timeout_s: float) -> None:
         """Stop the goal in hand, answer every goal and end, at the latest after ``timeout_s``."""
         self.stop("the server is shutting down")
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._idle.wait(), timeout_s)
+        try:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._idle.wait(), timeout_s)
+        finally:
+            self._abandon()
         if self._task is not None:
-            self._task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._task
+
+    def _abandon(self) -> None:
+        """Work no more; a goal that is still in hand is answered all the same."""
+        if self._task is not None:
+            self._task.cancel()
+        goal, self._active = self._active, None
+        if goal is not None:
+            reason = "the server is shutting down, and the arm did not come to rest in time"
+            self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, reason))
 
     @property
     def busy(self) -> str:
@@ -180,6 +194,11 @@ class GoalQueue(Generic[Request]):
         return (
             f"goal {self._active.goal_id} from {self._active.source} is worked on" if self._active is not None else ""
         )
+
+    @property
+    def waiting_count(self) -> int:
+        """How many goals wait for their turn."""
+        return len(self._waiting)
 
     def submit(
         self,
@@ -218,9 +237,22 @@ class GoalQueue(Generic[Request]):
             self._enqueue(goal)
         return goal.goal_id
 
-    def refuse(self, source: str, failure: PlanningFailure, asked: Mapping[str, Any] = _NOTHING) -> str:
-        """Answer a goal that cannot be asked for, at once and past the queue; returns its id."""
-        goal: QueuedGoal[Request] = QueuedGoal(self._next_id(), source, None, asked=asked)
+    def refuse(
+        self,
+        source: str,
+        failure: PlanningFailure,
+        asked: Mapping[str, Any] = _NOTHING,
+        only_for: Node | None = None,
+    ) -> str:
+        """Answer a goal that cannot be asked for, at once and past the queue; returns its id.
+
+        Args:
+            source: the topic or action it came by.
+            failure: why it cannot.
+            asked: the message it came as.
+            only_for: who alone is told; None for everybody.
+        """
+        goal: QueuedGoal[Request] = QueuedGoal(self._next_id(), source, None, asked=asked, only_for=only_for)
         self._finish(goal, Answer.of(failure))
         return goal.goal_id
 
@@ -267,6 +299,8 @@ class GoalQueue(Generic[Request]):
             self._active = goal
             self._idle.clear()
             answer = await self._run(goal)
+            if self._active is not goal:
+                return
             self._active = None
             self._finish(goal, answer)
             self._idle.set()

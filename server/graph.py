@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.publication import Publication
@@ -28,8 +28,8 @@ log = logging.getLogger("armbridge.graph")
 # Far more than any robot has; keeps a client that invents topics from growing the server.
 MAX_TOPICS = 10_000
 
-# rosbridge_server's unregister_timeout: some clients open a new socket between advertise and publish.
-TYPE_OUTLIVES_USE_S = 10.0
+# Some clients open a new socket between advertise and publish.
+UNREGISTER_TIMEOUT_S = 10.0
 
 
 # Called with every message of every topic, before its subscribers, and whether it is latched.
@@ -43,10 +43,13 @@ class Subscriber:
     Attributes:
         deliver: called with every message, at once and in order.
         refused: called with the error when somebody publishes what the topic's type does not allow.
+        turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
+            sender, and with a sentence that says why.
     """
 
     deliver: Callable[[Publication], None]
     refused: Callable[[MessageError], None] | None = None
+    turned_away: Callable[[Mapping[str, Any], Node, str], None] | None = None
 
 
 @dataclass
@@ -65,6 +68,10 @@ class Topic:
         """Whether anyone takes part."""
         return bool(self.publishers or self.subscribers)
 
+    def keeps(self, node: Node) -> bool:
+        """Whether what ``node`` publishes is kept; a client's does not replace what a part of the server keeps."""
+        return node in self.latching and (not node.remote or all(each.remote for each in self.latching))
+
 
 class Graph:
     """All topics, services and actions.
@@ -75,6 +82,7 @@ class Graph:
         wall_clock: seconds since the epoch, for stamps.
         call_later: does something after a delay.
         relay_unknown_types: take types that the registry does not know, and relay what is said in them unseen.
+        unregister_timeout_s: for how long a topic that nobody uses keeps its type, and what is latched there [s].
 
     Attributes:
         interfaces: types and messages.
@@ -90,11 +98,13 @@ class Graph:
         call_later: CallLater = call_later,
         *,
         relay_unknown_types: bool = False,
+        unregister_timeout_s: float = UNREGISTER_TIMEOUT_S,
     ) -> None:
         self.interfaces = Interfaces(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.interfaces, call_later)
         self.actions = Actions(self.interfaces, self.services, call_later)
         self._clock = clock
+        self._unregister_timeout_s = unregister_timeout_s
         self._topics: dict[str, Topic] = {}
         self._retained = Retained()
         self._watchers: tuple[Watcher, ...] = ()
@@ -126,6 +136,11 @@ class Graph:
         topic = self._topics.get(name)
         return [] if topic is None else list(topic.subscribers)
 
+    def is_latched(self, name: str) -> bool:
+        """Whether a topic, given by its fully qualified name, keeps its last message for who subscribes later."""
+        topic = self._topics.get(name)
+        return topic is not None and bool(topic.latching)
+
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
         """Register ``node`` as publisher.
 
@@ -146,7 +161,7 @@ class Graph:
             topic.latching.discard(node)
             if last_latching:
                 # As the type, what is latched outlives a socket that is only closed to be opened anew.
-                self._retained.unlatch_at(name, self._clock() + TYPE_OUTLIVES_USE_S)
+                self._retained.unlatch_at(name, self._clock() + self._unregister_timeout_s)
             self._left(topic)
 
     def subscribe(self, node: Node, name: str, type_name: str | None, subscriber: Subscriber) -> list[Publication]:
@@ -205,11 +220,51 @@ class Graph:
             topic.latching.add(node)
         publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received, node)
         for watch in self._watchers:
-            watch(publication, node in topic.latching)
+            watch(publication, topic.keeps(node))
         for subscriber in list(topic.subscribers.values()):
             subscriber.deliver(publication)
         # Afterwards, when it is known how large the message is.
-        self._retain(publication, node in topic.latching, lifespan_s)
+        self._retain(publication, topic.keeps(node), lifespan_s)
+
+    def turn_away(self, node: Node, name: str, message: object, reason: str) -> None:
+        """Have a message answered that is not let through, where its topic promises an answer.
+
+        Args:
+            node: who has sent it.
+            name: fully qualified name of the topic.
+            message: as for :meth:`publish`.
+            reason: a sentence.
+        """
+        topic = self._topics.get(name)
+        listeners = (
+            () if topic is None else tuple(filter(None, (each.turned_away for each in topic.subscribers.values())))
+        )
+        if topic is None or not listeners:
+            return
+        try:
+            completed: Mapping[str, Any] = self.interfaces.complete(topic.type_name, message)
+        except MessageError:
+            completed = {}
+        for turned_away in listeners:
+            turned_away(completed, node, reason)
+
+    def tell(self, node: Node, name: str, message: object) -> None:
+        """Deliver a message to one subscriber alone; nothing happens when it is none.
+
+        Args:
+            node: who is told.
+            name: fully qualified name of a topic that is advertised.
+            message: as for :meth:`publish`.
+
+        Raises:
+            GraphError: nobody has said what type the topic has.
+            MessageError: the message does not fit the type.
+        """
+        topic, received = self._topic(name, None), self.interfaces.now()
+        subscriber = topic.subscribers.get(node)
+        if subscriber is not None:
+            completed = self.interfaces.complete(topic.type_name, message, received)
+            subscriber.deliver(Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received))
 
     def latch(self, name: str, message: object) -> None:
         """Keep a message for who subscribes later, and deliver it to nobody now.
@@ -262,7 +317,7 @@ class Graph:
             raise GraphError("topic", name, f"cannot be added: there are {MAX_TOPICS} topics already")
 
     def _outlived(self, topic: Topic) -> bool:
-        return not (topic.publishers or topic.subscribers) and self._clock() - topic.last_used_s > TYPE_OUTLIVES_USE_S
+        return not topic.used and self._clock() - topic.last_used_s > self._unregister_timeout_s
 
     def _left(self, topic: Topic) -> None:
         """Note that someone has just left the topic."""

@@ -7,6 +7,7 @@ import logging
 from typing import Any
 
 from protocol.messages import Stamp
+from robot.logs import message_of
 from server.graph import Graph
 from server.node import Node
 
@@ -60,7 +61,7 @@ def as_message(record: logging.LogRecord) -> dict[str, Any]:
         "stamp": Stamp.from_seconds(record.created).as_message(),
         "level": max(10, min(50, record.levelno // 10 * 10)),
         "name": record.name,
-        "msg": record.getMessage(),
+        "msg": message_of(record),
         "file": record.filename,
         "function": record.funcName or "",
         "line": record.lineno,

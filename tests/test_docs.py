@@ -24,10 +24,19 @@ RUN_TIMEOUT_S = 60
 ANSWER_TIMEOUT_S = 10
 
 # Begins of commands that bring something of others; they are not run.
-FOREIGN = ("python3 -m venv ", "python3 -m http.server ", "/tmp/lab/bin/pip install ")
+FOREIGN = (
+    "python3 -m venv ",
+    "python3 -m http.server ",
+    "/tmp/lab/bin/pip install ",
+    ".venv/bin/pip install --editable '.[",
+    "dask ",
+    "export RMW_IMPLEMENTATION=",
+    "ros2 ",
+    "docker ",
+)
 
 # The page of the protocol shows what comes as well as what is sent.
-SENT = ("browser.md", "goals.md", "unity.md", "unreal.md")
+SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
 
 
 def commands(page: str) -> list[str]:
@@ -101,6 +110,19 @@ def test_every_other_command_is_known_to_be_of_others() -> None:
     assert [line for line in COMMANDS if not line.startswith((*ours, *FOREIGN)) and line not in EXAMPLES] == []
 
 
+@pytest.mark.parametrize("command", ["scheduler", "worker"])
+def test_the_options_of_commands_of_dask_exist(command: str) -> None:
+    pytest.importorskip("distributed", reason="the extra [dask] is not installed")
+    told = {
+        word for line in COMMANDS if line.startswith(f"dask {command} ") for word in line.split() if word[:2] == "--"
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "dask", command, "--help"], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert told
+    assert told <= set(re.findall(r"--[\w-]+", done.stdout))
+
+
 @pytest.mark.parametrize("page", SENT)
 def test_the_messages_of_a_page_are_taken_without_complaint(page: str, server: RunningServer) -> None:
     frames = [line for block in blocks(ROOT / "docs" / page, "json") for line in block.splitlines()]
@@ -118,6 +140,13 @@ def test_the_messages_of_a_page_are_taken_without_complaint(page: str, server: R
                 complaints.append(operation)
             calls.discard(operation.get("id"))
     assert complaints == []
+
+
+def test_every_test_that_the_security_page_names_exists() -> None:
+    named = re.findall(r"`([\w/.]+\.py)::(\w+)`", (ROOT / "docs" / "security.md").read_text())
+    assert len(named) > 10
+    tests = ROOT / "tests" / "server"
+    assert [name for file, name in named if f"def {name}(" not in (tests / file).read_text()] == []
 
 
 # From the engine's axes to ROS's, and metres to the engine's unit.

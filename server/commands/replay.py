@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import logging
-import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from robot.processes import LOG_FORMAT
+from robot import logs
 from server.commands.arm_options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
-from server.errors import RecordingError, StartError
+from server.errors import ConfigurationError, RecordingError, StartError
 
 MAX_PORT = 65_535
 MIN_RATE, MAX_RATE = 0.01, 100.0
@@ -28,8 +28,12 @@ def add_parser(subparsers: Subparsers) -> None:
         epilog=EXIT_CODES,
     )
     parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (127.0.0.1)")
-    parser.add_argument("--port", type=_number(int, 0, MAX_PORT), default=9090, help="TCP port (9090); 0: a free one")
+    parser.add_argument("--host", help="address to listen on (127.0.0.1)")
+    parser.add_argument("--port", type=_number(int, 0, MAX_PORT), help="TCP port (9090); 0: a free one")
+    parser.add_argument("--insecure", action="store_true", help="serve an address that others can reach without tokens")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="settings in TOML, of which [server] and [access] count"
+    )
     parser.add_argument(
         "--rate",
         type=_number(float, MIN_RATE, MAX_RATE),
@@ -51,17 +55,32 @@ def add_parser(subparsers: Subparsers) -> None:
 def run(options: argparse.Namespace) -> int:
     """Carry out the command."""
     # Imported when it is needed: --help answers without the server's libraries.
+    from server.config_reading import load
     from server.recording.replay import ReplayOptions, replay
 
-    logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
-    logging.getLogger("websockets").setLevel(logging.WARNING)
-    chosen = ReplayOptions(options.recording, options.host, options.port, options.rate, options.delay, options.loop)
     try:
-        replay(chosen)
-    except (RecordingError, StartError) as error:
+        settings = load(options.config, _overrides(options))
+    except ConfigurationError as error:
         Terminal().say(f"armbridge: {error}")
-        return ExitCode.FAILED
+        return ExitCode.USAGE
+    logs.configure(settings.server.log_level.upper(), settings.server.log_format)
+    logging.getLogger("websockets").setLevel(logging.WARNING)
+    try:
+        replay(
+            ReplayOptions(
+                options.recording, settings.server, settings.access, options.rate, options.delay, options.loop
+            )
+        )
+    except (RecordingError, StartError, ConfigurationError) as error:
+        Terminal().say(f"armbridge: {error}")
+        return ExitCode.USAGE if isinstance(error, ConfigurationError) else ExitCode.FAILED
     return ExitCode.DONE
+
+
+def _overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that options override, by section and key."""
+    place = {name: value for name in ("host", "port") if (value := getattr(options, name)) is not None}
+    return {"server": place, "access": {"insecure": True} if options.insecure else {}}
 
 
 def _number(kind: Callable[[str], float], least: float, greatest: float) -> Callable[[str], float]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import logging
-import sys
 
-from robot.processes import LOG_FORMAT
+from robot import logs
 from server.commands.arm_options import Subparsers
 from server.commands.setting_options import add_setting_options, read_settings
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
@@ -41,12 +40,12 @@ def _serve(settings: Settings, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.app import serve
 
-    logging.basicConfig(level=settings.server.log_level.upper(), format=LOG_FORMAT, stream=sys.stderr)
+    logs.configure(settings.server.log_level.upper(), settings.server.log_format)
     # A line for every handshake and request that is no WebSocket; the gateway tells what matters of a client.
     logging.getLogger("websockets").setLevel(logging.WARNING)
     try:
         serve(settings)
     except (StartError, ConfigurationError) as error:
         terminal.say(f"armbridge: {error}")
-        return ExitCode.FAILED
+        return ExitCode.USAGE if isinstance(error, ConfigurationError) else ExitCode.FAILED
     return ExitCode.DONE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ _KEYS = {
     "log_level": ("server", "log_level"),
     "serial": ("arm", "serial"),
     "calibration": ("arm", "calibration"),
+    "insecure": ("access", "insecure"),
     "urdf": ("arm", "urdf"),
     "srdf": ("arm", "srdf"),
     "record": ("recording", "file"),
@@ -31,13 +33,12 @@ def add_setting_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--host", help="address to listen on (127.0.0.1)")
     parser.add_argument("--port", type=int, help="TCP port (9090); 0 takes a free one")
     parser.add_argument(
-        "--serial",
-        metavar="PORT",
-        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
+        "--insecure",
+        action="store_true",
+        default=None,
+        help="serve an address that others can reach without tokens: everybody there may move the arm",
     )
-    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
-    parser.add_argument("--urdf", type=Path, metavar="FILE", help="the robot's URDF, instead of the built-in SO-101's")
-    parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
+    _add_arm_options(parser)
     parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record every message to this file")
     parser.add_argument(
         "--record-limit-mb", type=int, metavar="MB", help="begin the next file when one has so many megabytes"
@@ -56,6 +57,17 @@ def add_setting_options(parser: argparse.ArgumentParser) -> None:
         dest="assignments",
         help="any setting, as in --set goals.capacity=4; may be repeated (armbridge config lists them)",
     )
+
+
+def _add_arm_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--serial",
+        metavar="PORT",
+        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
+    )
+    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    parser.add_argument("--urdf", type=Path, metavar="FILE", help="the robot's URDF, instead of the built-in SO-101's")
+    parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
 
 
 def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]]:
@@ -77,8 +89,8 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
     for text in options.assignments:
         key, equals, value = text.partition("=")
         if not equals:
-            raise ConfigurationError(f"--set {text}: must be KEY=VALUE, as in --set server.port=9191")
-        _put(values, key.strip().split("."), _value(text, value.strip()))
+            raise ConfigurationError(f"--set {_key(text)}: must be KEY=VALUE, as in --set server.port=9191")
+        _put(values, key.strip().split("."), _value(key, value.strip()))
     for option, path in _KEYS.items():
         if (chosen := getattr(options, option)) is not None:
             _put(values, path, chosen)
@@ -95,11 +107,16 @@ def _put(values: dict[str, Any], path: tuple[str, ...] | list[str], value: Any) 
     values[name] = value
 
 
-def _value(text: str, value: str) -> Any:
+def _key(text: str) -> str:
+    """What is a key in a text that should be an assignment; the rest may be secret."""
+    return re.split(r"[^\w.]", text, maxsplit=1)[0]
+
+
+def _value(key: str, value: str) -> Any:
     """Tables and lists as TOML has them; the type of everything else is the setting's."""
     if not value.startswith(("{", "[")):
         return value
     try:
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"--set {text}: the value is not TOML: {error}") from error
+        raise ConfigurationError(f"--set {key}: the value is not TOML: {error}") from error

@@ -16,9 +16,6 @@ log = logging.getLogger("armbridge.goals")
 CONFIRM_TOPIC = "/moveit_goal_confirm"
 MODE_SERVICE = "/moveit_goal_confirm_mode"
 
-# Whoever looks at a plan has decided within this time; the goals behind it wait as long.
-TIMEOUT_S = 120.0
-
 
 class Confirmation:
     """The gate between plan and motion.
@@ -26,15 +23,17 @@ class Confirmation:
     Args:
         graph: where topic and service are.
         wanted: whether goals of the simple layer wait at the gate.
+        timeout_s: how long they wait there [s].
 
     Attributes:
         wanted: as given; the service changes it for goals to come.
     """
 
-    def __init__(self, graph: Graph, *, wanted: bool) -> None:
+    def __init__(self, graph: Graph, *, wanted: bool, timeout_s: float) -> None:
         self._graph = graph
         self._node = Node("confirmation")
         self._word: asyncio.Future[bool] | None = None
+        self._timeout_s = timeout_s
         self.wanted = wanted
 
     def open(self) -> None:
@@ -50,10 +49,10 @@ class Confirmation:
         """Wait for the word: None to go on, else the goal's answer."""
         self._word = asyncio.get_running_loop().create_future()
         try:
-            async with asyncio.timeout(TIMEOUT_S):
+            async with asyncio.timeout(self._timeout_s):
                 go = await self._word
         except TimeoutError:
-            message = f"planned, but not confirmed on {CONFIRM_TOPIC} within {TIMEOUT_S:g} s"
+            message = f"planned, but not confirmed on {CONFIRM_TOPIC} within {self._timeout_s:g} s"
             return Answer(MoveItErrorCode.TIMED_OUT, message)
         finally:
             self._word = None

@@ -21,8 +21,9 @@ from server.moveit.alternatives import Alternatives
 from server.moveit.current_state import CurrentState
 from server.moveit.failed_goals import FailedGoals
 from server.moveit.motions import GivenMotion, Motion, PlannedMotion, Positions
+from server.moveit.patience import Allowance
 from server.moveit.playing import Certified, Player
-from server.moveit.readiness import unusable
+from server.moveit.readiness import ARM_START_TIMEOUT_S, unusable
 from server.moveit.recorder import Recorder
 from server.moveit.scene_watch import SceneWatch, WatchedScene
 from server.moveit.step_planning import Planned, plan_steps
@@ -61,6 +62,7 @@ class GoalExecutor:
         failed_goals: keeps those that could not be planned, or None.
         show: called with every plan before it is carried out.
         confirm: waits for the word on a plan; gives None to carry it out, else the goal's answer.
+        allowance: what motions may take.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class GoalExecutor:
         failed_goals: FailedGoals | None = None,
         show: Callable[[Performed], None] = lambda _performed: None,
         confirm: Confirm | None = None,
+        allowance: Allowance | None = None,
     ) -> None:
         self._arm = arm
         self._robot = robot
@@ -84,7 +87,7 @@ class GoalExecutor:
         self._alternatives = Alternatives(robot, pool)
         self._watch = SceneWatch(pool, scene)
         self.recorder = Recorder()
-        self._player = Player(arm, self._watch)
+        self._player = Player(arm, self._watch, allowance or Allowance())
         self._work: asyncio.Task[Any] | None = None
         self._end_reason = ""
 
@@ -261,6 +264,10 @@ class GoalExecutor:
     async def _not_ready(self) -> PlanningFailure | None:
         """Why no motion can begin; who steers the arm by velocities has to give way to a goal."""
         await self._player.rest()
+        # A goal that comes while the server starts waits for the arm.
+        await self._unless_ended(self._arm.until_started(ARM_START_TIMEOUT_S))
+        if self._end_reason:
+            return PlanningFailure(MoveItErrorCode.PREEMPTED, f"{self._end_reason} before the motion began")
         failure = unusable(self._arm.state, self._arm.state_age_s)
         if failure is None and not await self._arm.end_streams(STREAMS_TIMEOUT_S):
             message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"

@@ -23,6 +23,7 @@ from server.moveit.failed_goals import FailedGoals
 from server.moveit.gripper import Gripper
 from server.moveit.gripper_actions import GRIPPER_ACTION, PARALLEL_ACTION, GripperActions
 from server.moveit.motions import Motion
+from server.moveit.patience import Allowance
 from server.moveit.planner_parameters import PlannerParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.frames import Frames
@@ -33,6 +34,7 @@ from server.moveit.services.planning_context import PlanningContext
 from server.moveit.servo.servo_node import ServoNode
 from server.moveit.simple_layer import SimpleLayer
 from server.moveit.transforms_topics import TransformsTopics
+from server.operations.goal_tally import GoalTally
 
 # The queue waits this long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
@@ -46,6 +48,10 @@ class MoveItFace:
         robot: the arm.
         settings: everything that can be chosen.
         keep_parameter: keeps a parameter for rosapi, its value as JSON text.
+
+    Attributes:
+        goal_tally: how goals have ended.
+        queue: goals on their way; None until it is opened.
     """
 
     def __init__(
@@ -57,18 +63,18 @@ class MoveItFace:
         self._scene = SceneState(robot)
         self._frames = Frames(robot, self._scene)
         self._assumed = AssumedStates(robot)
-        geometry_directory = settings.moveit.geometry_directory
-        self._scene_interface = SceneInterface(graph, robot, self._scene, self._assumed, geometry_directory)
+        self._scene_interface = SceneInterface(graph, robot, self._scene, self._assumed, settings.moveit)
         self._parameters = PlannerParameters(settings.moveit)
         self._display = DisplayTopics(graph, robot)
         self._description = RobotDescription(graph, robot, keep_parameter)
-        self._transforms = TransformsTopics(graph, robot)
+        self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
         self._simple_layer = SimpleLayer(graph, robot, settings)
         self._gripper_actions = GripperActions(graph, robot.joints[GRIPPER_JOINT])
-        directory = settings.planning.save_failed_goals
-        self._failed_goals = None if directory is None else FailedGoals(directory, robot, time.time)
+        directory, keep = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
+        self._failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, keep)
         self._servo = ServoNode(graph, robot, settings.moveit, self._scene, self._frames.resolve)
-        self._queue: GoalQueue[Motion] | None = None
+        self.goal_tally = GoalTally()
+        self.queue: GoalQueue[Motion] | None = None
         self._executor: GoalExecutor | None = None
         self._actions: MotionActions | None = None
 
@@ -76,23 +82,26 @@ class MoveItFace:
         """Begin to take requests, for a started arm and started planners."""
         simple_layer, goals = self._simple_layer, self._settings.goals
         confirm, show = simple_layer.confirmation.ask, self._display.performed
-        self._executor = GoalExecutor(arm, self._robot, pool, self._scene, self._failed_goals, show, confirm)
-        self._queue = GoalQueue(self._executor, goals.policy, goals.capacity, simple_layer.on_progress, self._on_answer)
-        self._queue.start()
+        self._executor = GoalExecutor(
+            arm, self._robot, pool, self._scene, self._failed_goals, show, confirm, self._allowance()
+        )
+        self.queue = GoalQueue(self._executor, goals.policy, goals.capacity, simple_layer.on_progress, self._on_answer)
+        self.queue.start()
         self._description.open()
         self._transforms.open(time.time())
         self._scene_interface.open(CurrentState(arm, self._robot))
-        simple_layer.open(self._queue, pool, CurrentState(arm, self._robot), self._frames.resolve, self._scene)
+        simple_layer.open(self.queue, pool, CurrentState(arm, self._robot), self._frames.resolve, self._scene)
         self._gripper_actions.open(self._gripper(arm))
         self._display.open()
         context = self._planning_context(arm, pool)
         offer_services(self._graph, context)
-        self._actions = MotionActions(self._graph, context, arm, self._queue)
+        self._actions = MotionActions(self._graph, context, arm, self.queue)
         self._actions.open((GRIPPER_ACTION, PARALLEL_ACTION))
-        queue = self._queue
+        queue = self.queue
         self._servo.open(arm, pool, lambda: queue.busy)
 
     def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+        self.goal_tally.take(goal.source, answer)
         self._display.contacts_of(answer.details)
         self._simple_layer.on_answer(goal, answer)
 
@@ -117,20 +126,33 @@ class MoveItFace:
             self._executor.recorder.take_state(state)
             self._actions.take_state(state)
 
+    @property
+    def busy(self) -> str:
+        """Which goal is worked on, in words; empty when there is none."""
+        return "" if self.queue is None else self.queue.busy
+
     def stop(self, reason: str) -> None:
         """End the goal in hand and all that wait, and stop every motion."""
-        if self._queue is None:
+        if self.queue is None:
             raise AssertionError("stopped before it was opened")
-        self._queue.stop(reason)
+        self.queue.stop(reason)
 
     async def close(self) -> None:
         """Answer every goal, and bring the arm to rest."""
         self._scene_interface.close()
         await self._servo.close()
-        if self._queue is not None:
-            await self._queue.close(QUEUE_CLOSE_TIMEOUT_S)
+        if self.queue is not None:
+            await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
 
     def _gripper(self, arm: Arm) -> Gripper:
         moveit = self._settings.moveit
         joint = self._robot.joints[GRIPPER_JOINT]
-        return Gripper(arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling)
+        torque_limit = self._settings.arm.guards.gripper_torque_limit
+        return Gripper(
+            arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling, self._allowance(), torque_limit
+        )
+
+    def _allowance(self) -> Allowance:
+        moveit = self._settings.moveit
+        scaling, margin_s = moveit.allowed_execution_duration_scaling, moveit.allowed_goal_duration_margin
+        return Allowance(scaling, margin_s, self._settings.goals.max_paused_s)

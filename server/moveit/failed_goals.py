@@ -15,9 +15,6 @@ from robot.model import RobotModel
 
 log = logging.getLogger("armbridge.failed_goals")
 
-# A scene of 10 000 objects makes a file of 3 MB; the oldest files make room for new ones.
-MAX_FILES = 100
-
 # A disk that takes longer keeps the file to itself; the goal's answer does not wait for it.
 WRITING_TIMEOUT_S = 2.0
 
@@ -31,12 +28,14 @@ class FailedGoals:
         directory: where they go; made when it is not there.
         robot: the arm that was planned for.
         wall_clock: seconds since 1970, for the names.
+        max_files: how many are kept, of up to 3 MB with a scene of 10 000 objects; the oldest make room for new ones.
     """
 
-    def __init__(self, directory: Path, robot: RobotModel, wall_clock: Callable[[], float]) -> None:
+    def __init__(self, directory: Path, robot: RobotModel, wall_clock: Callable[[], float], max_files: int) -> None:
         self._directory = directory
         self._robot = robot
         self._wall_clock = wall_clock
+        self._max_files = max_files
 
     async def save(self, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
         """Write one; what goes wrong in that is only logged."""
@@ -56,5 +55,5 @@ class FailedGoals:
         self._directory.mkdir(parents=True, exist_ok=True)
         problem_file.write(path, problem, scene, self._robot, failure)
         saved = sorted(self._directory.glob(f"{PREFIX}*.json"))
-        for oldest in saved[:-MAX_FILES]:
+        for oldest in saved[: -self._max_files]:
             oldest.unlink(missing_ok=True)

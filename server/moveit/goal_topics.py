@@ -92,7 +92,10 @@ class GoalTopics:
         def refused(error: MessageError) -> None:
             queue.refuse(topic, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))
 
-        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, refused))
+        def turned_away(asked: Mapping[str, Any], sender: Node, reason: str) -> None:
+            queue.refuse(topic, PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason), asked, only_for=sender)
+
+        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, refused, turned_away))
 
     def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         """Publish the news of a goal, by whatever way it came."""
@@ -104,7 +107,9 @@ class GoalTopics:
         message = answer.message if instead is None else f"{answer.message}; what would work: {instead.words}"
         succeeded = answer.code is MoveItErrorCode.SUCCESS
         level = logging.INFO if succeeded else logging.WARNING
-        log.log(level, "goal %s from %s: %s: %s", goal.goal_id, goal.source, answer.code.name, message)
+        # What one client may not do is logged where it is refused.
+        if goal.only_for is None:
+            log.log(level, "goal %s from %s: %s: %s", goal.goal_id, goal.source, answer.code.name, message)
         found = {"code": str(int(answer.code))}
         found |= {name: json.dumps(value, default=str) for name, value in answer.details.items()}
         if instead is not None:
@@ -114,7 +119,7 @@ class GoalTopics:
         if goal.source not in (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC):
             return
         result = {"val": int(answer.code), "message": message, "source": f"{goal.source}#{goal.goal_id}"}
-        self._graph.publish(self._node, RESULT_TOPIC, result)
+        self._publish(goal, RESULT_TOPIC, result)
 
     def _publish_status(
         self, goal: QueuedGoal[Motion], progress: Progress, level: int, found: Mapping[str, str]
@@ -134,7 +139,14 @@ class GoalTopics:
             "hardware_id": goal.goal_id,
             "values": key_values({**values, **found}),
         }
-        self._graph.publish(self._node, STATUS_TOPIC, status)
+        self._publish(goal, STATUS_TOPIC, status)
+
+    def _publish(self, goal: QueuedGoal[Motion], topic: str, message: Mapping[str, Any]) -> None:
+        # It is no news to others, who wait for the end of goals of their own.
+        if goal.only_for is None:
+            self._graph.publish(self._node, topic, message)
+        else:
+            self._graph.tell(goal.only_for, topic, message)
 
 
 def _on_event(queue: GoalQueue[Motion], publication: Publication) -> None:

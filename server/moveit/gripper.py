@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from robot.arm import Arm
 from robot.messages import MotionEnded, Outcome
 from robot.model import Joint
-from robot.servos.servo_map import GRIPPER_TORQUE
 from robot.trapezoid import rest_to_rest
-from server.moveit.patience import DURATION_FACTOR, DURATION_MARGIN_S
+from server.moveit.patience import Allowance
 from server.moveit.playing import BRAKING_TIMEOUT_S
-from server.moveit.readiness import unusable
+from server.moveit.readiness import ARM_START_TIMEOUT_S, unusable
 
 FEEDBACK_PERIOD_S = 0.1
 
@@ -22,9 +21,6 @@ FEEDBACK_PERIOD_S = 0.1
 SQUEEZE_TIMEOUT_S = 1.0
 SQUEEZE_PERIOD_S = 0.04
 SQUEEZED_WITHIN_RAD = 0.005
-
-# The share of full motor duty that the gripper may use at most.
-LARGEST_EFFORT = GRIPPER_TORQUE / 1000.0
 
 
 @dataclass(frozen=True)
@@ -59,13 +55,25 @@ class Gripper:
         joint: the gripper's joint; its limits are kept.
         velocity_scaling: share of the joint's velocity limit that motions use.
         acceleration_scaling: share of its acceleration limit.
+        allowance: what motions may take.
+        torque_limit: share of full motor duty that the gripper may use.
     """
 
-    def __init__(self, arm: Arm, joint: Joint, velocity_scaling: float, acceleration_scaling: float) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        joint: Joint,
+        velocity_scaling: float,
+        acceleration_scaling: float,
+        allowance: Allowance,
+        torque_limit: float,
+    ) -> None:
         self._arm = arm
         self._joint = joint
         self._max_velocity = velocity_scaling * joint.max_velocity
         self._max_acceleration = acceleration_scaling * joint.max_acceleration
+        self._allowance = allowance
+        self._torque_limit = torque_limit
         self._newest = 0
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None
@@ -101,6 +109,7 @@ class Gripper:
         """
         stops = self._arm.stops
         async with self._turn:
+            await self._arm.until_started(ARM_START_TIMEOUT_S)
             if claim != self._newest or stops != self._arm.stops:
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
             return await self._play(command, tell)
@@ -117,8 +126,8 @@ class Gripper:
         trajectory = rest_to_rest(
             self._joint.name, self._goal_rad(), command.position_rad, velocity, self._max_acceleration
         )
-        share = min(command.max_effort / LARGEST_EFFORT, 1.0) if command.max_effort else 1.0
-        until_s = time.monotonic() + trajectory.duration_s * DURATION_FACTOR + DURATION_MARGIN_S
+        share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
+        until_s = time.monotonic() + self._allowance.of(trajectory.duration_s)
         self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share)
         ended = await self._until_ended(self._motion, until_s, tell)
         if ended.outcome is Outcome.GRIPPED:

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from robot.messages import Course, Pace
-
-# MoveIt's allowance for an execution, 1.1, at the half speed of an arm with a hot servo, plus the time the driver
-# gives the arm to settle.
-DURATION_FACTOR = 2.2
-DURATION_MARGIN_S = 2.0
-
-# Whoever pauses a motion to look at something is back within this time; nothing waits for ever. It holds for all the
-# time that a goal spends paused or going back, together.
-MAX_PAUSED_S = 600.0
 
 # A slower motion counts as paused: at this share of its speed a motion of 3 s takes a minute.
 LEAST_SPEED_FACTOR = 0.05
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What motions may take.
+
+    Attributes:
+        scaling: of the time that a motion takes as planned; 2.2 is MoveIt's 1.1 at the half speed of a hot arm.
+        margin_s: time on top, in which the arm settles [s].
+        paused_s: all the time that a goal may spend paused or going back, together [s].
+    """
+
+    scaling: float = 2.2
+    margin_s: float = 2.0
+    paused_s: float = 600.0
+
+    def of(self, duration_s: float) -> float:
+        """What a motion may take that takes ``duration_s`` as planned [s]."""
+        return duration_s * self.scaling + self.margin_s
 
 
 class Patience:
@@ -22,10 +34,12 @@ class Patience:
 
     Args:
         duration_s: what the motion takes as planned [s].
+        allowance: what it may take.
     """
 
-    def __init__(self, duration_s: float) -> None:
-        self._allowed_s = duration_s * DURATION_FACTOR + DURATION_MARGIN_S
+    def __init__(self, duration_s: float, allowance: Allowance) -> None:
+        self._allowed_s = allowance.of(duration_s)
+        self._may_pause_s = allowance.paused_s
         self._used_s = 0.0
         self._paused_s = 0.0
 
@@ -49,6 +63,6 @@ class Patience:
         """Why the motion is to be given up; None while it may go on."""
         if self._used_s > self._allowed_s:
             return f"the arm did not end the motion within {self._allowed_s:.1f} s"
-        if self._paused_s > MAX_PAUSED_S:
-            return f"the motion was paused or going back for {self._paused_s:.0f} s (limit {MAX_PAUSED_S:g} s)"
+        if self._paused_s > self._may_pause_s:
+            return f"the motion was paused or going back for {self._paused_s:.0f} s (limit {self._may_pause_s:g} s)"
         return None

@@ -16,7 +16,7 @@ from robot.messages import ArmState, Course, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.goal_queue import Answer, GoalState, Progress
 from server.moveit.handing_over import HORIZON_S, SENDING_S, STATE_AGE_S, Branch, branch_of
-from server.moveit.patience import Patience
+from server.moveit.patience import Allowance, Patience
 from server.moveit.scene_watch import SceneWatch
 
 # A motion that overran is braked; no arm needs longer for that.
@@ -82,12 +82,16 @@ class Player:
     Args:
         arm: the arm.
         watch: guards the motion.
+        allowance: what a motion may take.
         clock: monotonic time [s].
     """
 
-    def __init__(self, arm: Arm, watch: SceneWatch, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, arm: Arm, watch: SceneWatch, allowance: Allowance, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._arm = arm
         self._watch = watch
+        self._allowance = allowance
         self._clock = clock
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._began_s = 0.0
@@ -163,7 +167,7 @@ class Player:
         motion: Certified,
         report: Callable[[Progress], None],
     ) -> Answer:
-        patience, before_s = Patience(motion.trajectory.duration_s), self._clock()
+        patience, before_s = Patience(motion.trajectory.duration_s, self._allowance), self._clock()
         ends: tuple[asyncio.Future[Any], ...] = (ended, leaving)
         while not ended.done() and patience.end is None:
             await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)

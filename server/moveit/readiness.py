@@ -6,6 +6,9 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.messages import ArmState, Mode
 from server.arm_services import ENABLE, RESET_FAULT
 
+# Opening the bus, checking six servos and raising torque takes 0.7 s; a machine under load takes longer.
+ARM_START_TIMEOUT_S = 15.0
+
 # States come at 50 Hz; one this old means that the arm process is stuck.
 STATE_MAX_AGE_S = 1.0
 

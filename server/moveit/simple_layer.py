@@ -40,7 +40,8 @@ class SimpleLayer:
         self._parameters = settings.moveit
         file = NamedStatesFile(settings.goals.named_states_file or default_path(robot, os.environ))
         self._states = NamedStates(robot, settings.moveit.group_name, file.load(), file.save)
-        self.confirmation = Confirmation(graph, wanted=settings.goals.confirm)
+        goals = settings.goals
+        self.confirmation = Confirmation(graph, wanted=goals.confirm, timeout_s=goals.confirm_timeout_s)
         self._topics = GoalTopics(graph, robot, self.confirmation)
 
     def open(

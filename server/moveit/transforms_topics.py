@@ -17,8 +17,7 @@ from server.node import Node
 TRANSFORMS_TOPIC = "/tf"
 STATIC_TRANSFORMS_TOPIC = "/tf_static"
 
-# What a screen shows at most; joint states may come at twice that. A state that is due a little early still counts.
-PERIOD_S = 0.02
+# A state that is due a little early still counts.
 EARLY_S = 0.005
 
 
@@ -28,10 +27,12 @@ class TransformsTopics:
     Args:
         graph: where the topics are.
         robot: the arm.
+        rate_hz: how often at most those that move are told [Hz].
     """
 
-    def __init__(self, graph: Graph, robot: RobotModel) -> None:
+    def __init__(self, graph: Graph, robot: RobotModel, rate_hz: float) -> None:
         self._graph = graph
+        self._period_s = 1.0 / rate_hz
         self._placements = ForwardPlacements(robot)
         joints = robot.joints.values()
         self._moving = [joint.child for joint in joints if joint.movable]
@@ -54,7 +55,7 @@ class TransformsTopics:
         if state.position_rad is None or not self._graph.subscribers(TRANSFORMS_TOPIC):
             return
         # A clock that was set back must not silence the topic.
-        if 0.0 <= state.stamp_s - self._published_s < PERIOD_S - EARLY_S:
+        if 0.0 <= state.stamp_s - self._published_s < self._period_s - EARLY_S:
             return
         self._published_s = state.stamp_s
         positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))

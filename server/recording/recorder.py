@@ -62,6 +62,16 @@ class Recorder:
         """How many messages are missing because the file could not be written fast enough."""
         return 0 if self._writer is None else self._writer.dropped
 
+    @property
+    def queued(self) -> int:
+        """How many messages wait to be written."""
+        return 0 if self._writer is None else self._writer.queued
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is recorded, be it by an error."""
+        return self._writer is None or self._writer.ended
+
     def open(self) -> None:
         """Begin the file and record from now on.
 

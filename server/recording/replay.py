@@ -13,8 +13,13 @@ from pathlib import Path
 import uvloop
 
 from protocol.registry import Registry
+from server.access.access import Access
+from server.access.settings import AccessSettings
+from server.config import ServerSettings
+from server.gateway.entrance.entrance import Entrance
 from server.gateway.listener import Listener
 from server.graph import Graph
+from server.hangup import on_hangup
 from server.recording.player import Player
 from server.recording.reader import Outline, Recording
 from server.rosapi.api import RosApi
@@ -31,16 +36,16 @@ class ReplayOptions:
 
     Attributes:
         path: the recording.
-        host: address to listen on.
-        port: TCP port; 0 takes a free one.
+        server: where to listen, and how.
+        access: who may connect.
         rate: how many seconds of the recording pass in a second.
         delay_s: how long clients have to connect before it begins [s].
         loop: begin again at the end.
     """
 
     path: Path
-    host: str
-    port: int
+    server: ServerSettings
+    access: AccessSettings
     rate: float
     delay_s: float
     loop: bool
@@ -51,6 +56,7 @@ def replay(options: ReplayOptions) -> None:
 
     Raises:
         RecordingError: the file cannot be read.
+        ConfigurationError: the certificate or the tokens cannot be used, or others could connect without any.
         StartError: the port cannot be taken.
     """
     uvloop.run(Replay(options).run())
@@ -68,7 +74,11 @@ class Replay:
         registry = Registry.load()
         self._graph = Graph(registry)
         self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
-        self._listener = Listener(self._graph, options.host, options.port)
+        # Nobody drives an arm here, so nobody has to wait for the lease.
+        access = Access(options.access.model_copy(update={"control": "shared"}))
+        entrance = Entrance.of(options.server, options.access, access.tokens)
+        place = options.server
+        self._listener = Listener(self._graph, place.host, place.port, entrance=entrance, access=access)
         self._recording = Recording(options.path)
         self._player = Player(self._graph, self._recording, options.rate)
 
@@ -77,6 +87,7 @@ class Replay:
         ending = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ending.set)
+        on_hangup(self._listener.reload_certificate, ending.set)
         outline = await asyncio.to_thread(self._recording.outline)
         try:
             self._rosapi.open()
@@ -112,6 +123,6 @@ class Replay:
     def _what_is_played(self, outline: Outline) -> str:
         broken = "" if outline.whole else "; the file was not ended in good order, what can be read of it is played"
         return (
-            f"armbridge replays {self._options.path}: ws://{self._options.host}:{self._listener.port} (rosbridge), "
+            f"armbridge replays {self._options.path}: {self._listener.url} (rosbridge), "
             f"{len(outline.tracks)} topics, {outline.messages} messages, {outline.duration_s:.1f} s{broken}"
         )

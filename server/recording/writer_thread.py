@@ -76,6 +76,11 @@ class WriterThread:
         return self._dropped
 
     @property
+    def queued(self) -> int:
+        """How many messages wait to be written."""
+        return len(self._queue)
+
+    @property
     def ended(self) -> bool:
         """Whether nothing more will be written."""
         return self._ended.is_set()

@@ -8,6 +8,7 @@ from typing import Any
 from protocol.dialect import Dialect
 from protocol.messages import Stamp
 from protocol.registry import Registry
+from server.access.globs import Globs
 from server.actions import Actions
 from server.calls import Call, answer
 from server.graph import Graph
@@ -36,6 +37,7 @@ class RosApi:
         actions: actions.
         registry: types.
         wall_clock: seconds since the epoch.
+        params: which parameters clients may use; None for all.
 
     Attributes:
         parameters: what clients keep here, and the server for them.
@@ -48,8 +50,9 @@ class RosApi:
         actions: Actions,
         registry: Registry,
         wall_clock: Callable[[], float],
+        params: Globs | None = None,
     ) -> None:
-        self.parameters = Parameters()
+        self.parameters = Parameters(params)
         self._services = services
         self._wall_clock = wall_clock
         self._answers: Answers = {

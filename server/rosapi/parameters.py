@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from server.access.globs import Globs
 from server.errors import ServiceError
 from server.rosapi.question import Answers, Question
 
@@ -16,23 +17,28 @@ MAX_PARAMETER_BYTES = 16 << 20
 
 
 class Parameters:
-    """Keeps parameters and answers questions about them."""
+    """Keeps parameters and answers questions about them.
 
-    def __init__(self) -> None:
+    Args:
+        globs: which of them clients may use; None for all.
+    """
+
+    def __init__(self, globs: Globs | None = None) -> None:
+        self._globs = globs or Globs("access.params_glob")
         self._values: dict[str, str] = {}
         self._size_bytes = 0
         self.answers: Answers = {
             "set_param": ("rosapi_msgs/srv/SetParam", self._set),
             "get_param": ("rosapi_msgs/srv/GetParam", self._get),
-            "has_param": ("rosapi_msgs/srv/HasParam", lambda asked: {"exists": asked.request["name"] in self._values}),
+            "has_param": ("rosapi_msgs/srv/HasParam", lambda asked: {"exists": self._name(asked) in self._values}),
             "delete_param": ("rosapi_msgs/srv/DeleteParam", self._delete),
-            "get_param_names": ("rosapi_msgs/srv/GetParamNames", lambda _: {"names": sorted(self._values)}),
+            "get_param_names": ("rosapi_msgs/srv/GetParamNames", self._names),
             # Only ROS 1 has it.
             "search_param": ("rosapi/srv/SearchParam", self._search),
         }
 
     def _set(self, asked: Question) -> dict[str, Any]:
-        name, value = asked.request["name"], asked.request["value"]
+        name, value = self._name(asked), asked.request["value"]
         if name not in self._values and len(self._values) >= MAX_PARAMETERS:
             raise ServiceError(f"name: there are {MAX_PARAMETERS} parameters already, the limit")
         size_bytes = self._size_bytes + _size_bytes(name, value) - self._kept_bytes(name)
@@ -53,17 +59,33 @@ class Parameters:
         self._values[name] = value
 
     def _get(self, asked: Question) -> dict[str, Any]:
-        return {"value": self._values.get(asked.request["name"], asked.request["default_value"])}
+        return {"value": self._values.get(self._name(asked), asked.request["default_value"])}
 
     def _delete(self, asked: Question) -> dict[str, Any]:
-        self._size_bytes -= self._kept_bytes(asked.request["name"])
-        self._values.pop(asked.request["name"], None)
+        name = self._name(asked)
+        self._size_bytes -= self._kept_bytes(name)
+        self._values.pop(name, None)
         return {}
 
     def _search(self, asked: Question) -> dict[str, Any]:
         """There are no namespaces here: a parameter is found where it is, or not at all."""
-        name = asked.request["name"]
+        name = self._name(asked)
         return {"global_name": name if name in self._values else ""}
+
+    def _names(self, _asked: Question) -> dict[str, Any]:
+        return {"names": sorted(name for name in self._values if self._globs.refusal("parameter", name) is None)}
+
+    def _name(self, asked: Question) -> str:
+        """The parameter that is asked about.
+
+        Raises:
+            ServiceError: clients may not use it.
+        """
+        name: str = asked.request["name"]
+        refusal = self._globs.refusal("parameter", name)
+        if refusal is not None:
+            raise ServiceError(refusal)
+        return name
 
     def _kept_bytes(self, name: str) -> int:
         return _size_bytes(name, self._values[name]) if name in self._values else 0

@@ -6,7 +6,10 @@ import signal
 import subprocess
 import sys
 
+from websockets.sync.client import connect
+
 from tests.examples.conftest import EXAMPLES, RunExample
+from tests.helpers.blocking import call_on
 from tests.helpers.server import RunningServer
 
 SCREEN_LINES = 100
@@ -59,6 +62,18 @@ def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: Runni
     assert lines == ["there\n", "there\n"]
     assert wave.returncode == 0
     assert rest.splitlines()[-1] == "the arm does not move"
+
+
+def test_the_wave_tells_why_it_may_not_move_the_arm(server: RunningServer) -> None:
+    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), str(server.port)]
+    with connect(server.url) as other, subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as wave:
+        assert call_on(other, "/arm/take_control")["success"]
+        assert wave.stdout is not None
+        sentence, name = wave.stdout.readline(), wave.stdout.readline()
+        wave.send_signal(signal.SIGINT)
+        wave.communicate(timeout=20)
+    assert "has controlled the arm since" in sentence
+    assert name == "FAILURE\n"
 
 
 def test_every_example_fits_on_a_screen() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 ANSWER_TIMEOUT_S = 20.0
 
@@ -13,8 +13,13 @@ ANSWER_TIMEOUT_S = 20.0
 def call(url: str, service: str, args: dict[str, Any] | None = None) -> dict[str, Any]:
     """Call a service and wait for its values."""
     with connect(url) as websocket:
-        websocket.send(json.dumps({"op": "call_service", "service": service, "args": args or {}}))
-        answer = json.loads(websocket.recv(timeout=ANSWER_TIMEOUT_S))
+        return call_on(websocket, service, args)
+
+
+def call_on(websocket: ClientConnection, service: str, args: dict[str, Any] | None = None) -> dict[str, Any]:
+    """As :func:`call`, on a connection that stays."""
+    websocket.send(json.dumps({"op": "call_service", "service": service, "args": args or {}}))
+    answer = json.loads(websocket.recv(timeout=ANSWER_TIMEOUT_S))
     assert answer["result"], answer
     values: dict[str, Any] = answer["values"]
     return values

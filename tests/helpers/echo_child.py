@@ -1,13 +1,15 @@
 """A child process that sends back what it gets, and ends when it is told to close or loses its server.
 
-Bytes after the word "raw" are sent as they are, whether they are a message or not.
+Bytes after the word "raw" are sent as they are, whether they are a message or not. What follows the word "log" is
+logged.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 
-from robot.processes import channel_of_child
+from robot.channel import channel_of_child
 
 if __name__ == "__main__":
     channel = channel_of_child()
@@ -17,5 +19,9 @@ if __name__ == "__main__":
                 raise SystemExit(0)
             if isinstance(message, tuple) and message[0] == "raw":
                 os.write(channel.fileno(), message[1])
+                continue
+            if isinstance(message, tuple) and message[0] == "log":
+                _, name, level, text = message
+                logging.getLogger(name).log(level, text)
                 continue
             channel.send(message)

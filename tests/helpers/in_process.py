@@ -9,7 +9,12 @@ from typing import Any
 from protocol.limits import Limits
 from protocol.parcel import Frame
 from protocol.registry import Registry
+from server.access.access import Access
+from server.access.roles import ANYONE, Identity
+from server.access.settings import AccessSettings
 from server.gateway.client import Client
+from server.gateway.client_auth import WayIn
+from server.gateway.entrance.wrong_tokens import WrongTokens
 from server.graph import Graph
 from server.rosapi.api import RosApi
 from tests.helpers.clock import FakeClock
@@ -21,7 +26,12 @@ class InProcess:
     """Clients, made with their first step, in a time of their own; plays conformance cases."""
 
     def __init__(
-        self, limits: Limits | None = None, *, relay_unknown_types: bool = False, rosapi: bool = False
+        self,
+        limits: Limits | None = None,
+        *,
+        relay_unknown_types: bool = False,
+        rosapi: bool = False,
+        access: AccessSettings | None = None,
     ) -> None:
         self.clock = FakeClock()
         self.graph = Graph(
@@ -29,17 +39,27 @@ class InProcess:
         )
         if rosapi:
             RosApi(self.graph, self.graph.services, self.graph.actions, REGISTRY, self.clock).open()
+        self.access = Access(access or AccessSettings(control="shared"), self.clock, self.clock)
+        self.closed: dict[str, str] = {}
         self._limits = limits or Limits()
         self._clients: dict[str, Client] = {}
         self._frames: dict[str, deque[Frame]] = {}
 
     def client(self, name: str) -> Client:
-        if name not in self._clients:
-            self._clients[name] = Client(name, self.graph, self._limits, self.clock, lambda: None)
-            self._frames[name] = deque()
+        return self._clients[name] if name in self._clients else self.enter(name, ANYONE)
+
+    def enter(self, name: str, identity: Identity | None, wrong_tokens: WrongTokens | None = None) -> Client:
+        """A client that has come through the door as somebody, or as nobody yet."""
+        way_in = WayIn(
+            self.access, wrong_tokens=wrong_tokens, shut_out=lambda reason: self.closed.update({name: reason})
+        )
+        self._clients[name] = Client(
+            name, self.graph, self._limits, self.clock, lambda: None, identity=identity, way_in=way_in
+        )
+        self._frames[name] = deque()
         return self._clients[name]
 
-    def say(self, client: str, **operation: Any) -> None:
+    def say(self, client: str, /, **operation: Any) -> None:
         """Send an operation as JSON."""
         self.client(client).receive_frame(json.dumps(operation))
         self._collect()

@@ -68,7 +68,7 @@ class Assumed:
 class ServiceRig:
     """All of it, and a client."""
 
-    def __init__(self, robot: RobotModel = ROBOT) -> None:
+    def __init__(self, robot: RobotModel = ROBOT, parameters: MoveItParameters | None = None) -> None:
         self.graph = Graph(REGISTRY)
         self.arm, self.assumed, self.pool = StandingArm(), Assumed(), DirectPool()
         self.client = Node("client", remote=True)
@@ -83,7 +83,7 @@ class ServiceRig:
             scene_state=self.scene_state,
             current=self.arm,
             assumed=self.assumed,
-            parameters=PlannerParameters(MoveItParameters()),
+            parameters=PlannerParameters(parameters or MoveItParameters()),
             display=display,
         )
         offer_services(self.graph, self.context)

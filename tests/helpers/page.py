@@ -8,7 +8,7 @@ import os
 import shlex
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -118,13 +118,14 @@ class OpenPage:
         if kind == "error" and "WebSocket connection" not in text:
             self.errors.append(text)
 
-    def open(self, port: int) -> None:
+    def open(self, port: int, rest: str = "") -> None:
         """Open the page of a server and wait until the arm is drawn."""
-        self.goto(port)
+        self.goto(port, rest)
         self.until("window.armbridge?.drawn.arm_ms > 0")
 
-    def goto(self, port: int) -> None:
-        self.page.goto(f"http://127.0.0.1:{port}/")
+    def goto(self, port: int, rest: str = "") -> None:
+        """Open the page of a server, with the rest of its address."""
+        self.page.goto(f"http://127.0.0.1:{port}/{rest}")
 
     def until(self, condition: str, timeout_ms: float = PATIENCE_MS) -> None:
         """Wait until an expression in the page is true.
@@ -141,7 +142,7 @@ class OpenPage:
         """What a person would see now, for the message of a failed test."""
         said = {
             test_id: self.page.get_by_test_id(test_id).text_content()
-            for test_id in ("state-pill", "link-pill", "message", "stop", "target-state", "notices")
+            for test_id in ("state-pill", "link-pill", "message", "control", "stop", "target-state", "notices")
             if self.page.get_by_test_id(test_id).count()
         }
         return f"{said}; errors: {self.errors}"
@@ -181,6 +182,21 @@ class OpenPage:
 
         image = Image.open(io.BytesIO(self.page.locator("canvas").first.screenshot())).convert("RGB").resize((64, 64))
         return len(image.getcolors(64 * 64) or [])
+
+    def until_colour(self, position_m: tuple[float, float, float], wanted: Callable[[int, int, int], bool]) -> None:
+        """Wait until what is drawn over a point of the root link's frame has a colour (0 to 255)."""
+        until_s = time.monotonic() + PATIENCE_MS / 1e3
+        while not wanted(*(seen := self._colour_at(position_m))):
+            assert time.monotonic() < until_s, f"{position_m} has the colour {seen}: {self.describe()}"
+            self.page.wait_for_timeout(LOOK_MS)
+
+    def _colour_at(self, position_m: tuple[float, float, float]) -> tuple[int, int, int]:
+        from PIL import Image
+
+        x, y = self.screen_of(position_m)
+        picture = self.page.screenshot(clip={"x": x, "y": y, "width": 1, "height": 1})
+        red, green, blue = Image.open(io.BytesIO(picture)).convert("RGB").tobytes()[:3]
+        return red, green, blue
 
     def screen_of(self, position_m: tuple[float, float, float]) -> tuple[float, float]:
         """Where a point of the root link's frame is on the screen [px]."""

@@ -23,6 +23,8 @@ class PlayedArm:
         self.state = ArmState(1.0, Mode.HOLDING, JOINTS, position_rad=zeros, velocity_rad_s=zeros, goal_rad=zeros)
         self.state_age_s = 0.0
         self.steered = False
+        self.started = asyncio.Event()
+        self.started.set()
         self.played: list[Trajectory] = []
         self.stops: list[object] = []
         self.continued: list[float] = []
@@ -48,6 +50,9 @@ class PlayedArm:
         self.stops.append(motion)
         if motion is self._motion or motion is None:
             self.end(Outcome.STOPPED, "stopped half-way")
+
+    async def until_started(self, timeout_s: float) -> None:
+        await asyncio.wait_for(self.started.wait(), timeout_s)
 
     async def end_streams(self, _timeout_s: float) -> bool:
         return not self.steered

@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -92,6 +93,13 @@ class RunningServer:
             if found:
                 self.port = int(found[1])
                 self._ready.set()
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
 
 
 def read_write_log(path: Path) -> list[dict[str, Any]]:

@@ -6,10 +6,12 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.helpers.meshed_arm import meshed_arm
 from tests.helpers.page import OpenPage, opened
 from tests.helpers.server import RunningServer
 
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 
 # How long a person waits before pressing STOP again.
 STOP_ANSWER_MS = 10_000
+
+HUGE_BYTES = 100_000_000
 
 ChangeMessage = Callable[[str, dict[str, Any]], dict[str, Any] | None]
 
@@ -77,6 +81,20 @@ def test_a_mesh_that_is_missing_leaves_a_placeholder_and_a_message(page: OpenPag
     page.open(server.port)
     page.until_state("s.notices.some(notice => notice.text.includes('gone.stl'))")
     page.shot("missing_mesh")
+
+
+def test_a_mesh_of_100_mb_is_a_placeholder_and_a_message_on_a_page_that_works(
+    browser: Browser, settings: dict[str, str], tmp_path: Path
+) -> None:
+    arm = meshed_arm(tmp_path, "huge.stl")
+    with (tmp_path / "huge.stl").open("wb") as file:
+        file.truncate(HUGE_BYTES)
+    with RunningServer(settings={**settings, **arm}) as server, opened(browser) as page:
+        page.open(server.port)
+        page.until_state("s.notices.some(notice => notice.text.includes('huge.stl: larger'))")
+        page.part("stop").click()
+        page.until_text("stop", "acknowledged", STOP_ANSWER_MS)
+        page.shot("huge_mesh")
 
 
 def test_numbers_that_are_none_are_not_drawn(page: OpenPage, server: RunningServer) -> None:

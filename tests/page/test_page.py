@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -23,6 +23,12 @@ ARRIVED_M = 0.02
 
 # What an arm that was told to stand still may move between two looks.
 STILL_RAD = 0.02
+
+
+@pytest.fixture(scope="module")
+def settings(settings: dict[str, str]) -> dict[str, str]:
+    """Here page and tests drive in turns, without waiting for each other."""
+    return {**settings, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +182,37 @@ def test_two_pages_follow_the_same_arm(browser: Browser, page: OpenPage, server:
         second.until_text("state-pill", "IDLE")
         assert not second.errors
     page.until_text("state-pill", "IDLE")
+
+
+TENT = {
+    "vertices": [{"x": x, "y": y, "z": z} for x, y, z in ((-0.05, -0.05, -0.05), (0.05, -0.05, -0.05), (0, 0, 0.05))],
+    "triangles": [{"vertex_indices": [0, 1, 2]}, {"vertex_indices": [2, 1, 0]}],
+}
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        pytest.param({"primitives": [{"type": 1, "dimensions": [0.1, 0.1, 0.1]}]}, id="box"),
+        pytest.param({"primitives": [{"type": 2, "dimensions": [0.05]}]}, id="sphere"),
+        pytest.param({"primitives": [{"type": 3, "dimensions": [0.1, 0.05]}]}, id="cylinder"),
+        pytest.param({"meshes": [TENT]}, id="mesh"),
+    ],
+)
+def test_a_thing_of_the_planning_scene_is_drawn_where_it_is_until_it_is_removed(
+    page: OpenPage, server: RunningServer, shape: dict[str, Any]
+) -> None:
+    place_m = (0.3, -0.15, 0.05)
+    thing = {"id": "thing", "pose": {"position": dict(zip("xyz", place_m, strict=True))}, **shape}
+    assert call(server.url, "/apply_planning_scene", scene_of(thing))["success"]
+    page.until_colour(place_m, lambda red, green, blue: green > max(red, blue))
+    page.shot("scene")
+    assert call(server.url, "/apply_planning_scene", scene_of({"id": "thing", "operation": 1}))["success"]
+    page.until_colour(place_m, lambda red, green, blue: green <= max(red, blue))
+
+
+def scene_of(thing: dict[str, Any]) -> dict[str, Any]:
+    return {"scene": {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [thing]}}}
 
 
 def test_stop_is_never_behind_anything(page: OpenPage) -> None:

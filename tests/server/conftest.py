@@ -30,4 +30,5 @@ async def client(served: ServerOnBus) -> AsyncIterator[ArmClient]:
             while values_of((await connected.until("/arm/state", bool))[-1])["mode"] != "holding":
                 await connected.call("/arm/reset_fault")
                 await connected.call("/arm/enable")
+        await connected.call("/arm/release_control")
         yield connected

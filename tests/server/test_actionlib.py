@@ -155,3 +155,34 @@ def test_goals_belong_to_the_client_that_published_them(stage: Stage) -> None:
 def test_actions_that_ros_1_never_had_have_no_topics() -> None:
     assert has_actionlib_types(REGISTRY, MOVE_TYPE)
     assert not has_actionlib_types(REGISTRY, "control_msgs/action/ParallelGripperCommand")
+
+
+def test_a_goal_of_a_client_that_may_not_send_one_is_rejected_to_it_alone(stage: Stage) -> None:
+    other, heard = Node("other", remote=True), []
+    for part in ("status", "result"):
+        stage.graph.subscribe(
+            other, f"{MOVE}/{part}", None, Subscriber(lambda publication: heard.append(publication.msg))
+        )
+    stage.send("driven")
+    heard.clear()
+    stage.heard[f"{MOVE}/status"].clear()
+    stage.graph.turn_away(other, f"{MOVE}/goal", {"goal_id": {"id": "mine"}}, "another drives")
+    status, result = heard
+    assert [(each["goal_id"]["id"], each["status"]) for each in status["status_list"]] == [
+        ("driven", Status.ACTIVE),
+        ("mine", Status.REJECTED),
+    ]
+    assert (result["status"]["goal_id"]["id"], result["status"]["text"]) == ("mine", "another drives")
+    assert len(stage.goals) == 1
+    assert stage.heard[f"{MOVE}/status"] == stage.heard[f"{MOVE}/result"] == []
+
+
+def test_a_rejected_goal_takes_no_id_from_others(stage: Stage) -> None:
+    stage.graph.turn_away(stage.client, f"{MOVE}/goal", {"goal_id": {"id": "one"}}, "another drives")
+    stage.send("one")
+    assert len(stage.goals) == 1
+
+
+def test_one_that_cannot_be_read_is_rejected_to_nobody(stage: Stage) -> None:
+    stage.graph.turn_away(stage.client, f"{MOVE}/goal", {"goal_id": 5}, "another drives")
+    assert stage.heard[f"{MOVE}/result"] == []

@@ -63,8 +63,8 @@ FILES = {
 
 
 @pytest.mark.parametrize(("options", "words"), FILES.values(), ids=FILES.keys())
-def test_a_file_that_cannot_be_used_is_one_line_and_exit_1(options: list[str], words: str, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_used_is_one_line_and_exit_2(options: list[str], words: str, tmp_path: Path) -> None:
     answer = run("serve", "--port", "0", *options, str(tmp_path / "missing"))
-    assert answer.returncode == 1
+    assert answer.returncode == 2
     assert len(answer.stderr.splitlines()) == 1
     assert words in answer.stderr

@@ -35,6 +35,7 @@ REFUSED = {
     "urdf alone": ('[arm]\nurdf = "a.urdf"', "urdf and srdf must be given together"),
     "watchdog": ("[arm]\nwatchdog_s = 0.1", "arm.watchdog_s: .*0.3.*0.1"),
     "temperatures": ("[arm]\nwarn_temperature_c = 66", "must rise in this order, not .66"),
+    "short token": ('[access]\ntoken = "abc"', r"^access\.token: must have 16 .*, not 3 \(it is not shown"),
     "end state": ('[arm]\non_exit = "fall"', "arm.on_exit.*'fall'"),
     "files to keep": ("[recording]\nkeep_files = 3", "recording: .*keep_files needs limit_mb.* not 3"),
     "no TOML": ("server: port", "not TOML"),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import psutil
@@ -20,6 +21,19 @@ async def test_an_emulated_bus_has_six_servos_until_it_is_closed(tmp_path: Path)
     process = psutil.Process(emulated.pid)
     await emulated.close()
     assert not process.is_running()
+
+
+async def test_an_emulator_that_dies_is_replaced_and_its_port_told() -> None:
+    ports: asyncio.Queue[str] = asyncio.Queue()
+    emulated = EmulatedBus(EmulatorSettings(), None, ports.put_nowait)
+    await emulated.start()
+    first = psutil.Process(emulated.pid)
+    first.kill()
+    bus = Bus.open(await asyncio.wait_for(ports.get(), 5.0))
+    assert bus.ping(1) == 777
+    bus.close()
+    assert emulated.pid != first.pid
+    await emulated.close()
 
 
 async def test_an_emulator_that_does_not_start_is_told(tmp_path: Path) -> None:

@@ -110,6 +110,7 @@ async def test_a_goal_over_the_capacity_is_refused_with_the_limit(desk: Desk) ->
         desk.queue.submit("/goal", "x")
         await settle()
     assert desk.codes() == [("5", MoveItErrorCode.FAILURE)]
+    assert desk.queue.waiting_count == 3
     assert "3 goals are waiting" in desk.answers[0][1].message
 
 
@@ -173,6 +174,40 @@ async def test_closing_answers_every_goal() -> None:
     desk = await desk_of(GoalPolicy.QUEUE, "a", "b")
     await desk.queue.close(1.0)
     assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("2", MoveItErrorCode.PREEMPTED)]
+
+
+class DeafRunner(ScriptedRunner):
+    """Ends nothing, whatever it is told."""
+
+    def stop(self, reason: str) -> None:
+        self.stopped.append(reason)
+
+
+async def test_closing_answers_a_goal_that_does_not_end() -> None:
+    desk = Desk()
+    desk.runner = DeafRunner()
+    desk.queue = GoalQueue(desk.runner, GoalPolicy.QUEUE, 3, desk._progress, desk._answer)
+    desk.queue.start()
+    desk.queue.submit("/goal", "a")
+    await settle()
+    await desk.queue.close(0.01)
+    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
+    assert "did not come to rest in time" in desk.answers[0][1].message
+
+
+async def test_closing_that_is_cut_short_answers_the_goal_in_hand() -> None:
+    desk = Desk()
+    desk.runner = DeafRunner()
+    desk.queue = GoalQueue(desk.runner, GoalPolicy.QUEUE, 3, desk._progress, desk._answer)
+    desk.queue.start()
+    desk.queue.submit("/goal", "a")
+    await settle()
+    closing = asyncio.create_task(desk.queue.close(60.0))
+    await settle()
+    closing.cancel()
+    await asyncio.wait([closing])
+    await settle()
+    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
 
 
 async def test_a_waiting_goal_is_told_how_many_are_ahead(desk: Desk) -> None:

@@ -9,7 +9,7 @@ from protocol.publication import Publication
 from protocol.registry import Registry
 from server import retained
 from server.errors import GraphError
-from server.graph import MAX_TOPICS, TYPE_OUTLIVES_USE_S, Graph, Subscriber
+from server.graph import MAX_TOPICS, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from server.node import Node
 
 REGISTRY = Registry.load()
@@ -117,6 +117,14 @@ def test_a_latched_message_is_kept_for_who_comes_later(graph: Graph) -> None:
     assert [publication.msg for publication in kept] == [{"data": "new"}]
 
 
+def test_it_can_be_told_whether_a_topic_is_latched(graph: Graph) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    assert not graph.is_latched("/t")
+    graph.publish(TALKER, "/t", {"data": "kept"}, latch=True)
+    assert graph.is_latched("/t")
+    assert not graph.is_latched("/nothing")
+
+
 def test_a_message_that_is_only_latched_reaches_those_who_come_later_alone(graph: Graph) -> None:
     early, late = Listening(), Listening()
     graph.advertise(TALKER, "/t", "std_msgs/String")
@@ -134,10 +142,10 @@ def test_what_was_latched_is_not_revived_by_another_publisher_that_leaves(graph:
     listener, other = Listening(), Node("other")
     graph.subscribe(listener.node, "/t", None, listener.subscriber)
     graph.remove(TALKER)
-    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    clock.now_s += UNREGISTER_TIMEOUT_S * 0.9
     graph.advertise(other, "/t", "std_msgs/String")
     graph.unadvertise(other, "/t")
-    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    clock.now_s += UNREGISTER_TIMEOUT_S * 0.9
     assert graph.subscribe(Node("late"), "/t", None, listener.subscriber) == []
 
 
@@ -157,14 +165,42 @@ def test_a_node_that_left_gets_nothing_and_its_topics_are_forgotten(graph: Graph
 def test_the_type_of_a_topic_outlives_its_last_user_for_a_while(graph: Graph, clock: Clock) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String")
     graph.remove(TALKER)
-    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    clock.now_s += UNREGISTER_TIMEOUT_S * 0.9
     graph.publish(TALKER, "/t", {"data": "known still"})
     graph.remove(TALKER)
     graph.remove(Node("someone else"))
-    clock.now_s += TYPE_OUTLIVES_USE_S * 1.1
+    clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
     with pytest.raises(GraphError, match="no type yet"):
         graph.publish(TALKER, "/t", {"data": "forgotten"})
     graph.advertise(TALKER, "/t", "std_msgs/Bool")
+
+
+def test_for_how_long_can_be_set(clock: Clock) -> None:
+    graph = Graph(REGISTRY, clock, unregister_timeout_s=1.0)
+    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    graph.publish(TALKER, "/t", {"data": "old"})
+    graph.advertise(TALKER, "/other", "std_msgs/String")
+    graph.advertise(Node("other"), "/t", "std_msgs/String")
+    graph.remove(TALKER)
+    listener = Listening()
+    clock.now_s += 0.9
+    assert graph.topic_type("/other") is not None
+    assert len(graph.subscribe(listener.node, "/t", None, listener.subscriber)) == 1
+    clock.now_s += 0.2
+    assert graph.topic_type("/other") is None
+    assert graph.subscribe(Node("late"), "/t", None, listener.subscriber) == []
+
+
+def test_what_the_server_has_latched_is_not_replaced_by_a_client(graph: Graph) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    graph.publish(TALKER, "/t", {"data": "true"})
+    client, listener, late = Node("client", remote=True), Listening(), Listening()
+    graph.subscribe(listener.node, "/t", None, listener.subscriber)
+    graph.publish(client, "/t", {"data": "false"}, latch=True)
+    graph.remove(client)
+    (kept,) = graph.subscribe(late.node, "/t", None, late.subscriber)
+    assert kept.msg == {"data": "true"}
+    assert listener.messages == [{"data": "false"}]
 
 
 def test_topics_out_of_use_make_room_for_new_ones(graph: Graph) -> None:
@@ -207,9 +243,9 @@ def test_a_latched_message_outlives_its_publisher_as_the_type_does(graph: Graph,
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "x"})
     graph.remove(TALKER)
-    clock.now_s += TYPE_OUTLIVES_USE_S * 0.9
+    clock.now_s += UNREGISTER_TIMEOUT_S * 0.9
     assert data_for_newcomer(graph) == ["x"]
-    clock.now_s += TYPE_OUTLIVES_USE_S * 0.2
+    clock.now_s += UNREGISTER_TIMEOUT_S * 0.2
     assert data_for_newcomer(graph) == []
 
 
@@ -279,3 +315,48 @@ def test_who_watches_no_more_gets_nothing(graph: Graph) -> None:
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
     assert seen == []
+
+
+class TestTurnedAway:
+    """Messages whose sender may not publish them."""
+
+    @pytest.fixture
+    def seen(self, graph: Graph) -> list[Any]:
+        seen: list[Any] = []
+        promising = Subscriber(seen.append, turned_away=lambda *told: seen.append(told))
+        graph.subscribe(Node("server"), "/goal", "std_msgs/String", promising)
+        return seen
+
+    def test_who_promises_an_answer_gets_the_message_its_sender_and_the_reason(
+        self, graph: Graph, seen: list[Any]
+    ) -> None:
+        graph.turn_away(TALKER, "/goal", {"data": "home"}, "not now")
+        assert seen == [({"data": "home"}, TALKER, "not now")]
+
+    def test_one_that_cannot_be_read_is_empty(self, graph: Graph, seen: list[Any]) -> None:
+        graph.turn_away(TALKER, "/goal", {"data": 5}, "not now")
+        assert seen == [({}, TALKER, "not now")]
+
+    def test_nobody_else_hears_of_it(self, graph: Graph, seen: list[Any]) -> None:
+        listening = Listening()
+        graph.subscribe(listening.node, "/goal", None, listening.subscriber)
+        graph.turn_away(TALKER, "/goal", {"data": "home"}, "not now")
+        graph.turn_away(TALKER, "/unknown", {}, "not now")
+        assert listening.messages == []
+        assert TALKER not in graph.publishers("/goal")
+        assert len(seen) == 1
+
+
+def test_one_subscriber_alone_is_told(graph: Graph) -> None:
+    one, other = Listening(), Listening()
+    other.node = Node("other")
+    graph.advertise(TALKER, "/a", "std_msgs/String")
+    for listening in (one, other):
+        graph.subscribe(listening.node, "/a", None, listening.subscriber)
+    graph.tell(one.node, "/a", {"data": "for you"})
+    assert (one.messages, other.messages) == ([{"data": "for you"}], [])
+
+
+def test_who_has_not_subscribed_is_not_told(graph: Graph) -> None:
+    graph.advertise(TALKER, "/a", "std_msgs/String")
+    graph.tell(Node("nobody"), "/a", {"data": "for you"})

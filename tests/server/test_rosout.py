@@ -40,6 +40,12 @@ async def test_a_record_of_another_thread_is_published(heard: list[Any]) -> None
     assert [m["msg"] for m in heard] == ["from afar"]
 
 
+async def test_a_token_is_not_published(heard: list[Any]) -> None:
+    LOG.warning("refused: %s", "/?token=s3cret")
+    await asyncio.sleep(0)
+    assert [m["msg"] for m in heard] == ["refused: /?token=***"]
+
+
 async def test_a_burst_is_bounded(heard: list[Any]) -> None:
     for number in range(MAX_WAITING + 500):
         LOG.warning("%d", number)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from robot.model import RobotModel
 from server.graph import Graph
 from server.moveit.current_state import CurrentState
+from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.monitored import MonitoredScene
@@ -24,7 +23,7 @@ class SceneInterface:
         robot: the arm.
         state: the scene.
         assumed: where clients take the joints to be.
-        geometry_directory: where files of geometry are; None for nowhere.
+        parameters: how often changes are told, and where files of geometry are.
     """
 
     def __init__(
@@ -33,14 +32,14 @@ class SceneInterface:
         robot: RobotModel,
         state: SceneState,
         assumed: AssumedStates,
-        geometry_directory: Path | None,
+        parameters: MoveItParameters,
     ) -> None:
         node = Node("planning_scene")
-        self._monitored = MonitoredScene(graph, node, robot, state)
+        self._monitored = MonitoredScene(graph, node, robot, state, parameters.publish_planning_scene_hz)
         self._parts = (
             SceneTopics(graph, node, state),
             SceneServices(graph, node, robot, state, assumed),
-            GeometryFiles(graph, node, state, geometry_directory),
+            GeometryFiles(graph, node, state, parameters.geometry_directory),
             self._monitored,
         )
 

@@ -15,9 +15,6 @@ from server.timers import CallLater, Timer, call_later
 
 TOPIC = "/monitored_planning_scene"
 
-# MoveIt's publish_planning_scene_hz is 4: changes that come faster are told together.
-PERIOD_S = 0.25
-
 
 class MonitoredScene:
     """Publishes differences; a new subscriber gets the whole scene first.
@@ -27,6 +24,7 @@ class MonitoredScene:
         node: who publishes.
         robot: the arm.
         state: the scene.
+        rate_hz: changes that come faster are told together [Hz].
         clock: monotonic time [s].
         call_later: does something after a delay.
     """
@@ -37,6 +35,7 @@ class MonitoredScene:
         node: Node,
         robot: RobotModel,
         state: SceneState,
+        rate_hz: float,
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
     ) -> None:
@@ -47,7 +46,8 @@ class MonitoredScene:
         self._clock = clock
         self._call_later = call_later
         self._told = state.contents
-        self._told_at_s = clock() - PERIOD_S
+        self._period_s = 1.0 / rate_hz
+        self._told_at_s = clock() - self._period_s
         self._timer: Timer | None = None
         state.on_change(self._changed)
 
@@ -68,7 +68,7 @@ class MonitoredScene:
 
     def _changed(self) -> None:
         if self._timer is None:
-            due_s = self._told_at_s + PERIOD_S
+            due_s = self._told_at_s + self._period_s
             self._timer = self._call_later(max(0.0, due_s - self._clock()), self._tell)
 
     def _tell(self) -> None:

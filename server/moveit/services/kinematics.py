@@ -11,6 +11,7 @@ from planners.scene import Pose
 from protocol.messages import Stamp
 from robot.model import RobotModel
 from server.moveit.current_state import state_message
+from server.moveit.parameters import MAX_KINEMATICS_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import pose_of, write_pose
 from server.moveit.requests.codes import deviation_note, success
 from server.moveit.requests.constraints import path_constraints_of
@@ -22,14 +23,10 @@ from server.moveit.scene.frames import seen_from
 from server.moveit.services.planning_context import PlanningContext
 from server.node import Node
 
-# Without a timeout of the caller's own. MoveIt's 0.05 s are all used up when there is no solution; here the answer
-# comes as soon as it is known, and a loaded machine may take longer.
-DEFAULT_TIMEOUT_S = 0.5
-
-# Nobody waits longer for an inverse kinematics.
-MAX_TIMEOUT_S = 10.0
-
 NANOSECONDS_PER_S = 1e9
+
+# Named in one call; a robot has a few dozen, and each costs time that all clients wait for.
+MAX_LINKS = 1000
 
 
 async def compute_ik(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
@@ -50,7 +47,7 @@ async def compute_ik(context: PlanningContext, request: Message, caller: Node) -
         goal=_ik_goal(asked, reading),
         avoid_collisions=asked["avoid_collisions"],
         constraints=None if constraints.empty else constraints,
-        allowed_time_s=_timeout_s(asked["timeout"]),
+        allowed_time_s=_timeout_s(asked["timeout"], reading.parameters),
     )
     answer = required(await context.pool.ask(question, scene))
     solution = state_message(dict(answer.positions_rad[0]), context.robot.root_link, 0.0)
@@ -66,6 +63,7 @@ async def compute_fk(context: PlanningContext, request: Message, caller: Node) -
     Raises:
         RefusedError: an unknown link or frame, or a state that cannot be.
     """
+    _check_count(request["fk_link_names"], "fk_link_names")
     positions_rad = context.positions_rad(request["robot_state"], caller)
     names = request["fk_link_names"] or list(context.robot.links)
     frame_id = request["header"]["frame_id"] or context.robot.root_link
@@ -92,6 +90,7 @@ def within_limits(robot: RobotModel, positions_rad: Mapping[str, float]) -> dict
 def _ik_goal(asked: Message, reading: RequestContext) -> Goal:
     """The poses that are asked for."""
     links, poses = asked["ik_link_names"], asked["pose_stamped_vector"]
+    _check_count(links, "ik_link_names")
     if len(poses) > 1 or len(links) > 1:
         if len(links) != len(poses):
             raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
@@ -101,6 +100,11 @@ def _ik_goal(asked: Message, reading: RequestContext) -> Goal:
     return PoseGoal(
         reading.link(link), pose, LEAST_TOLERANCE_M, (LEAST_TOLERANCE_RAD,) * 3, strict=reading.chooses_orientation
     )
+
+
+def _check_count(links: Sequence[str], field: str) -> None:
+    if len(links) > MAX_LINKS:
+        raise invalid(f"{field} has {len(links)} entries, the limit is {MAX_LINKS}")
 
 
 def _several(links: Sequence[str], poses: Sequence[Message], reading: RequestContext) -> ConstraintGoal:
@@ -118,6 +122,6 @@ def _pose(stamped: Message, reading: RequestContext) -> Pose:
     return reading.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose")
 
 
-def _timeout_s(duration: Message) -> float:
+def _timeout_s(duration: Message, parameters: MoveItParameters) -> float:
     timeout_s = duration["sec"] + duration["nanosec"] / NANOSECONDS_PER_S
-    return min(timeout_s, MAX_TIMEOUT_S) if timeout_s > 0.0 else DEFAULT_TIMEOUT_S
+    return min(timeout_s, MAX_KINEMATICS_TIMEOUT_S) if timeout_s > 0.0 else parameters.kinematics_solver_timeout

@@ -26,6 +26,17 @@ def test_every_value_is_told_with_its_source(file, capsys):
     assert told["goals.confirm"] == {"value": False, "source": "default"}
 
 
+@pytest.mark.parametrize("form", [[], ["--json"]])
+def test_tokens_are_told_to_be_set_and_not_shown(form, capsys, monkeypatch):
+    monkeypatch.setenv("ARMBRIDGE_ACCESS__TOKEN", "one-0123456789abcdef")
+    table = 'access.view_tokens={screen="two-0123456789abcdef"}'
+    assert cli.main(["config", *form, "--set", table]) == ExitCode.DONE
+    told = capsys.readouterr().out
+    assert told.count("**********") == 2
+    assert "screen" in told
+    assert "0123456789abcdef" not in told
+
+
 def test_the_table_has_a_line_a_setting(file, capsys):
     assert cli.main(["config", "--config", str(file)]) == ExitCode.DONE
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]

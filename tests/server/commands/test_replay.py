@@ -20,6 +20,25 @@ def test_a_file_that_is_no_recording_is_one_line_and_exit_1(tmp_path: Path, caps
     assert capsys.readouterr().err == f"armbridge: recording {tmp_path / 'notes.txt'}: is not an MCAP file\n"
 
 
+def test_an_address_that_others_reach_needs_a_token_here_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = record(tmp_path / "run.mcap", [text(0), text(1)])
+    arguments = ["replay", str(path), "--host", "0.0.0.0", "--port", "0", "--rate", "100"]
+    assert cli.main(arguments) == ExitCode.USAGE
+    assert "ARMBRIDGE_ACCESS__TOKEN" in capsys.readouterr().err
+    assert cli.main([*arguments, "--insecure"]) == ExitCode.DONE
+    monkeypatch.setenv("ARMBRIDGE_ACCESS__TOKEN", "correct-horse-battery")
+    assert cli.main(arguments) == ExitCode.DONE
+
+
+def test_the_settings_of_a_file_hold_here_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(tmp_path / "run.mcap", [text(0), text(1)])
+    (tmp_path / "armbridge.toml").write_text("[server]\nport = 70000\n")
+    assert cli.main(["replay", str(path), "--config", str(tmp_path / "armbridge.toml")]) == ExitCode.USAGE
+    assert "server.port" in capsys.readouterr().err
+
+
 WRONG = {
     "rate": (["--rate", "0"], "argument --rate: must be 0.01 to 100, not '0'"),
     "no number": (["--rate", "fast"], "argument --rate: must be 0.01 to 100, not 'fast'"),

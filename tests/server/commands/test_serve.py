@@ -6,8 +6,8 @@ from server import cli
 from server.commands.terminal import ExitCode
 
 
-def test_an_id_that_lerobot_does_not_know_is_one_line_and_exit_1(capsys):
-    assert cli.main(["serve", "--calibration", "nobodys"]) == ExitCode.FAILED
+def test_an_id_that_lerobot_does_not_know_is_one_line_and_exit_2(capsys):
+    assert cli.main(["serve", "--calibration", "nobodys"]) == ExitCode.USAGE
     assert capsys.readouterr().err.count("\n") == 1
 
 

@@ -41,6 +41,23 @@ def test_an_option_counts_more_than_an_assignment():
     assert overrides(options("--set", "server.port=1", "--port", "2")) == {"server": {"port": 2}}
 
 
+def test_insecure_is_said_by_an_option():
+    settings, sources = read_settings(options("--insecure"))
+    assert settings.access.insecure is True
+    assert sources["access.insecure"] == "command line"
+    assert read_settings(options())[0].access.insecure is False
+
+
+@pytest.mark.parametrize(
+    "assignment",
+    ["access.token:my-secret", "access.view_tokens={a=my-secret", "access.token=my-secret", "access=my-secret"],
+)
+def test_a_refusal_does_not_show_what_may_be_a_token(assignment):
+    with pytest.raises(ConfigurationError) as refused:
+        read_settings(options("--set", assignment))
+    assert "my-secret" not in str(refused.value)
+
+
 REFUSED = {
     "no assignment": (("--set", "server.port"), "--set server.port: must be KEY=VALUE"),
     "no TOML": (("--set", "arm.zero_offset_rad={a"), "the value is not TOML"),

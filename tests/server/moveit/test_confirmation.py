@@ -9,7 +9,6 @@ from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.graph import Graph
-from server.moveit import confirmation
 from server.moveit.confirmation import CONFIRM_TOPIC, MODE_SERVICE, Confirmation
 from server.node import Node
 
@@ -18,9 +17,9 @@ CLIENT = Node("client")
 
 
 class Gate:
-    def __init__(self) -> None:
+    def __init__(self, timeout_s: float = 60.0) -> None:
         self.graph = Graph(REGISTRY)
-        self.confirmation = Confirmation(self.graph, wanted=False)
+        self.confirmation = Confirmation(self.graph, wanted=False, timeout_s=timeout_s)
         self.confirmation.open()
 
     def say(self, msg: dict[str, Any]) -> None:
@@ -53,11 +52,11 @@ async def test_false_discards_the_plan(gate: Gate) -> None:
     assert CONFIRM_TOPIC in answer.message
 
 
-async def test_a_plan_nobody_confirms_is_given_up(gate: Gate, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(confirmation, "TIMEOUT_S", 0.0)
-    answer = await gate.confirmation.ask()
+async def test_a_plan_nobody_confirms_in_time_is_given_up() -> None:
+    answer = await Gate(timeout_s=0.01).confirmation.ask()
     assert answer is not None
     assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert "within 0.01 s" in answer.message
 
 
 async def test_a_word_counts_only_for_the_plan_that_waits(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:

@@ -28,6 +28,7 @@ from server.moveit.execution import GoalExecutor
 from server.moveit.failed_goals import FailedGoals
 from server.moveit.handing_over import STATE_AGE_S
 from server.moveit.motions import GivenMotion, PlannedMotion, Positions
+from server.moveit.patience import Allowance
 from server.moveit.readiness import STATE_MAX_AGE_S
 from server.moveit.scene.state import SceneState
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
@@ -122,6 +123,13 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     assert "starting" in answer.message
 
 
+def test_motions_are_played_with_the_allowance_that_is_set() -> None:
+    robot, allowance = model.builtin(), Allowance(scaling=9.0)
+    arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
+    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), allowance=allowance)
+    assert executor._player._allowance is allowance
+
+
 ARM = model.builtin().groups["arm"].joints
 WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")
 NO_WAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is no way")
@@ -188,6 +196,28 @@ async def stage() -> Stage:
 def given(start_rad: float, end_rad: float) -> GivenMotion:
     motion = smooth_move(dict.fromkeys(ARM, (start_rad, end_rad)), 2.0)
     return GivenMotion(lambda _held_rad: motion)
+
+
+async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(stage: Stage) -> None:
+    stage.arm.started.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    assert not stage.problems
+    stage.arm.started.set()
+    await settle()
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+
+
+async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothing(stage: Stage) -> None:
+    stage.arm.started.clear()
+    await stage.begin(given(0.0, 0.4))
+    stage.executor.stop("stopped by a test")
+    answer = await stage.answer()
+    assert (answer.code, answer.message) == (
+        MoveItErrorCode.PREEMPTED,
+        "stopped by a test before the motion began",
+    )
+    assert not stage.arm.played
 
 
 async def test_the_answer_tells_what_was_planned_and_from_where(stage: Stage) -> None:
@@ -329,7 +359,7 @@ async def test_a_goal_is_ended_while_it_is_planned(stage: Stage) -> None:
 
 
 async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
-    stage.executor = stage.executing(FailedGoals(tmp_path, model.builtin(), lambda: 0.0))
+    stage.executor = stage.executing(FailedGoals(tmp_path, model.builtin(), lambda: 0.0, 1))
     stage.failures = [NO_WAY]
     for _ in range(2):
         await stage.begin(to(shoulder_pan=0.4))

@@ -8,7 +8,16 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
+from protocol.registry import Registry
+from robot.model import builtin
+from server.arm_guard_settings import GuardSettings
+from server.config import ArmSettings, GoalSettings, Settings
+from server.graph import Graph
+from server.moveit.face import MoveItFace
+from server.moveit.parameters import MoveItParameters
+from server.moveit.patience import Allowance
 from tests.helpers.arm_server import ArmClient
+from tests.helpers.played_arm import PlayedArm
 from tests.helpers.server import RunningServer
 from tests.server.conftest import ServerOnBus
 
@@ -77,3 +86,19 @@ async def test_an_actionlib_client_of_ros_1_is_served_in_its_own_spelling(
     assert (told["status"]["status"], told["result"]["error_code"]["val"]) == (3, 1)
     point = told["result"]["planned_trajectory"]["joint_trajectory"]["points"][-1]
     assert set(point["time_from_start"]) == {"secs", "nsecs"}
+
+
+def test_what_is_set_reaches_its_place() -> None:
+    settings = Settings(
+        arm=ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3)),
+        moveit=MoveItParameters(
+            allowed_execution_duration_scaling=3.0, allowed_goal_duration_margin=4.0, publish_planning_scene_hz=2.0
+        ),
+        goals=GoalSettings(max_paused_s=5.0),
+    )
+    face = MoveItFace(Graph(Registry.load()), builtin(), settings, lambda _name, _value: None)
+    gripper = face._gripper(PlayedArm())  # type: ignore[arg-type]
+    assert face._allowance() == gripper._allowance == Allowance(3.0, 4.0, 5.0)
+    assert gripper._torque_limit == 0.3
+    assert face._transforms._period_s == 0.1
+    assert face._scene_interface._monitored._period_s == 0.5

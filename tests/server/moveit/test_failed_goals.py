@@ -9,16 +9,18 @@ from planners.files import problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot import model
-from server.moveit.failed_goals import MAX_FILES, FailedGoals
+from server.moveit.failed_goals import FailedGoals
 from tests.helpers.requests import EASY
 
 IN_THE_WAY = Scene(1, (SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.2, 0.0, 0.1))),))
 FAILURE = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "the goal touches the box")
 
+KEPT = 5
+
 
 @pytest.fixture
 def failed_goals(tmp_path: Path) -> FailedGoals:
-    return FailedGoals(tmp_path / "failed", model.builtin(), itertools.count(1_800_000_000).__next__)
+    return FailedGoals(tmp_path / "failed", model.builtin(), itertools.count(1_800_000_000).__next__, KEPT)
 
 
 async def test_a_saved_goal_reads_as_it_was_asked(failed_goals: FailedGoals, tmp_path: Path) -> None:
@@ -33,10 +35,10 @@ async def test_a_saved_goal_reads_as_it_was_asked(failed_goals: FailedGoals, tmp
 async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Path) -> None:
     (tmp_path / "failed").mkdir()
     (tmp_path / "failed" / "notes.json").write_text("of the user")
-    for _ in range(MAX_FILES + 3):
+    for _ in range(KEPT + 3):
         await failed_goals.save(EASY, Scene(), FAILURE)
     names = sorted(path.name for path in (tmp_path / "failed").iterdir())
-    assert len(names) == MAX_FILES + 1
+    assert len(names) == KEPT + 1
     assert names[0].startswith("goal-20270115T080003")
     assert names[-1] == "notes.json"
 
@@ -45,5 +47,5 @@ async def test_a_directory_that_cannot_be_written_is_only_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "file").write_text("")
-    await FailedGoals(tmp_path / "file", model.builtin(), lambda: 0.0).save(EASY, Scene(), FAILURE)
+    await FailedGoals(tmp_path / "file", model.builtin(), lambda: 0.0, KEPT).save(EASY, Scene(), FAILURE)
     assert "is not saved" in caplog.text

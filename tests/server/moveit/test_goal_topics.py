@@ -55,7 +55,7 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
         self.runner = Obedient()
-        self.confirmation = Confirmation(self.graph, wanted=False)
+        self.confirmation = Confirmation(self.graph, wanted=False, timeout_s=60.0)
         topics = GoalTopics(self.graph, model.builtin(), self.confirmation)
         self.queue: GoalQueue[Motion] = GoalQueue(
             self.runner, GoalPolicy.QUEUE, 4, topics.on_progress, topics.on_answer
@@ -186,3 +186,18 @@ async def test_goals_are_to_be_confirmed_while_that_is_wanted(desk: Desk, *, wan
     (ran,) = desk.runner.ran
     assert isinstance(ran, PlannedMotion)
     assert ran.confirm is wanted
+
+
+async def test_a_goal_of_a_client_that_may_not_send_one_is_answered_to_it_alone(
+    desk: Desk, caplog: pytest.LogCaptureFixture
+) -> None:
+    sender, answers = Node("sender", remote=True), []
+    for topic in (RESULT_TOPIC, STATUS_TOPIC):
+        desk.graph.subscribe(sender, topic, None, Subscriber(lambda publication: answers.append(publication.msg)))
+    desk.graph.turn_away(sender, "/moveit_goal_named", {"data": "home"}, "another drives")
+    status, result = answers
+    assert result == {"val": -4, "message": "another drives", "source": "/moveit_goal_named#1"}
+    assert (values_of(status)["state"], status["level"], status["hardware_id"]) == ("done", 2, "1")
+    assert desk.heard == {RESULT_TOPIC: [], STATUS_TOPIC: []}
+    assert desk.runner.ran == []
+    assert not caplog.records

@@ -7,11 +7,14 @@ import pytest
 
 from robot.arm import Arm
 from robot.calibration import Calibration
-from robot.messages import ArmConfig, Outcome
+from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.model import builtin
+from robot.trajectory import Trajectory
 from server.moveit.gripper import Gripper, GripperCommand
 from server.moveit.gripper_actions import GRIPPER_ACTION, PARALLEL_ACTION
+from server.moveit.patience import Allowance
 from tests.helpers.arm_server import ArmClient, ServerOnBus
+from tests.helpers.played_arm import PlayedArm
 from tests.server.conftest import JOINTS
 
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
@@ -106,9 +109,45 @@ async def test_a_stop_ends_the_grippers_motion_as_well(client: ArmClient) -> Non
 async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
     robot = builtin()
     arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
-    gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0)
+    gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, Allowance(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     async with gripper._turn:
         await asyncio.sleep(0)
         arm.stop()
     assert (await moving).outcome is Outcome.STOPPED
+
+
+async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
+    robot = builtin()
+    arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
+    await arm.launch()
+    gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, Allowance(), 0.5)
+    moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
+    await asyncio.sleep(0.02)
+    assert not moving.done()
+    await arm.start(10.0)
+    ended = await asyncio.wait_for(moving, 5.0)
+    assert (ended.outcome, "/dev/nothing does not exist" in ended.message) == (Outcome.REFUSED, True)
+    await arm.close()
+
+
+class GrippingArm(PlayedArm):
+    """Does at once what it is told, and notes how hard."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shares: list[float] = []
+
+    def execute(self, _trajectory: Trajectory, *, torque_share: float, **_: Any) -> asyncio.Future[MotionEnded]:  # type: ignore[override]
+        self.shares.append(torque_share)
+        done: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
+        done.set_result(MotionEnded(1, Outcome.REACHED, ""))
+        return done
+
+
+async def test_an_effort_is_a_share_of_what_the_gripper_may_use() -> None:
+    arm = GrippingArm()
+    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, Allowance(), 0.4)  # type: ignore[arg-type]
+    for effort in (0.0, 0.1, 0.4, 5.0):
+        await gripper.move(gripper.claim(), GripperCommand(0.5, effort), lambda _reading: None)
+    assert arm.shares == pytest.approx([1.0, 0.25, 1.0, 1.0])

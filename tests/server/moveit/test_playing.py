@@ -12,6 +12,7 @@ from planners.scene import EMPTY_SCENE
 from robot.messages import Course, Outcome, Pace
 from server.goal_queue import Answer, Progress
 from server.moveit import playing
+from server.moveit.patience import Allowance
 from server.moveit.playing import CODE_OF_OUTCOME, Certified, Player
 from tests.helpers.clock import FakeClock
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
@@ -38,11 +39,14 @@ class Watch:
         self.guarding = False
 
 
+ALLOWANCE = Allowance(scaling=3.0)
+
+
 class Stage:
     def __init__(self) -> None:
         self.arm, self.watch = PlayedArm(), Watch()
         self.clock = FakeClock()
-        self.player = Player(self.arm, self.watch, self.clock)  # type: ignore[arg-type]
+        self.player = Player(self.arm, self.watch, ALLOWANCE, self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
         self.running: asyncio.Task[Answer] | None = None
 
@@ -106,13 +110,18 @@ async def test_on_the_way_back_all_of_the_path_may_still_come(stage: Stage) -> N
 async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(playing, "Patience", lambda _duration_s: Worn())
+    monkeypatch.setattr(playing, "Patience", worn)
     stage = Stage()
     await stage.begin()
     answer = await stage.answer()
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert answer.message.startswith("the arm did not end the motion; joint ")
     assert "is 0.000 rad behind: stopped half-way" in answer.message
+
+
+def worn(_duration_s: float, allowance: Allowance) -> Worn:
+    assert allowance is ALLOWANCE
+    return Worn()
 
 
 class Worn:

@@ -9,6 +9,7 @@ from protocol.codecs.cdr_reader import deserialize
 from server.errors import StartError
 from server.graph import Graph
 from server.node import Node
+from server.recording import writer_thread
 from server.recording.mcap_file import Entry
 from server.recording.reader import Recording
 from server.recording.recorder import Recorder
@@ -68,6 +69,20 @@ async def test_a_message_of_an_unknown_type_is_left_out_and_told_once(
     assert await recorded(graph, tmp_path / "run.mcap", publish) == []
     told = [line for line in caplog.messages if "left out" in line]
     assert told == ["recording: /own is left out, the type my_msgs/msg/Thing is unknown"]
+
+
+async def test_it_tells_whether_it_records_and_what_waits(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer_thread, "LOOK_PERIOD_S", 60.0)
+    recorder = Recorder(graph, tmp_path / "run.mcap")
+    assert recorder.ended
+    recorder.open()
+    graph.advertise(TALKER, "/a", "std_msgs/Empty")
+    graph.publish(TALKER, "/a", {})
+    assert (recorder.ended, recorder.queued) == (False, 1)
+    await recorder.close()
+    assert (recorder.ended, recorder.queued) == (True, 0)
 
 
 async def test_after_its_end_nothing_is_taken(graph: Graph, tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from server.access.settings import AccessSettings
+from server.config import ServerSettings
 from server.errors import RecordingError
 from server.recording.replay import Replay, ReplayOptions
 from tests.helpers.client import frame_client
@@ -19,7 +21,7 @@ SERVING = re.compile(r"ws://127\.0\.0\.1:(\d+)")
 @pytest.fixture
 def options(tmp_path: Path) -> ReplayOptions:
     path = record(tmp_path / "run.mcap", [text(number) for number in range(3)])
-    return ReplayOptions(path, "127.0.0.1", 0, rate=100.0, delay_s=0.0, loop=False)
+    return ReplayOptions(path, ServerSettings(port=0), AccessSettings(), rate=100.0, delay_s=0.0, loop=False)
 
 
 async def url(caplog: pytest.LogCaptureFixture) -> str:

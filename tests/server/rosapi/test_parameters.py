@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from server.access.globs import Globs
 from server.errors import ServiceError
 from server.rosapi import parameters
 from server.rosapi.parameters import MAX_PARAMETER_BYTES, Parameters
@@ -70,3 +71,24 @@ def test_all_parameters_together_are_bounded_in_bytes_and_a_deleted_one_makes_ro
 def test_long_names_count_too(kept: Kept) -> None:
     with pytest.raises(ServiceError, match="the limit is"):
         kept.ask("set_param", name="x" * MAX_PARAMETER_BYTES, value="1")
+
+
+class TestGlobs:
+    @pytest.fixture
+    def some(self) -> Kept:
+        some = Kept(Globs("access.params_glob", ["/open/*"]))
+        some.keep("/robot_description", '"<robot/>"')
+        some.ask("set_param", name="/open/speed", value="1")
+        return some
+
+    def test_parameters_that_fit_are_open(self, some: Kept) -> None:
+        assert some.ask("get_param", name="/open/speed", default_value="") == {"value": "1"}
+
+    @pytest.mark.parametrize("service", ["get_param", "set_param", "has_param", "delete_param", "search_param"])
+    @pytest.mark.parametrize("name", ["/robot_description", "//open/speed", "open/speed"])
+    def test_others_are_refused_with_what_to_set(self, some: Kept, service: str, name: str) -> None:
+        with pytest.raises(ServiceError, match=r"fits no pattern of access\.params_glob"):
+            some.ask(service, name=name, value="0", default_value="")
+
+    def test_others_are_not_listed(self, some: Kept) -> None:
+        assert some.ask("get_param_names") == {"names": ["/open/speed"]}

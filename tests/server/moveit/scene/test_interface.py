@@ -1,6 +1,7 @@
 from planners.problem import MoveItErrorCode
 from protocol.registry import Registry
 from server.graph import Graph
+from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.state import SceneState
@@ -26,7 +27,7 @@ SERVICES = {
 
 def test_the_scene_has_moveits_names_and_types():
     graph = Graph(Registry.load(), call_later=FakeClock().call_later)
-    scene = SceneInterface(graph, ROBOT, SceneState(ROBOT), AssumedStates(ROBOT), None)
+    scene = SceneInterface(graph, ROBOT, SceneState(ROBOT), AssumedStates(ROBOT), MoveItParameters())
     scene.open(current_state())
     assert graph.topic_types() == TOPICS
     assert graph.services.types() == SERVICES

@@ -1,9 +1,12 @@
 from protocol.registry import Registry
 from server.graph import Graph, Subscriber
-from server.moveit.scene.monitored import PERIOD_S, TOPIC, MonitoredScene
+from server.moveit.scene.monitored import TOPIC, MonitoredScene
 from server.node import Node
 from tests.helpers.clock import FakeClock
 from tests.helpers.planning_scene import BENT, ROBOT, box, collision_object, current_state, scene_state
+
+# Not the default.
+PERIOD_S = 0.5
 
 
 class Watched:
@@ -12,7 +15,9 @@ class Watched:
     def __init__(self):
         self.clock, self.state = FakeClock(), scene_state(box("table"))
         self.graph = Graph(Registry.load(), self.clock, call_later=self.clock.call_later)
-        self.monitored = MonitoredScene(self.graph, Node("scene"), ROBOT, self.state, self.clock, self.clock.call_later)
+        self.monitored = MonitoredScene(
+            self.graph, Node("scene"), ROBOT, self.state, 2.0, self.clock, self.clock.call_later
+        )
         self.monitored.open(current_state())
         self.heard = []
         self.first = self.subscribe(self.heard)

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planners.problem import IkQuestion, MoveItErrorCode
-from server.moveit.services.kinematics import DEFAULT_TIMEOUT_S, MAX_TIMEOUT_S, _several, within_limits
+from server.moveit.parameters import MoveItParameters
+from server.moveit.services.kinematics import MAX_LINKS, _several, within_limits
 from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, context, joint, message, point
 from tests.helpers.moveit_services import ServiceRig
 
@@ -117,7 +118,7 @@ async def test_a_solution_in_contact_counts_unless_contacts_are_to_be_avoided(ri
     assert free["error_code"]["val"] == MoveItErrorCode.GOAL_IN_COLLISION
 
 
-TIMES = {(0, 0): DEFAULT_TIMEOUT_S, (0, 250_000_000): 0.25, (2, 500_000_000): 2.5, (100, 0): MAX_TIMEOUT_S}
+TIMES = {(0, 0): 0.5, (0, 250_000_000): 0.25, (2, 500_000_000): 2.5, (100, 0): 10.0}
 
 
 @pytest.mark.parametrize(("stamp", "allowed_s"), TIMES.items())
@@ -126,6 +127,14 @@ async def test_parts_of_seconds_count_in_a_timeout(rig: ServiceRig, stamp, allow
     question = rig.pool.requests[-1]
     assert isinstance(question, IkQuestion)
     assert question.allowed_time_s == allowed_s
+
+
+async def test_the_time_of_who_names_none_can_be_set() -> None:
+    rig = ServiceRig(parameters=MoveItParameters(kinematics_solver_timeout=0.125))
+    await ik(rig)
+    question = rig.pool.requests[-1]
+    assert isinstance(question, IkQuestion)
+    assert question.allowed_time_s == 0.125
 
 
 @settings(max_examples=30)
@@ -157,3 +166,12 @@ async def test_an_unknown_link_has_no_pose(rig: ServiceRig) -> None:
 async def test_a_state_beyond_the_limits_has_poses_all_the_same(rig: ServiceRig) -> None:
     state = {"joint_state": {"name": ["elbow_flex"], "position": [3.0]}}
     assert (await rig.call("/compute_fk", robot_state=state))["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_more_links_than_any_robot_has_are_refused_before_they_cost_anything(rig: ServiceRig) -> None:
+    names = [TIP] * (MAX_LINKS + 1)
+    asked = await rig.call("/compute_fk", fk_link_names=names)
+    sought = await ik(rig, ik_link_names=names, pose_stamped_vector=[{}] * len(names))
+    for answer, field in ((asked, "fk_link_names"), (sought, "ik_link_names")):
+        assert answer["error_code"]["val"] != MoveItErrorCode.SUCCESS
+        assert f"{field} has {MAX_LINKS + 1} entries, the limit is {MAX_LINKS}" in answer["error_code"]["message"]

@@ -1,0 +1,76 @@
+"""Parts of a server as operations look at them, made by hand."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from robot.faults import Fault, FaultCode
+from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
+from robot.servos.counters import BusCounters
+
+JOINTS = ("shoulder_pan", "gripper")
+
+
+@dataclass
+class WatchedArm:
+    """An arm process."""
+
+    state: ArmState
+    state_age_s: float = 0.01
+    pid: int | None = None
+
+
+@dataclass
+class WatchedPlanners:
+    """Planner processes."""
+
+    load_failure: str | None = None
+    pids: Sequence[int] = ()
+    loaded_count: int = 2
+    far_count: int = 4
+    idle_count: int = 1
+    waiting_count: int = 3
+
+
+@dataclass
+class WatchedRecorder:
+    """A recording."""
+
+    dropped: int = 0
+    queued: int = 0
+    ended: bool = False
+
+
+@dataclass
+class WatchedQueue:
+    """Goals on their way."""
+
+    waiting_count: int = 2
+    busy: str = "goal 7 from /a is worked on"
+
+
+@dataclass
+class WatchedProcess:
+    """A child."""
+
+    pid: int | None
+
+
+def arm_state(mode: Mode = Mode.HOLDING, fault: FaultCode | None = None, reason: str = "") -> ArmState:
+    """A state; its words name what a stranger should not hear of."""
+    found = None if fault is None else Fault(fault, "servo 3 on /dev/ttySECRET is hot", "elbow_flex")
+    return ArmState(time.time(), mode, JOINTS, reason=reason, fault=found)
+
+
+def arm_health() -> ArmHealth:
+    """A condition."""
+    servos = tuple(
+        ServoHealth(joint, number, 0.1, 30 + number, 5.0, 0.25, -0.5, True, 0, 0.002, 4)
+        for number, joint in enumerate(JOINTS, 1)
+    )
+    bus = BusCounters(sent=100, replies=90, timeouts=10, discarded_bytes=11, retries=12)
+    return ArmHealth(
+        time.time(), Mode.HOLDING, "/dev/ttySECRET", servos, bus, (0.0001, 0.001, 0.002), (0.003, 0.004, 0.005), True
+    )

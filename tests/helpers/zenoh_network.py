@@ -1,0 +1,215 @@
+"""A zenoh network on this machine: servers' graphs with their bridges, and a machine that speaks as rmw_zenoh does.
+
+What that machine sends and expects is written down here anew, by rosbags' CDR and hashes, not by the server's code.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+from rosbags.typesys import Stores, get_typestore
+
+from protocol.publication import Publication
+from protocol.registry import Registry
+from server.access.access import Access
+from server.access.settings import AccessSettings
+from server.calls import Call
+from server.graph import Graph, Subscriber
+from server.node import Node
+from server.zenoh.bridge import Bridge
+from server.zenoh.settings import ZenohSettings
+
+REGISTRY = Registry.load()
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+TRIGGER_KEY = "std_srvs::srv::dds_::Trigger_/RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+
+# A message on its way between two sessions of one machine takes a millisecond.
+TIMEOUT_S = 5.0
+
+
+def free_port() -> int:
+    """A port that nobody listens on just now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+async def until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) -> None:
+    """Let the event loop run until something is so."""
+    async with asyncio.timeout(timeout_s):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+def wait_until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) -> None:
+    """As :func:`until`, without an event loop."""
+    until_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < until_s, "it has not come to it in time"
+        time.sleep(0.005)
+
+
+class Site:
+    """One server as far as the bridge sees it: a graph with a part of the server and a client in it.
+
+    Args:
+        port: where the session listens; None to connect.
+        to: ports that it connects to.
+        access: the section of that name.
+        max_message_bytes: of what comes in [bytes].
+        settings: further ones of the section ``zenoh``.
+    """
+
+    def __init__(
+        self,
+        port: int | None = None,
+        to: tuple[int, ...] = (),
+        access: AccessSettings | None = None,
+        max_message_bytes: int = 10_000_000,
+        **settings: Any,
+    ) -> None:
+        ends = {"listen": [port] if port else [], "connect": to}
+        endpoints: dict[str, Any] = {
+            name: tuple(f"tcp/127.0.0.1:{each}" for each in ports) for name, ports in ends.items()
+        }
+        self.namespace = settings.get("namespace", "")
+        self.graph = Graph(REGISTRY)
+        self.part, self.client = Node("part"), Node("client", remote=True)
+        self.access = Access(access or AccessSettings(control="shared"))
+        chosen = {"mode": "peer", "publish": (), **endpoints, **settings}
+        self.bridge = Bridge(self.graph, ZenohSettings(**chosen), self.access, max_message_bytes)
+
+    async def __aenter__(self) -> Site:
+        self.bridge.open()
+        await until(lambda: self.bridge._sharing is not None)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.bridge.close()
+
+    def hear(self, topic: str, type_name: str | None = None, node: Node | None = None) -> list[Publication]:
+        """Subscribe, as the client if nobody else; what comes is appended to the list."""
+        heard: list[Publication] = []
+        heard += self.graph.subscribe(node or self.client, topic, type_name, Subscriber(heard.append))
+        return heard
+
+    async def held_network(self) -> threading.Event:
+        """Let the network stand still, until the event is set."""
+        held, go_on = threading.Event(), threading.Event()
+
+        def hold(_session: object) -> None:
+            held.set()
+            go_on.wait(TIMEOUT_S)
+
+        self.bridge._thread.do(hold)
+        await until(held.is_set)
+        return go_on
+
+    def calls_of(self, service: str) -> list[Call]:
+        """Calls of a service that are on their way."""
+        offer = self.graph.services._offers.get(service)
+        return [] if offer is None else list(offer.calls)
+
+    async def called(self, service: str, arguments: dict[str, Any] | None = None) -> Any:
+        """Call a service as the client, and wait for the response."""
+        answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self.graph.services.call(self.client, service, arguments or {}, answer.set_result, TIMEOUT_S)
+        return await answer
+
+
+class RosMachine:
+    """A machine with ROS 2 and rmw_zenoh, as far as it can be told from the outside.
+
+    Args:
+        port: what it connects to.
+    """
+
+    def __init__(self, port: int) -> None:
+        config = zenoh.Config()
+        settings = {
+            "connect/endpoints": [f"tcp/127.0.0.1:{port}"],
+            "listen/endpoints": [],
+            "scouting/multicast/enabled": False,
+            "timestamping/enabled": True,
+            # Else it waits half a second for machines that there are none of.
+            "open/return_conditions/connect_scouted": False,
+        }
+        for path, value in settings.items():
+            config.insert_json5(path, json.dumps(value))
+        self.session = zenoh.open(config)
+        self.tokens: set[str] = set()
+        self._declared: list[Any] = []
+        self.session.liveliness().declare_subscriber("@ros2_lv/0/**", self._on_token, history=True)
+
+    def __enter__(self) -> RosMachine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.close()
+
+    def key(self, topic: str, type_name: str) -> str:
+        package, _, name = type_name.split("/")
+        return f"0{topic}/{package}::msg::dds_::{name}_/{STORE.hash_rihs01(type_name)}"
+
+    def announce(self, kind: str, topic: str, type_and_hash: str, qos: str = "::,7:,:,:,,") -> Any:
+        """Declare a token, for a topic or service of this machine."""
+        mangled = topic.replace("/", "%")
+        token = f"@ros2_lv/0/{self.session.zid()}/0/10/{kind}/%/%/talker/{mangled}/{type_and_hash}/{qos}"
+        declared = self.session.liveliness().declare_token(token)
+        # It ends with the object.
+        self._declared.append(declared)
+        return declared
+
+    def announce_topic(self, topic: str, type_name: str, qos: str = "::,7:,:,:,,") -> Any:
+        return self.announce("MP", topic, "/".join(self.key(topic, type_name).split("/")[-2:]), qos)
+
+    def message(self, type_name: str, **fields: Any) -> bytes:
+        return bytes(STORE.serialize_cdr(STORE.types[type_name](**fields), type_name))
+
+    def publish(self, topic: str, type_name: str, **fields: Any) -> None:
+        self.session.put(self.key(topic, type_name), self.message(type_name, **fields), attachment=attached(1))
+
+    def hear(self, topic: str, type_name: str) -> list[tuple[Any, bytes]]:
+        """Messages of a topic with what is attached to them; what comes is appended to the list."""
+        heard: list[tuple[Any, bytes]] = []
+
+        def take(sample: zenoh.Sample) -> None:
+            assert sample.attachment is not None
+            heard.append((STORE.deserialize_cdr(bytes(sample.payload), type_name), bytes(sample.attachment)))
+
+        self.session.declare_subscriber(self.key(topic, type_name), take)
+        return heard
+
+    def call(self, service: str, payload: bytes = b"\0\1\0\0\0", key: str = "", number: int = 7) -> list[zenoh.Reply]:
+        """Call a std_srvs/Trigger, and wait for all replies."""
+        return list(
+            self.session.get(
+                key or f"0{service}/{TRIGGER_KEY}",
+                target=zenoh.QueryTarget.ALL_COMPLETE,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                payload=payload,
+                attachment=attached(number),
+                timeout=TIMEOUT_S,
+            )
+        )
+
+    def has_token(self, part: str) -> bool:
+        """Whether somebody has announced what has this in its token."""
+        return any(part in token for token in list(self.tokens))
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        (self.tokens.add if sample.kind == zenoh.SampleKind.PUT else self.tokens.discard)(str(sample.key_expr))
+
+
+def attached(number: int) -> bytes:
+    """What rmw_zenoh attaches."""
+    return struct.pack("<qqB16s", number, time.time_ns(), 16, b"a-ros-2-machine.")

@@ -1,0 +1,170 @@
+"""Two servers in processes of their own, a machine that speaks as rmw_zenoh does, and one that stops reading."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from websockets.asyncio.client import connect
+
+from protocol.codecs import json
+from tests.helpers.client import frame_client
+from tests.helpers.server import RunningServer
+from tests.helpers.zenoh_network import RosMachine, free_port, wait_until
+
+STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
+ERROR_CODES = "moveit_msgs::msg::dds_::MoveItErrorCodes_"
+SUCCESS = 1
+
+DEAF = """
+import signal, sys, zenoh
+from tests.helpers.zenoh_network import RosMachine
+machine = RosMachine(int(sys.argv[1]))
+machine.hear("/arm1/joint_states", "sensor_msgs/msg/JointState")
+print("up", flush=True)
+signal.pause()
+"""
+
+
+def zenoh_settings(**settings: str) -> dict[str, str]:
+    shared = {"MODE": "peer", **settings}
+    return {f"ARMBRIDGE_ZENOH__{name}": value for name, value in shared.items()} | {
+        "ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "1.0",
+        "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1.0",
+    }
+
+
+@dataclass
+class Lab:
+    """A server with an arm, one for those who look at it, and a ROS 2 machine."""
+
+    port: int
+    arm: RunningServer
+    viewer: RunningServer
+    machine: RosMachine
+
+
+@pytest.fixture(scope="module")
+def lab() -> Iterator[Lab]:
+    port = free_port()
+    endpoint = f'["tcp/127.0.0.1:{port}"]'
+    arm_settings = zenoh_settings(
+        LISTEN=endpoint, NAMESPACE="/arm1", SUBSCRIBE='["/moveit_goal_*", "/stop"]', OFFER='["/arm/*"]'
+    )
+    viewer_settings = zenoh_settings(
+        CONNECT=endpoint, PUBLISH='["/arm1/moveit_goal_*"]', SUBSCRIBE='["/arm1/*"]', CALL='["/arm1/*"]'
+    )
+    with (
+        RunningServer(settings=arm_settings) as arm,
+        RunningServer(settings=viewer_settings) as viewer,
+        RosMachine(port) as machine,
+    ):
+        yield Lab(port, arm, viewer, machine)
+
+
+def test_joint_states_reach_a_ros_2_machine(lab: Lab) -> None:
+    heard = lab.machine.hear("/arm1/joint_states", JOINT_STATE)
+    wait_until(lambda: len(heard) >= 10)
+    message, _ = heard[-1]
+    assert message.name[0] == "shoulder_pan"
+    assert len(message.position) == len(message.name) == 6
+    assert lab.machine.has_token("/MP/%/%arm1/armbridge/%arm1%joint_states/sensor_msgs::msg::dds_::JointState_/RIHS01_")
+
+
+@pytest.fixture
+def ready_arm(lab: Lab) -> Lab:
+    """The arm without the fault that a machine under load gives it: servos that seem silent."""
+    for service in ("reset_fault", "enable"):
+        (reply,) = lab.machine.call(f"/arm1/arm/{service}")
+        assert reply.ok is not None
+    return lab
+
+
+def test_a_goal_of_a_ros_2_machine_moves_the_arm_and_is_answered(ready_arm: Lab) -> None:
+    machine, results = ready_arm.machine, []
+    states = machine.hear("/arm1/joint_states", JOINT_STATE)
+    machine.session.declare_subscriber(
+        f"0/arm1/moveit_goal_result/{ERROR_CODES}/*", lambda sample: results.append(bytes(sample.payload))
+    )
+    wait_until(lambda: states)
+    before = states[0][0].position
+    machine.publish("/arm1/moveit_goal_named", STRING, data="ready")
+    wait_until(lambda: results, timeout_s=20.0)
+    assert int.from_bytes(results[0][4:8], "little", signed=True) == SUCCESS, results[0]
+    assert abs(states[-1][0].position - before).max() > 0.1
+
+
+def test_a_service_answers_a_ros_2_machine(lab: Lab) -> None:
+    (reply,) = lab.machine.call("/arm1/arm/stop")
+    assert reply.ok is not None
+    assert b"the arm does not move" in bytes(reply.ok.payload)
+
+
+async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: Lab) -> None:
+    async with frame_client(ready_arm.viewer.url) as client:
+        await client.subscribe("/arm1/joint_states", JOINT_STATE)
+        await client.subscribe("/arm1/moveit_goal_result", "moveit_msgs/MoveItErrorCodes")
+        await client.wait_for("/arm1/joint_states", bool)
+        await client.send({"op": "advertise", "topic": "/arm1/moveit_goal_named", "type": "std_msgs/String"})
+        await client.publish("/arm1/moveit_goal_named", {"data": "rest"})
+        results = await client.wait_for("/arm1/moveit_goal_result", bool, timeout_s=20.0)
+    assert results[0]["val"] == SUCCESS, results[0]
+
+
+async def call(url: str, service: str) -> Any:
+    async with connect(url) as websocket, asyncio.timeout(5.0):
+        await websocket.send(f'{{"op": "call_service", "service": "{service}"}}')
+        return json.decode(await websocket.recv())
+
+
+async def test_a_client_of_another_server_calls_a_service_of_the_arm(lab: Lab) -> None:
+    answer = await call(lab.viewer.url, "/arm1/arm/stop")
+    assert answer["result"] is True
+    assert answer["values"] == {"success": True, "message": "the arm does not move"}
+
+
+@contextlib.contextmanager
+def deaf_machine(port: int) -> Iterator[subprocess.Popen[str]]:
+    """A machine that has asked for joint states, and then reads nothing any more."""
+    with subprocess.Popen([sys.executable, "-c", DEAF, str(port)], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "up\n"
+            os.kill(process.pid, signal.SIGSTOP)
+            yield process
+        finally:
+            process.kill()
+
+
+async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(lab: Lab) -> None:
+    with deaf_machine(lab.port):
+        heard = lab.machine.hear("/arm1/joint_states", JOINT_STATE)
+        started_s, count = time.monotonic(), len(heard)
+        await asyncio.sleep(1.0)
+        rate_hz = (len(heard) - count) / (time.monotonic() - started_s)
+        code, ended_s = await asyncio.to_thread(lab.arm.end, signal.SIGTERM)
+    # Fifty a second, on a machine that does other things as well.
+    assert rate_hz > 30
+    assert code == 0
+    assert ended_s < 3.0
+    await gone(lab)
+
+
+async def gone(lab: Lab) -> None:
+    """What the arm's server shared is nowhere any more, and the other server goes on."""
+    wait_until(lambda: not lab.machine.has_token("%arm1%joint_states/sensor_msgs::msg::dds_::JointState_"))
+    async with asyncio.timeout(5.0):
+        while (await call(lab.viewer.url, "/arm1/arm/stop"))["result"]:
+            await asyncio.sleep(0.05)
+    code, ended_s = await asyncio.to_thread(lab.viewer.end, signal.SIGTERM)
+    assert code == 0
+    assert ended_s < 3.0

@@ -9,12 +9,15 @@ from collections.abc import Callable
 
 from benchmarks import (
     event_loop,
+    floods,
     gateway,
     goal_latency,
+    idle_connections,
     joint_states,
     page,
     planner_processes,
     planning,
+    planning_cluster,
     planning_scene_services,
     planning_scenes,
     processes,
@@ -22,6 +25,8 @@ from benchmarks import (
     rosapi,
     servo_loop,
     servo_stream,
+    soak,
+    start,
 )
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
@@ -30,6 +35,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "planning": planning.run,
     "planner_processes": planner_processes.run,
     "planning_scenes": planning_scenes.run,
+    "planning_cluster": planning_cluster.run,
     "servo_loop": servo_loop.run,
     "servo_stream": servo_stream.run,
     "joint_states": joint_states.run,
@@ -38,6 +44,10 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "gateway": gateway.run,
     "rosapi": rosapi.run,
     "recording": recording.run,
+    "start": start.run,
+    "idle_connections": idle_connections.run,
+    "floods": floods.run,
+    "soak": soak.run,
     "planning_scene_services": planning_scene_services.run,
 }
 

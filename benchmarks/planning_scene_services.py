@@ -20,6 +20,7 @@ from robot.messages import ArmState, Mode
 from server.calls import Response
 from server.graph import Graph
 from server.moveit.current_state import CurrentState
+from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.services import APPLY, GET
@@ -51,7 +52,7 @@ def run() -> None:
 async def _measure() -> None:
     robot, graph, client = model.builtin(), Graph(Registry.load()), Node("client", remote=True)
     arm = _StandingArm(tuple(joint.name for joint in robot.movable_joints))
-    scene = SceneInterface(graph, robot, SceneState(robot), AssumedStates(robot), None)
+    scene = SceneInterface(graph, robot, SceneState(robot), AssumedStates(robot), MoveItParameters())
     scene.open(CurrentState(arm, robot))
 
     def call(service: str, request: bytes) -> bytes:

@@ -44,8 +44,11 @@ class Arm:
                 values = results.get(timeout=0.1)["values"]
             except queue.Empty:
                 continue
-            # A goal that is refused has a sentence for a result.
-            number = values["error_code"]["val"] if isinstance(values, dict) else 99999
+            if isinstance(values, str):
+                # Refused, for instance while another client drives: a sentence says why.
+                print(values, flush=True)
+                return "FAILURE"
+            number = values["error_code"]["val"]
             return None if number == 1 else NAMES.get(number, f"error {number}")
         self._action.cancel_goal(goal_id)
         return "PREEMPTED" if self.ending.is_set() else "TIMED_OUT"

@@ -59,7 +59,7 @@ class Arm:
             action.cancel_goal(goal_id)
             sys.exit(f"{name}: no result within {ACTION_TIMEOUT_S} s")
         # A goal that is refused has a sentence for a result.
-        return dict(values) if isinstance(values, dict) else sys.exit(f"{name}: {values}")
+        return dict(values) if isinstance(values, dict) else sys.exit(str(values))
 
 
 def main(port: str = "9090") -> None:

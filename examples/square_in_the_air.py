@@ -42,7 +42,7 @@ def act(client: roslibpy.Ros, name: str, action_type: str, goal: dict[str, Any])
         raise TimeoutError(f"{name}: no result within {MOTION_TIMEOUT_S} s")
     values = results[0]["values"]
     # A goal that is refused has a sentence for a result.
-    return dict(values) if isinstance(values, dict) else sys.exit(f"{name}: {values}")
+    return dict(values) if isinstance(values, dict) else sys.exit(str(values))
 
 
 def check(code: dict[str, Any]) -> None:

@@ -1,0 +1,44 @@
+"""A client of ``/joint_states``: ``python -m benchmarks.watch_states URL SECONDS AFTER`` prints what it saw, as JSON.
+
+A process of its own, so that nothing else that a benchmark does makes it late.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+
+from websockets.asyncio.client import connect
+
+
+async def watch(url: str, seconds: float, after_s: float = 0.0) -> dict[str, list[float]]:
+    """How old each state was [s], and how long after the one before it came [s]; one machine, one clock.
+
+    Args:
+        url: of the server.
+        seconds: how long to take note.
+        after_s: how long to read before that.
+    """
+    ages_s, intervals_s = [], []
+    async with connect(url) as websocket:
+        await websocket.send(json.dumps({"op": "subscribe", "topic": "/joint_states"}))
+        before_s = time.monotonic()
+        begin_s = before_s + after_s
+        while before_s <= begin_s:
+            await websocket.recv()
+            before_s = time.monotonic()
+        until_s = before_s + seconds
+        while before_s < until_s:
+            frame = await websocket.recv()
+            wall_s, now_s = time.time(), time.monotonic()
+            stamp = json.loads(frame)["msg"]["header"]["stamp"]
+            ages_s.append(wall_s - stamp["sec"] - stamp["nanosec"] / 1e9)
+            intervals_s.append(now_s - before_s)
+            before_s = now_s
+    return {"ages_s": ages_s, "intervals_s": intervals_s}
+
+
+if __name__ == "__main__":
+    print(json.dumps(asyncio.run(watch(sys.argv[1], float(sys.argv[2]), float(sys.argv[3])))))

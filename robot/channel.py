@@ -1,7 +1,7 @@
 """The socket pair that joins a child process to the server: its messages, and the child's end of it.
 
-Both ends exchange pickled dataclasses behind a four-byte length; both ends are this program's own, nothing from a client
-is ever unpickled. A child whose socket closes has lost its server.
+Both ends exchange pickled dataclasses behind a four-byte length; both ends are this program's own, nothing from a
+client is ever unpickled. A child whose socket closes has lost its server.
 """
 
 from __future__ import annotations

@@ -6,7 +6,11 @@ PAGE := server/page
 COMPAS_FAB := compas_fab==2.0.1
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: install install-dev run page page-if-npm test test-page test-clients lint check bench bench-planning campaign campaign-planners lock clean
+# Several servers, machines that come and go, processes that are killed.
+MANY_PROCESSES := tests/test_campaign.py tests/test_survival.py tests/test_zenoh_end_to_end.py \
+	tests/planners/cluster tests/server/test_planning_cluster.py
+
+.PHONY: install install-dev run page page-if-npm test test-processes test-page test-clients lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -44,7 +48,11 @@ page-if-npm:
 
 # The page's tests come along where the page is built; they skip, and say why, where there is no chromium.
 test: install-dev
-	$(BIN)/python -m pytest --ignore tests/clients --ignore tests/examples $(if $(wildcard server/page/dist/index.html),,--ignore tests/page) $(ARGS)
+	$(BIN)/python -m pytest --ignore tests/clients --ignore tests/examples $(MANY_PROCESSES:%=--ignore %) \
+		$(if $(wildcard server/page/dist/index.html),,--ignore tests/page) $(ARGS)
+
+test-processes: install-dev
+	$(BIN)/python -m pytest $(MANY_PROCESSES) $(ARGS)
 
 # The page from its lock: types and build, then its logic, then in the browser.
 test-page: install-dev page
@@ -65,7 +73,7 @@ lint: install-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-check: test lint
+check: test test-processes lint
 
 bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -147,6 +147,7 @@ async def test_of_a_flood_that_comes_at_once_only_a_turns_worth_is_read(monkeypa
         async with asyncio.timeout(TIMEOUT_S):
             while link.server._unread:
                 await asyncio.sleep(0)
+        assert await link.received(1000) == NUMBERS
 
 
 async def test_a_flood_is_carried_out_in_order_while_the_queue_fills_again_and_again(

@@ -8,12 +8,14 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from websockets.sync.client import connect
 
 from server import cli
+from server.config_reading import load
 from tests.examples.conftest import FAST
 from tests.helpers.server import ROOT, RunningServer
 from tests.test_readme import blocks
@@ -50,6 +52,8 @@ def commands(page: str) -> list[str]:
 
 COMMANDS = sorted({line for page in ("README.md", *(f"docs/{page.name}" for page in PAGES)) for line in commands(page)})
 PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
+# A file of tokens is no configuration; it is read by the tests of tokens.
+SETTINGS = [block for page in PAGES for block in blocks(page, "toml") if "_tokens]" not in block]
 EXAMPLES = [line for line in COMMANDS if "examples/" in line and not line.startswith(FOREIGN)]
 
 
@@ -140,6 +144,15 @@ def test_the_messages_of_a_page_are_taken_without_complaint(page: str, server: R
                 complaints.append(operation)
             calls.discard(operation.get("id"))
     assert complaints == []
+
+
+@pytest.mark.parametrize(
+    "settings", [block for page in PAGES for block in blocks(page, "toml") if "_tokens]" not in block]
+)
+def test_the_settings_of_a_page_are_taken(settings: str, tmp_path: Path) -> None:
+    file = tmp_path / "armbridge.toml"
+    file.write_text(settings)
+    load(file, {})
 
 
 def test_every_test_that_the_security_page_names_exists() -> None:

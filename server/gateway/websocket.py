@@ -31,9 +31,10 @@ WRITE_LIMIT_BYTES = 32_768
 # Messages of one client are carried out for no longer than this before others have their turn.
 TURN_S = 0.0005
 
-# What the socket has received, up to 256 kB, is read in pieces of this size: of small frames each takes half a
-# millisecond at most. A piece without the end of a message is followed by one four times as large.
-PIECE_BYTES = 2048
+# What the socket has received, up to 256 kB, is read in pieces of this size: of small frames each takes a millisecond
+# or two at most, and smaller pieces cost a flood a quarter of its rate. A piece without a message's end is followed by
+# one four times as large.
+PIECE_BYTES = 8192
 GROWTH = 4
 
 # Whoever connects asks for something at once; what sends its request more slowly only holds the connection.
@@ -104,6 +105,7 @@ class WebSocket(ServerConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         """Make room for others."""
         self.take_request()
+        self._unread = b""
         if self.visit is not None:
             self.visit.end()
         super().connection_lost(exc)

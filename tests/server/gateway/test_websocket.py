@@ -173,6 +173,7 @@ async def test_a_large_message_is_not_read_in_small_pieces(monkeypatch: pytest.M
 
     async with linked() as link:
         monkeypatch.setattr(websocket, "TURN_S", 60.0)
+        monkeypatch.setattr(websocket, "PIECE_BYTES", 2048)
         monkeypatch.setattr(websocket.ServerConnection, "data_received", count)
         link.server.data_received(Frame(Opcode.TEXT, b"x" * 200_000).serialize(mask=True))
     assert pieces[:4] == [websocket.PIECE_BYTES * websocket.GROWTH**number for number in range(4)]

@@ -19,6 +19,9 @@ class PlanningWorker(Protocol):
     def usable(self) -> bool:
         """Whether it can take a request now."""
 
+    def run_delay_s(self) -> float | None:
+        """Read for how long it has waited for a core since its start [s]; None where that is not known."""
+
     def has(self, scene: Scene) -> bool:
         """Whether a request in this scene can begin without the scene being sent."""
 

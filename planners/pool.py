@@ -2,7 +2,8 @@
 
 The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
 it does not listen; the spare is free meanwhile. Every request gets exactly one answer, at the latest a grace period
-after its allowed time.
+after its allowed time. What a worker of this machine waits for a core comes on top, within bounds: a busy machine must
+not cost a warm worker.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
+from planners.run_delay import Deadline
 from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
-from planners.worker_process import allowed_time_s
+from planners.worker_process import allowed_time_s, timeout_at
 from robot.model import RobotModel
 
 # What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
@@ -189,11 +191,15 @@ class PlannerPool:
 
     async def _work(self, worker: PlanningWorker, request: Request, scene: Scene) -> Answer:
         allowed_s = allowed_time_s(request)
+        limit_s = allowed_s + OVERTIME_S
+        # An arm moves while these are asked, and rests when there is no answer: here a busy machine is no excuse.
+        while_moving = isinstance(request, RecheckQuestion | ServoQuestion)
         try:
-            async with asyncio.timeout(allowed_s + OVERTIME_S):
+            async with asyncio.timeout(limit_s) if while_moving else timeout_at(Deadline(limit_s, worker.run_delay_s)):
                 answer = await worker.ask(request, scene)
         except TimeoutError:
-            self._in_background(self._end(worker))
+            # A worker that was only starved answers while it is cancelled, and so is kept.
+            self._in_background(self._cancel(worker) if while_moving else self._end(worker))
             return PlanningFailure(
                 MoveItErrorCode.TIMED_OUT, f"the planner did not answer within {allowed_s:g} s and was given up"
             )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import dataclasses
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import Any
 
 from planners.messages import (
@@ -34,6 +35,7 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
+from planners.run_delay import Deadline, read_run_delay_s
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.model import RobotModel
@@ -47,14 +49,18 @@ WORKER_MODULE = "planners.worker"
 # Planning gives way to the servo loop and the server, which have deadlines.
 NICENESS = 5
 
-# Cancelling takes about a millisecond, a hundred times that on a loaded machine; past this, native code hangs.
+# Cancelling takes about a millisecond; past this, native code hangs. Waits for a core come on top.
 CANCEL_TIMEOUT_S = 0.25
 
 # A process whose socket is closed is about to end; its exit code comes a moment later.
 ENDING_TIMEOUT_S = 0.1
 
-# Checks of a state or a motion take milliseconds; they have no allowed time of their own.
+# Checks of a state or a motion take milliseconds; they have no allowed time of their own. Waits for a core come on top,
+# but not where an arm moves meanwhile (planners/pool.py).
 CHECK_TIME_S = 1.0
+
+# A deadline that has been extended is looked at no sooner again: a wait for a core is counted when it has ended.
+LOOK_S = 0.02
 
 # No request holds a worker for longer, whatever it allows itself.
 MAX_ALLOWED_TIME_S = 3600.0
@@ -132,6 +138,10 @@ class WorkerProcess:
         """How the process ended, or that it has not."""
         return self._child.ending
 
+    def run_delay_s(self) -> float | None:
+        """Read for how long the process has waited for a core; see :func:`planners.run_delay.read_run_delay_s`."""
+        return read_run_delay_s(self.pid)
+
     def has(self, scene: Scene) -> bool:
         """Whether the process has this scene."""
         return self._scene_version == scene.version
@@ -168,7 +178,8 @@ class WorkerProcess:
             return  # the request was given up before it was sent
         self._child.send(Cancel(self._number))
         try:
-            await asyncio.wait_for(asyncio.shield(self._answer), CANCEL_TIMEOUT_S)
+            async with timeout_at(Deadline(CANCEL_TIMEOUT_S, self.run_delay_s)):
+                await asyncio.shield(self._answer)
         except TimeoutError:
             log.warning("planner process %d does not listen and is ended", self.pid)
             await self.kill()
@@ -206,6 +217,32 @@ class WorkerProcess:
     def _resolve(self, answer: Answer | None) -> None:
         if self._answer is not None and not self._answer.done():
             self._answer.set_result(answer)
+
+
+@contextlib.asynccontextmanager
+async def timeout_at(deadline: Deadline) -> AsyncIterator[None]:
+    """Cancel the body once a deadline has passed, as :func:`asyncio.timeout` does.
+
+    Raises:
+        TimeoutError: the deadline has passed.
+    """
+    loop = asyncio.get_running_loop()
+    looking: asyncio.TimerHandle
+    async with asyncio.timeout(None) as timeout:
+
+        def look() -> None:
+            nonlocal looking
+            left_s = deadline.left_s()
+            if left_s > 0.0:
+                looking = loop.call_later(max(left_s, LOOK_S), look)
+            else:
+                timeout.reschedule(loop.time())
+
+        looking = loop.call_later(deadline.left_s(), look)
+        try:
+            yield
+        finally:
+            looking.cancel()
 
 
 def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]:

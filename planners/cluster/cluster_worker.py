@@ -46,6 +46,10 @@ class ClusterWorker:
         """Whether the scheduler is in reach."""
         return self._link.open
 
+    def run_delay_s(self) -> float | None:
+        """Tell nothing: the waits are on other machines."""
+        return None
+
     def has(self, scene: Scene) -> bool:  # noqa: ARG002 - the signature of PlanningWorker
         """A scene is sent when the chosen worker turns out to lack it."""
         return False

@@ -4,21 +4,34 @@ import asyncio
 import dataclasses
 import os
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import psutil
 import pytest
 import pytest_asyncio
 
-from planners import local_workers, worker_process
+from planners import local_workers, run_delay, worker_process
+from planners import pool as pool_module
 from planners.pool import MAX_WAITING, PlannerPool
-from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer
+from planners.problem import (
+    Answer,
+    MoveItErrorCode,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckQuestion,
+    Request,
+    StateAnswer,
+)
 from planners.scene import Scene
+from planners.servo.question import JointVelocities, ServoQuestion
 from robot import model
 from tests.helpers import broken_planner
-from tests.helpers.requests import EASY, LONG, REQUESTS, STATE, broken
+from tests.helpers.requests import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 
 # Workers load for half a second: one pool serves the tests of this file, and so shows that it survives each.
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -224,6 +237,9 @@ class FarWorker:
         self.given_up = 0
         self._answers = list(answers)
 
+    def run_delay_s(self) -> float | None:
+        return None
+
     def has(self, scene: Scene) -> bool:
         return True
 
@@ -361,3 +377,105 @@ async def test_who_waits_for_a_worker_hears_when_there_is_one_and_when_there_is_
     assert await both_idle.wait_ready(1.0) is None
     nobody = made_of(model.builtin())
     assert await nobody.wait_ready(0.01) == "no planner process was ready within 0.01 s"
+
+
+class StarvedWorker(FarWorker):
+    """A worker of this machine that does nothing but wait for a core; it answers later than it may, if at all."""
+
+    takes_questions = True
+
+    def __init__(self, *answers: Answer | None) -> None:
+        super().__init__(*answers)
+        self.killed = 0
+
+    def run_delay_s(self) -> float | None:
+        return time.monotonic()
+
+    async def ask(self, request: Request, scene: Scene) -> Answer:
+        await asyncio.sleep(0.2)
+        return await super().ask(request, scene)
+
+    async def kill(self) -> None:
+        self.killed += 1
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Deadlines of questions, and of motions in EASY_AT_ONCE, that pass before a starved worker answers."""
+    monkeypatch.setattr(worker_process, "CHECK_TIME_S", 0.05)
+    monkeypatch.setattr(pool_module, "OVERTIME_S", 0.05)
+
+
+EASY_AT_ONCE = dataclasses.replace(EASY, allowed_time_s=0.05)
+RECHECK = RecheckQuestion("arm", STILL, START, 0.0)
+SERVO = ServoQuestion("arm", "gripper_frame_link", START, {}, 0.02, JointVelocities({}))
+
+
+@pytest.mark.usefixtures("brief")
+@pytest.mark.parametrize("request_", [EASY_AT_ONCE, STATE], ids=["a motion", "a question"])
+async def test_a_worker_that_waits_for_a_core_is_waited_for(request_: Request) -> None:
+    pool, starved = made_of(model.builtin()), StarvedWorker(FAR_AWAY)
+    pool.add(starved)
+    assert await pool.ask(request_) is FAR_AWAY
+
+
+@pytest.mark.usefixtures("brief")
+@pytest.mark.parametrize("request_", [RECHECK, SERVO], ids=["a recheck", "steering"])
+async def test_where_an_arm_moves_meanwhile_a_worker_that_waits_for_a_core_is_not_waited_for(request_: Request) -> None:
+    pool, starved = made_of(model.builtin()), StarvedWorker(None)
+    pool.add(starved)
+    answer = await asyncio.wait_for(pool.ask(request_), 5.0)
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    await pool.close()
+    assert (starved.given_up, starved.killed) == (1, 0)
+
+
+@pytest.mark.usefixtures("brief")
+async def test_a_worker_that_waits_for_a_core_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_delay, "MAX_STARVED_S", 0.2)
+    pool, starved = made_of(model.builtin()), StarvedWorker(None)
+    pool.add(starved)
+    answer = await asyncio.wait_for(pool.ask(EASY_AT_ONCE), 5.0)
+    assert isinstance(answer, PlanningFailure)
+    assert answer.message == "the planner did not answer within 0.05 s and was given up"
+    await pool.close()
+    assert starved.killed == 1
+
+
+@pytest.fixture
+def busy_core() -> Iterator[int]:
+    """A core that eight processes want all the time."""
+    core = max(os.sched_getaffinity(0))
+    program = f"import os; os.sched_setaffinity(0, {{{core}}})\nwhile True: pass"
+    # Each in a session of its own: a kernel that shares cores out by session would give all eight one worker's share.
+    burners = [subprocess.Popen([sys.executable, "-c", program], start_new_session=True) for _ in range(8)]
+    yield core
+    for burner in burners:
+        burner.kill()
+        burner.wait()
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def on_a_busy_core(both_idle: PlannerPool, busy_core: int) -> AsyncIterator[PlannerPool]:
+    """The pool with its workers on that core."""
+    workers = both_idle.pids
+    for pid in workers:
+        os.sched_setaffinity(pid, {busy_core})
+    yield both_idle
+    for pid in set(workers) & set(both_idle.pids):
+        os.sched_setaffinity(pid, os.sched_getaffinity(0))
+
+
+needs_run_delay = pytest.mark.skipif(
+    run_delay.read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
+)
+
+
+@needs_run_delay
+async def test_a_worker_that_hangs_is_given_up_as_soon_on_a_busy_machine(on_a_busy_core: PlannerPool) -> None:
+    began_s = time.monotonic()
+    answer = await on_a_busy_core.ask(broken(broken_planner.DEAF, allowed_time_s=0.1))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert time.monotonic() - began_s < 0.1 + pool_module.OVERTIME_S + 2.0

@@ -3,6 +3,9 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import math
+import os
+import signal
+import time
 from collections.abc import AsyncIterator
 
 import numpy as np
@@ -11,7 +14,9 @@ import pytest_asyncio
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planners import worker_process
 from planners.problem import PlanningFailure, StateAnswer
+from planners.run_delay import Deadline
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.worker_process import (
     MAX_ALLOWED_TIME_S,
@@ -20,10 +25,11 @@ from planners.worker_process import (
     WorkerProcess,
     allowed_time_s,
     parts,
+    timeout_at,
 )
 from robot import model
 from robot.channel import MAX_MESSAGE_BYTES
-from tests.helpers.requests import EASY, REQUESTS, STATE
+from tests.helpers.requests import EASY, LONG, REQUESTS, STATE
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
 
@@ -79,6 +85,54 @@ async def test_what_no_message_can_hold_is_refused_and_harms_nothing(worker: Wor
     assert isinstance(answer, PlanningFailure)
     assert str(MAX_MESSAGE_BYTES) in answer.message
     assert isinstance(await worker.ask(STATE, Scene(5)), StateAnswer)
+
+
+@in_one_loop
+async def test_a_cancelled_worker_that_waits_for_a_core_is_waited_for(
+    worker: WorkerProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_process, "CANCEL_TIMEOUT_S", 0.02)
+    monkeypatch.setattr(worker_process, "read_run_delay_s", lambda _pid: time.monotonic())
+    asking = asyncio.create_task(worker.ask(LONG, Scene(6)))
+    await asyncio.sleep(0.05)
+    os.kill(worker.pid, signal.SIGSTOP)
+    cancelling = asyncio.create_task(worker.cancel())
+    await asyncio.sleep(0.2)
+    os.kill(worker.pid, signal.SIGCONT)
+    await asyncio.gather(cancelling, asking)
+    assert worker.usable
+
+
+async def test_what_is_in_work_is_ended_once_its_deadline_has_passed() -> None:
+    with pytest.raises(TimeoutError):
+        async with timeout_at(Deadline(0.01, lambda: 0.0)):
+            await asyncio.sleep(10.0)
+
+
+async def test_what_is_in_work_is_not_ended_while_its_process_waits_for_a_core() -> None:
+    async with timeout_at(Deadline(0.01, time.monotonic)):
+        await asyncio.sleep(0.1)
+
+
+async def test_what_is_in_work_is_ended_when_its_process_waits_no_more() -> None:
+    waits_until_s = time.monotonic() + 0.1
+    with pytest.raises(TimeoutError):
+        async with timeout_at(Deadline(0.01, lambda: min(time.monotonic(), waits_until_s))):
+            await asyncio.sleep(10.0)
+
+
+async def test_nothing_looks_at_a_deadline_once_the_work_is_done() -> None:
+    looked_at_s: list[float] = []
+
+    def run_delay_s() -> float:
+        looked_at_s.append(time.monotonic())
+        return 0.0
+
+    async with timeout_at(Deadline(0.01, run_delay_s)):
+        pass
+    done_s = time.monotonic()
+    await asyncio.sleep(0.05)
+    assert max(looked_at_s) <= done_s
 
 
 meshes = st.integers(0, 3 * PART_BYTES // 24).map(

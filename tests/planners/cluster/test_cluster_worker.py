@@ -74,6 +74,10 @@ async def test_it_is_for_motions_only_and_usable_while_the_scheduler_is_in_reach
     assert not worker.usable
 
 
+async def test_it_does_not_tell_what_its_machine_waits_for_a_core() -> None:
+    assert worker_of(Link()).run_delay_s() is None
+
+
 async def test_a_worker_that_lacks_something_gets_it_and_is_asked_again() -> None:
     link = Link(MISSING, DONE)
     assert await worker_of(link).ask(STATE, EMPTY_SCENE) is DONE

@@ -50,7 +50,7 @@ class Planner:
 
     Args:
         robot: the arm.
-        clock: monotonic time [s].
+        clock: of allowed times: monotonic [s].
 
     Raises:
         ShapeError: the robot's collision shapes cannot be used.

@@ -247,7 +247,7 @@ class Plan:
 
     Attributes:
         method: how the path was found: "nothing to do", "straight line" or the planner's name.
-        planning_time_s: time spent on it [s].
+        planning_time_s: time spent on it, by the clock of allowed times [s].
         goal_index: which of the alternatives is reached.
         deviation: of its end from that goal.
     """
@@ -267,7 +267,7 @@ class CartesianPlan:
         trajectory: the timed motion, certified as a plan's.
         fraction: share of the path's length that it covers, 0 to 1.
         stopped_by: why it is not the whole; None for all of it.
-        planning_time_s: time spent on it [s].
+        planning_time_s: time spent on it, by the clock of allowed times [s].
         deviation: greatest deviation of the tip from the path on the way.
     """
 

@@ -10,12 +10,14 @@ import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 import pytest_asyncio
 
 from planners import local_workers, run_delay, worker_process
 from planners import pool as pool_module
+from planners.pipeline import Planner
 from planners.pool import MAX_WAITING, PlannerPool
 from planners.problem import (
     Answer,
@@ -470,6 +472,23 @@ async def on_a_busy_core(both_idle: PlannerPool, busy_core: int) -> AsyncIterato
 needs_run_delay = pytest.mark.skipif(
     run_delay.read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
 )
+
+# A quarter of a second of work.
+WORK = dataclasses.replace(LONG, allowed_time_s=0.8, optimization_time_s=0.02, attempts=10)
+
+
+@needs_run_delay
+async def test_a_busy_machine_does_not_change_what_is_planned(
+    on_a_busy_core: PlannerPool, planner: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool_module, "OVERTIME_S", 0.1)
+    before = on_a_busy_core.pids
+    plan = await on_a_busy_core.ask(WORK)
+    elsewhere = planner.plan(dataclasses.replace(WORK, allowed_time_s=60.0))
+    assert isinstance(plan, Plan)
+    assert isinstance(elsewhere, Plan)
+    assert np.array_equal(plan.trajectory.positions_rad, elsewhere.trajectory.positions_rad)
+    assert on_a_busy_core.pids == before
 
 
 @needs_run_delay

@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import psutil
 import pytest
 
+from planners import worker
 from tests.helpers import broken_planner
 
 ROOT = Path(__file__).parents[2]
@@ -45,6 +47,20 @@ except MemoryError:
     print("caught")
 """
     assert output_of(program) == ["caught"]
+
+
+def test_allowed_time_does_not_pass_while_a_worker_is_off_its_core() -> None:
+    clock = worker.allowed_time_clock()
+    before_s = clock()
+    time.sleep(0.05)
+    assert clock() - before_s < 0.05
+
+
+def test_allowed_time_is_that_on_the_wall_where_the_kernel_does_not_count_waits_for_a_core(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(worker, "read_run_delay_s", lambda _pid: None)
+    assert worker.allowed_time_clock() is time.monotonic
 
 
 def test_a_worker_that_hangs_ends_with_its_server() -> None:

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
+import time
 
 import numpy as np
 import pytest
@@ -54,6 +56,13 @@ def test_the_feasible_problems_are_planned(path) -> None:
     assert [answer["problem"] for answer in written] == ["near", "tip"]
     assert run.code == EXIT_EXPECTED
     assert not run.errors
+
+
+def test_the_allowed_time_is_processor_time(path, monkeypatch) -> None:
+    seconds = itertools.count()
+    monkeypatch.setattr(time, "process_time", lambda: 10.0 * next(seconds))
+    _, written = answers(path)
+    assert [answer["error_code"] for answer in written] == [MoveItErrorCode.TIMED_OUT] * 2
 
 
 def test_every_problem_is_planned_when_asked_for(path) -> None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from hypothesis import settings
 
 # Imported before any test imports websockets: sets what that package reads when it is imported.
 import server  # noqa: F401
+from tests.helpers.examples import EXAMPLES_IN_CI
 
-# How long an example takes depends on the machine and on what else it does; no test is about that.
-settings.register_profile("no-deadline", deadline=None)
-settings.load_profile("no-deadline")
+# No deadline: how long an example takes depends on the machine and on what else it does; no test is about that.
+settings.register_profile("default", settings.get_profile("default"), max_examples=25, deadline=None)
+settings.register_profile("ci", settings.get_profile("ci"), max_examples=EXAMPLES_IN_CI, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -3,12 +3,13 @@ import time
 
 import bson as pymongo_bson
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import FrameError
 from protocol.framing import MAX_LEADING_BYTES, MAX_REFUSALS_PER_FRAME, FrameReader
 from protocol.limits import Limits
+from tests.helpers.examples import examples
 
 operations = st.fixed_dictionaries(
     {
@@ -142,7 +143,7 @@ def test_a_broken_bson_document_is_refused_and_answered_in_kind():
     assert reader.last_was_bson
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(st.lists(st.text(st.sampled_from('{}[]":,\\ aé1')) | st.binary(max_size=12), max_size=6))
 def test_whatever_comes_the_next_operation_is_read(frames):
     assert read(*frames, '{"op":"a"}')[-1] == {"op": "a"}

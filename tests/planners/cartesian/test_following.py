@@ -1,10 +1,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from planners.cartesian.following import CHORD_M, CORNER_STEP_M, ON_PATH_M, Ended, Following
 from planners.cartesian.tip_path import TipPath, apart_m
+from tests.helpers.examples import examples
 from tests.planners.following import Follower, line, shares
 from tests.planners.invariants import never
 
@@ -30,7 +31,7 @@ def shifted(follower, *offset_m):
 
 
 @given(share=shares, near=shares)
-@settings(max_examples=20, deadline=None)
+@examples(20)
 def test_points_lie_on_the_path_no_further_apart_than_asked(follower, share, near):
     start = follower.point(0.8 * share)
     task = following(follower, start, [line(follower.pose(follower.near(start, near)))])
@@ -41,7 +42,7 @@ def test_points_lie_on_the_path_no_further_apart_than_asked(follower, share, nea
 
 
 @given(share=shares, near=shares)
-@settings(max_examples=20, deadline=None)
+@examples(20)
 def test_straight_joint_lines_between_points_stay_near_the_path(follower, share, near):
     start = follower.point(0.8 * share)
     task = following(follower, start, [line(follower.pose(follower.near(start, near)))])

@@ -2,13 +2,14 @@ import numpy as np
 import pytest
 import toppra
 import toppra.algorithm
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.cartesian.path_timing import time_along, toppra_profile
 from planners.cartesian.profile import SAMPLE_PERIOD_S, SHORTEST_INTERVAL_S
 from planners.cartesian.spline import SplinePath
 from planners.rates import RateLimits
+from tests.helpers.examples import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed, fine_samples
 
 NAMES = ("a", "b", "c")
@@ -35,7 +36,7 @@ def least_time_s(distance, velocity, acceleration):
 
 
 @given(polylines)
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_every_curve_is_timed_from_rest_to_rest_within_the_limits(points):
     motion = time_along(spline(points), NAMES, LIMITS)
     assert motion is not None
@@ -45,7 +46,7 @@ def test_every_curve_is_timed_from_rest_to_rest_within_the_limits(points):
 
 
 @given(polylines)
-@settings(max_examples=20, deadline=None)
+@examples(20)
 def test_the_motion_stays_on_the_curve(points):
     path = spline(points)
     along = path(np.linspace(0.0, path.knots[-1], 1000))
@@ -79,7 +80,7 @@ def test_some_joint_is_at_a_limit_nearly_all_the_time(seed):
 
 
 @given(polylines)
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_limits_hold_at_both_ends_of_each_interval_of_the_grid(points):
     path = spline(points)
     profile = toppra_profile(path, LIMITS)
@@ -91,7 +92,7 @@ def test_limits_hold_at_both_ends_of_each_interval_of_the_grid(points):
 
 
 @given(polylines, st.floats(0.05, 1.0))
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_a_top_rate_is_kept(points, top_rate):
     path = spline(points)
     profile = toppra_profile(path, LIMITS, np.full(len(path.grid), top_rate))

@@ -3,13 +3,14 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.cartesian.tip_path import arc_flaw
 from planners.goals import Constraints, JointConstraint, OrientationConstraint
 from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from tests.helpers.examples import examples
 from tests.planners.following import TIP, Follower, arc, as_pose, line, shares
 from tests.planners.invariants import (
     assert_from_rest_to_rest,
@@ -65,7 +66,7 @@ def distance_to_line_m(places_m, start_m, end_m):
 
 
 @given(share=shares, near=shares)
-@settings(max_examples=25, deadline=None)
+@examples(25)
 def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower, rate_limits, share, near):
     start = follower.point(share)
     end = follower.pose(follower.near(start, near))
@@ -86,7 +87,7 @@ def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower,
 
 
 @given(share=shares, near=shares, bulge_m=st.floats(0.005, 0.03))
-@settings(max_examples=15, deadline=None)
+@examples(15)
 def test_on_any_arc_the_tip_stays_on_the_circle(follower, rate_limits, share, near, bulge_m):
     start = follower.point(0.8 * share)
     begin, end = follower.pose(start), follower.pose(follower.near(start, near))
@@ -107,7 +108,7 @@ def test_on_any_arc_the_tip_stays_on_the_circle(follower, rate_limits, share, ne
 
 
 @given(share=shares, near=shares)
-@settings(max_examples=10, deadline=None)
+@examples(10)
 def test_a_motion_touches_nothing_on_its_way(follower, collision, share, near):
     problem = follower.problem(start := follower.point(share), line(follower.pose(follower.near(start, near))))
     plan = follower.plan(problem)
@@ -202,7 +203,7 @@ def test_five_joints_keep_the_orientation_in_the_plane_of_the_arm(follower):
     assert plan.deviation.orientation_rad < 0.02
 
 
-@settings(max_examples=8, deadline=None)
+@examples(8)
 @given(places=st.lists(st.floats(0.03, 0.12), min_size=2, max_size=3, unique=True).map(sorted))
 def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, collision, places):
     problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))

@@ -1,12 +1,13 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.cartesian.tip_path import TipPath, apart_rad, arc_flaw
 from planners.problem import Arc, Line
 from planners.scene import Pose
+from tests.helpers.examples import examples
 
 START = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.1]))
 QUARTER_ABOUT_Z = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
@@ -35,7 +36,7 @@ def test_a_line_is_straight_and_ends_in_its_end(end):
 
 
 @given(arcs)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_an_arc_goes_through_its_points(arc):
     path = TipPath(START, [arc])
     way = places(path, 500)
@@ -46,7 +47,7 @@ def test_an_arc_goes_through_its_points(arc):
 
 
 @given(arcs)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_an_arc_is_run_through_evenly_and_its_length_is_the_path_s(arc):
     path = TipPath(START, [arc])
     steps_m = np.linalg.norm(np.diff(places(path, 300), axis=0), axis=1)

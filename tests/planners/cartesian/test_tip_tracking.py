@@ -1,10 +1,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.cartesian.tip_path import apart_m, apart_rad
+from tests.helpers.examples import examples
 from tests.planners.following import Follower, shares
 
 steps_m = st.tuples(*[st.floats(-0.005, 0.005)] * 3).map(np.array)
@@ -20,7 +21,7 @@ def moved(placement, step_m):
 
 
 @given(share=shares, near=shares)
-@settings(max_examples=60)
+@examples(60)
 def test_poses_the_arm_can_have_nearby_are_met_in_position(follower, share, near):
     start = follower.point(0.8 * share)
     target = follower.pose(follower.near(start, 0.1 * near))
@@ -29,7 +30,7 @@ def test_poses_the_arm_can_have_nearby_are_met_in_position(follower, share, near
 
 
 @given(share=shares, step_m=steps_m)
-@settings(max_examples=60)
+@examples(60)
 def test_no_joint_goes_beyond_its_limits(follower, share, step_m):
     start = follower.point(1.1 * share)
     tracker = follower.tracker(start)

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.geometry.hulls import MAX_CORNERS, PLATE_M, convex, enclosing
+from tests.helpers.examples import examples
 
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 
@@ -26,7 +27,7 @@ def test_few_corners_stay_as_they_are():
     assert {tuple(corner) for corner in hull.points()} == {tuple(corner) for corner in CUBE}
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.integers(0, 1000), st.tuples(*[st.floats(0.01, 1.0)] * 3))
 def test_many_points_are_enclosed_by_few_corners(seed, size_m):
     points = np.random.default_rng(seed).normal(size=(2000, 3))

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.geometry.sweep import EARLIEST_STEP_M, FINEST_STEP_M, Cubics, first_contact, line_is_free
+from tests.helpers.examples import examples
 
 
 class Discs:
@@ -64,7 +65,7 @@ points = st.tuples(coordinates, coordinates).map(np.array)
 discs = st.lists(st.tuples(coordinates, coordinates, st.floats(0.01, 0.3)), max_size=4)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(points, points, discs)
 def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
     around = Discs(*obstacles)
@@ -78,7 +79,7 @@ def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
         assert nearest < FINEST_STEP_M
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(st.integers(0, 10_000), discs)
 def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
     curve, around = wavy(seed), Discs(*obstacles)
@@ -118,7 +119,7 @@ def test_the_earliest_of_several_contacts_is_told():
     assert -1.0 + 2.0 * at == pytest.approx(-0.55, abs=2.0 * EARLIEST_STEP_M)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.integers(0, 10_000), st.integers(1, 9))
 def test_a_curve_stays_in_the_range_that_is_told_of_each_span(seed, pieces):
     curve = wavy(seed, pieces)

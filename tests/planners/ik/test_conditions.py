@@ -1,7 +1,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.geometry.forward import Placements
@@ -14,6 +14,7 @@ from planners.ik.conditions import (
     frame_along,
     outside,
 )
+from tests.helpers.examples import examples
 
 angles = st.floats(-3.0, 3.0)
 vectors = st.tuples(angles, angles, angles).map(np.array)
@@ -35,7 +36,7 @@ def point(**changes):
 
 
 @given(vectors, st.floats(0.01, 2.0))
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_what_is_outside_a_ball_leads_back_to_its_surface(vector, radius):
     rest = outside(vector, radius, 1.0)
     length = np.linalg.norm(vector)
@@ -44,7 +45,7 @@ def test_what_is_outside_a_ball_leads_back_to_its_surface(vector, radius):
 
 
 @given(vectors)
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_what_is_outside_a_box_is_told_for_each_axis(vector):
     half = np.array([0.1, 1.0, 5.0])
     rest = outside(vector, half, 1.0)
@@ -67,7 +68,7 @@ def test_box_region_lies_along_its_own_axes():
 
 
 @given(vectors, vectors)
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_turn_by_what_is_missing_meets_the_orientation(now, wanted):
     condition = TurnCondition("tip", pin.exp3(wanted), np.full(3, 0.1))
     placement = placed(now)
@@ -76,7 +77,7 @@ def test_turn_by_what_is_missing_meets_the_orientation(now, wanted):
 
 
 @given(vectors, vectors)
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_turn_by_what_is_missing_brings_the_axis_into_its_direction(now, towards):
     direction = pin.exp3(towards)[:, 0]
     condition = AxisCondition("tip", np.array([0.0, 0.6, 0.8]), direction, 0.1)
@@ -122,7 +123,7 @@ def test_joint_is_brought_to_its_position_or_into_its_range():
 
 
 @given(vectors)
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_frame_along_an_axis_is_a_rotation(turn):
     axis = pin.exp3(turn)[:, 2]
     frame = frame_along(axis)

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from planners.motions.curve import TICK_S
 from planners.motions.ramps import connect, least_time_s, reduced, whole_ticks
 from planners.rates import RateLimits
+from tests.helpers.examples import examples
 
 LIMITS = RateLimits(np.array([3.0, 2.0, 1.5]), np.array([10.0, 5.0, 8.0]))
 
@@ -18,7 +19,7 @@ def accelerations(curve):
 
 
 @given(positions, shares, positions, shares)
-@settings(max_examples=200)
+@examples(200)
 def test_ramps_join_two_states_within_the_limits(p0, v0, p1, v1):
     v0, v1 = v0 * LIMITS.velocity_rad_s, v1 * LIMITS.velocity_rad_s
     curve = connect(p0, v0, p1, v1, int(whole_ticks(least_time_s(p0, v0, p1, v1, reduced(LIMITS)))), LIMITS)

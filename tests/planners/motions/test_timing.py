@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.motions.curve import TICK_S
 from planners.motions.timing import brake, from_moving, line, polyline, same_point
 from planners.rates import RateLimits
+from tests.helpers.examples import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
 
 NAMES = ("a", "b", "c")
@@ -24,7 +25,7 @@ def least_time_s(velocity, acceleration):
 
 
 @given(st.lists(points, min_size=1, max_size=6).map(np.array))
-@settings(max_examples=60)
+@examples(60)
 def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits(corners):
     trajectory = polyline(corners, LIMITS).sampled(NAMES)
     assert_well_formed(trajectory)
@@ -69,7 +70,7 @@ def test_repeated_points_change_nothing():
 
 
 @given(points, velocities, points)
-@settings(max_examples=100)
+@examples(100)
 def test_a_moving_start_is_left_smoothly_and_within_the_limits(start, velocity, goal):
     curve = from_moving(start, velocity, goal, LIMITS)
     if curve is None:

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.servo.least_squares import bounded_least_squares
+from tests.helpers.examples import examples
 
 DAMPING = 0.01
 
@@ -15,7 +16,7 @@ def problem(seed):
     return chance.normal(size=(3, 5)), chance.normal(size=3), DAMPING, chance.normal(size=(12, 5)), bounds
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(st.integers(0, 10**6))
 def test_what_is_found_keeps_every_inequality_and_nothing_pulls_it_further(seed):
     matrix, wanted, damping, rows, bounds = problem(seed)

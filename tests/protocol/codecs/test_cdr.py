@@ -2,7 +2,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
@@ -11,13 +11,14 @@ from protocol.codecs.arrays import with_octets
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from tests.helpers.cdr import deserialize
+from tests.helpers.examples import examples
 from tests.helpers.messages import made_up
 
 REGISTRY = Registry.load()
 MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
 # An independent implementation of CDR; it has the types of one ROS 2 distribution.
 ROSBAGS = get_typestore(Stores.ROS2_JAZZY)
-FEW = settings(max_examples=5, deadline=None)
+FEW = examples(5)
 SEEDS = st.integers(0, 2**32)
 
 

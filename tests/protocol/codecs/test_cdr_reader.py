@@ -3,13 +3,14 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.codecs.cdr import HEADER, serialize
 from protocol.codecs.cdr_reader import deserialize
 from protocol.errors import MessageError
 from protocol.registry import Registry
+from tests.helpers.examples import examples
 from tests.helpers.messages import made_up
 
 REGISTRY = Registry.load()
@@ -43,7 +44,7 @@ def test_octets_that_are_no_such_message_are_refused(name: str, octets: bytes, w
         deserialize(REGISTRY, name, octets)
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(octets=st.binary(max_size=60), name=st.sampled_from(["sensor_msgs/JointState", "tf2_msgs/TFMessage"]))
 def test_any_octets_are_a_message_or_refused(octets: bytes, name: str) -> None:
     try:

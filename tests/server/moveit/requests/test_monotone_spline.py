@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.trajectory import Trajectory
 from server.moveit.requests.monotone_spline import knot_accelerations, knot_velocities
+from tests.helpers.examples import examples
 
 SPANS = st.lists(st.floats(0.05, 3.0), min_size=1, max_size=8)
 
@@ -19,7 +20,7 @@ def through(time_s, positions):
     return Trajectory(names, np.asarray(time_s, float), positions, velocities, accelerations)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(SPANS, st.randoms(use_true_random=False))
 def test_the_curve_stays_between_each_two_points(spans, random) -> None:
     time_s = np.concatenate(([0.0], np.cumsum(spans)))

@@ -1,12 +1,13 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.scene import Box, Cylinder
 from server.errors import RefusedError
 from server.moveit.scene.geometry_text import read_geometry, write_geometry
+from tests.helpers.examples import examples
 from tests.helpers.planning_scene import BENT, box, diff, pose, scene_state
 
 EDGES = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.3, "z": 0.0}]
@@ -43,7 +44,7 @@ def test_every_shape_and_subframe_comes_back_from_the_text_exactly():
     }
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.lists(st.floats(1e-9, 99.0), min_size=3, max_size=3), st.floats(-99.0, 99.0))
 def test_figures_lose_no_digit(edges_m, x_m):
     cube = {"id": "b", "primitives": [{"type": 1, "dimensions": edges_m}], "pose": pose(x_m)}

@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from server.moveit.current_state import state_message
@@ -20,6 +20,7 @@ from server.moveit.scene.messages import (
     scene_message,
 )
 from server.moveit.scene.state import SceneState
+from tests.helpers.examples import examples
 from tests.helpers.planning_scene import BENT, ROBOT, box, diff, held, message, pose, scene_state
 
 STATE = state_message(BENT, ROBOT.root_link, 0.0)
@@ -135,7 +136,7 @@ def after(changes):
 @example([ADD], [TAKE])
 @example([TAKE], [PUT_DOWN])
 @example([TAKE], [PUT_DOWN, REMOVE_ALL])
-@settings(max_examples=30)
+@examples(30)
 @given(st.lists(st.sampled_from(CHANGES), max_size=4), st.lists(st.sampled_from(CHANGES), max_size=4))
 def test_a_difference_makes_one_scene_of_another(first, then):
     follower, leader = after(first), after([*first, *then])

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.problem import Line
 from planners.scene import Pose
 from server.moveit.services.cut_path import cut_lines, length_m
+from tests.helpers.examples import examples
 
 HALF = math.sqrt(0.5)
 START = Pose()
@@ -21,7 +22,7 @@ def test_the_length_of_a_path_is_that_of_its_lines() -> None:
     assert length_m(START, [ALONG_X, THEN_Y]) == pytest.approx(0.7)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.floats(0.0, 0.7))
 def test_what_is_left_has_the_length_that_is_wanted(along_m: float) -> None:
     assert length_m(START, cut_lines(START, [ALONG_X, THEN_Y], along_m)) == pytest.approx(along_m, abs=1e-12)

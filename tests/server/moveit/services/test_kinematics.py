@@ -3,12 +3,13 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.problem import IkQuestion, MoveItErrorCode
 from server.moveit.parameters import MoveItParameters
 from server.moveit.services.kinematics import MAX_LINKS, _several, within_limits
+from tests.helpers.examples import examples
 from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, context, joint, message, point
 from tests.helpers.moveit_services import ServiceRig
 
@@ -137,7 +138,7 @@ async def test_the_time_of_who_names_none_can_be_set() -> None:
     assert question.allowed_time_s == 0.125
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.dictionaries(st.sampled_from(sorted(HOME)), st.floats(-10.0, 10.0)))
 def test_a_seed_is_brought_within_the_limits(positions_rad) -> None:
     for name, value in within_limits(ROBOT, positions_rad).items():

@@ -47,9 +47,16 @@ page-if-npm:
 	@! command -v npm >/dev/null || $(MAKE) -s page || echo "the page could not be built; the server starts without" >&2
 
 # The page's tests come along where the page is built; they skip, and say why, where there is no chromium.
+TESTS := --ignore tests/clients --ignore tests/examples $(MANY_PROCESSES:%=--ignore %) \
+	$(if $(wildcard server/page/dist/index.html),,--ignore tests/page)
+
+# Two workers side by side, then what needs the machine to itself. ARGS may select tests of one pass alone: pytest's exit
+# code 5 says that a pass has none.
 test: install-dev
-	$(BIN)/python -m pytest --ignore tests/clients --ignore tests/examples $(MANY_PROCESSES:%=--ignore %) \
-		$(if $(wildcard server/page/dist/index.html),,--ignore tests/page) $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -n 2 --dist worksteal $(ARGS) -m "not real_time"; beside=$$?; \
+	[ $$beside -eq 0 ] || [ $$beside -eq 5 ] || exit $$beside; \
+	$(BIN)/python -m pytest $(TESTS) $(ARGS) -n 0 -m real_time; alone=$$?; \
+	if [ $$alone -eq 5 ]; then exit $$beside; else exit $$alone; fi
 
 test-processes: install-dev
 	$(BIN)/python -m pytest $(MANY_PROCESSES) $(ARGS)

@@ -17,6 +17,18 @@ settings.register_profile("ci", settings.get_profile("ci"), max_examples=EXAMPLE
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
 
 
+# Fixtures with processes of the arm, a whole server or a browser, which keep real time.
+REAL_TIME_FIXTURES = {"browser", "scripted_peer", "served", "start_emulator"}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of such fixtures, before marks decide what is run."""
+    for item in items:
+        if isinstance(item, pytest.Function) and REAL_TIME_FIXTURES.intersection(item.fixturenames):
+            item.add_marker("real_time")
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The one option that moves metal; tests/robot/test_arm_contract.py says what it does and how far it goes."""
     parser.addoption(

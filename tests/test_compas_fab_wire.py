@@ -46,6 +46,7 @@ def shown(values: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.real_time
 async def test_every_frame_is_answered_as_it_was(server: RunningServer) -> None:
     async with connect(server.url, max_size=None) as websocket:
         for step in STEPS:

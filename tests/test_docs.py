@@ -69,6 +69,7 @@ def run_python(server: RunningServer, arguments: list[str]) -> subprocess.Comple
     )
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("program", [block for _, block in PROGRAMS], ids=[page for page, _ in PROGRAMS])
 def test_a_python_program_of_the_docs_runs(program: str, server: RunningServer) -> None:
     assert f"port={SERVER_PORT}" in program
@@ -77,6 +78,7 @@ def test_a_python_program_of_the_docs_runs(program: str, server: RunningServer) 
     assert done.stdout
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_a_command_with_an_example_succeeds(command: str, server: RunningServer) -> None:
     _, *arguments = shlex.split(command)
@@ -127,6 +129,7 @@ def test_the_options_of_commands_of_dask_exist(command: str) -> None:
     assert told <= set(re.findall(r"--[\w-]+", done.stdout))
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("page", SENT)
 def test_the_messages_of_a_page_are_taken_without_complaint(page: str, server: RunningServer) -> None:
     frames = [line for block in blocks(ROOT / "docs" / page, "json") for line in block.splitlines()]

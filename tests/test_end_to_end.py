@@ -23,6 +23,8 @@ from server.recording.reader import Recording
 from tests.helpers.client import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.server import RunningServer, read_write_log
 
+pytestmark = pytest.mark.real_time
+
 # What the Unreal client sends, to the letter.
 SUBSCRIBE = '{"op":"subscribe","topic":"/joint_states","type":"sensor_msgs/JointState"}'
 ADVERTISE = [

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from server.config_reading import load
 from tests.helpers.server import RunningServer
 
@@ -28,6 +30,7 @@ def sections(settings: dict[str, Any], above: str = "") -> Iterator[tuple[str, l
             yield from sections(value, f"{above}{name}.")
 
 
+@pytest.mark.real_time
 def test_the_python_client_of_the_readme_moves_the_arm() -> None:
     program = blocks(ROOT / "README.md", "python")[0]
     assert "port=9090" in program

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
@@ -21,6 +22,7 @@ def decoded(path: Path, topic: str) -> list[Any]:
         return [one.decoded_message for one in reader.iter_decoded_messages(topics=[topic])]
 
 
+@pytest.mark.real_time
 async def test_a_goal_its_answer_and_the_motion_are_in_the_recording(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with RunningServer(f"--port 0 --record {path}") as server:

@@ -144,6 +144,7 @@ async def test_a_fault_outlives_the_arm_process(client: ArmClient, served: Serve
     assert values_of(await client.until_mode("fault"))["fault"] == "emergency_stop"
 
 
+@pytest.mark.real_time
 async def test_an_arm_that_is_not_to_be_enabled_starts_relaxed_and_ends_relaxed(tmp_path: Path) -> None:
     log = tmp_path / "writes.jsonl"
     with server_on_bus("--write-log", str(log), ARM__START_ENABLED="false", ARM__ON_EXIT="relax", **FAST) as made:

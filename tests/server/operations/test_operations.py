@@ -149,6 +149,7 @@ def service(systemd: Systemd) -> Iterator[RunningServer]:
         yield running
 
 
+@pytest.mark.real_time
 def test_systemd_hears_that_the_server_is_ready_and_again_and_again_that_it_lives(
     service: RunningServer, systemd: Systemd
 ) -> None:
@@ -162,12 +163,14 @@ def children_of(service: RunningServer) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
+@pytest.mark.real_time
 def test_children_do_not_speak_for_the_server(service: RunningServer) -> None:
     assert len(children_of(service)) >= 4
     for child in children_of(service):
         assert b"NOTIFY_SOCKET" not in Path(f"/proc/{child}/environ").read_bytes()
 
 
+@pytest.mark.real_time
 def test_a_signal_to_all_processes_changes_the_level_and_ends_none(service: RunningServer) -> None:
     children = children_of(service)
     for words in ("is debug now", "again what the settings say"):
@@ -177,12 +180,14 @@ def test_a_signal_to_all_processes_changes_the_level_and_ends_none(service: Runn
     assert children_of(service) == children
 
 
+@pytest.mark.real_time
 def test_every_line_of_the_log_is_json_also_those_of_children(service: RunningServer) -> None:
     lines = [json.loads(line) for line in list(service.lines)]
     assert {line["process"] for line in lines} >= {"server", "robot.control.loop"}
     assert {"time", "level", "logger", "message", "process", "pid"} <= set.intersection(*(set(line) for line in lines))
 
 
+@pytest.mark.real_time
 def test_systemd_hears_that_the_server_ends(service: RunningServer, systemd: Systemd) -> None:
     assert service.end(signal.SIGTERM)[0] == 0
     assert systemd.has_heard("STOPPING=1")

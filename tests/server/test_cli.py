@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from server import cli
+
 COMMAND = [sys.executable, "-m", "server.cli"]
 
 
@@ -14,36 +16,48 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False)
 
 
-def test_help_names_every_command_and_what_exit_codes_mean() -> None:
-    answer = run("--help")
+def exit_code_of(*arguments: str) -> object:
+    """The exit code of a command that the parser ends."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    return ended.value.code
+
+
+def test_help_names_every_command_and_what_exit_codes_mean(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code_of("--help") == 0
+    said = capsys.readouterr().out
     for command in ("serve", "scan", "calibrate", "doctor", "relax", "plan", "replay", "emulate", "config"):
-        assert command in answer.stdout
-    assert "Exit code 0" in answer.stdout
+        assert command in said
+    assert "Exit code 0" in said
 
 
-def test_help_of_a_command_names_its_options() -> None:
-    answer = run("serve", "--help")
-    assert answer.returncode == 0
+def test_help_of_a_command_names_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code_of("serve", "--help") == 0
+    said = capsys.readouterr().out
     for option in ("--host", "--port", "--serial", "--calibration", "--urdf", "--srdf", "--config"):
-        assert option in answer.stdout
+        assert option in said
 
 
 @pytest.mark.parametrize("command", ["scan", "doctor", "calibrate", "relax"])
-def test_every_command_on_the_arm_takes_its_port_and_explains_itself(command: str) -> None:
-    answer = run(command, "--help")
-    assert answer.returncode == 0
-    assert "--serial" in answer.stdout
-    assert "Exit code 0" in answer.stdout
+def test_every_command_on_the_arm_takes_its_port_and_explains_itself(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code_of(command, "--help") == 0
+    said = capsys.readouterr().out
+    assert "--serial" in said
+    assert "Exit code 0" in said
 
 
 def test_a_command_that_does_not_exist_is_called_wrongly() -> None:
-    assert run("dance").returncode == 2
+    assert exit_code_of("dance") == 2
 
 
-def test_an_option_that_does_not_exist_is_answered_with_the_one_that_was_meant() -> None:
-    answer = run("serve", "--prot", "9191")
-    assert answer.returncode == 2
-    assert answer.stderr.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
+def test_an_option_that_does_not_exist_is_answered_with_the_one_that_was_meant(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert exit_code_of("serve", "--prot", "9191") == 2
+    said = capsys.readouterr().err
+    assert said.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
 
 
 def test_a_port_in_use_is_one_line_and_exit_1() -> None:

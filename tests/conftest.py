@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
@@ -10,6 +11,7 @@ from hypothesis import settings
 # Imported before any test imports websockets: sets what that package reads when it is imported.
 import server  # noqa: F401
 from tests.helpers.examples import EXAMPLES_IN_CI
+from tests.helpers.server import FAST, RunningServer
 
 # No deadline: how long an example takes depends on the machine and on what else it does; no test is about that.
 settings.register_profile("default", settings.get_profile("default"), max_examples=25, deadline=None)
@@ -18,7 +20,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.enviro
 
 
 # Fixtures with processes of the arm, a whole server or a browser, which keep real time.
-REAL_TIME_FIXTURES = {"browser", "scripted_peer", "served", "start_emulator"}
+REAL_TIME_FIXTURES = {"browser", "scripted_peer", "served", "simulated_server", "start_emulator"}
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -27,6 +29,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.Function) and REAL_TIME_FIXTURES.intersection(item.fixturenames):
             item.add_marker("real_time")
+
+
+@pytest.fixture(scope="session")
+def simulated_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    """Server whose simulated arm moves as fast as it can, for tests that leave the arm wherever it comes to rest."""
+    states = tmp_path_factory.mktemp("simulated") / "named_states.json"
+    with RunningServer(settings={**FAST, "ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(states)}) as running:
+        yield running
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

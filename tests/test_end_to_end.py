@@ -8,11 +8,15 @@ import itertools
 import json
 import signal
 from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
+import pytest_asyncio
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
@@ -302,48 +306,91 @@ async def test_topics_are_relayed_between_clients(server: RunningServer, client:
     assert other.messages("chatter")[0]["data"] == "hello"
 
 
-async def test_a_planner_that_dies_costs_its_goal_only() -> None:
-    with RunningServer() as server:
-        async with frame_client(server.url) as client:
-            await client.open_goals()
-            assert (await goal_named(client, "ready"))["val"] == 1
-            workers = [
-                child
-                for child in psutil.Process(server.process.pid).children(recursive=True)
-                if "planners.worker" in child.cmdline()
-            ]
-            assert len(workers) == 2
-            for worker in workers:
-                worker.suspend()
-            await client.publish("/moveit_goal_named", {"data": "home"})
-            await client.wait_for("/moveit_goal_status", goal_is("planning"))
-            for worker in workers:
-                worker.kill()
-            results = await client.wait_for(RESULT, lambda all_: len(all_) == 2)
-            # A goal that was not yet in the hands of the planner waits for the next one.
-            assert results[-1]["val"] in (-29, 1)
-            # The spare was killed as well; a process of this size takes a moment to be gone.
-            await asyncio.to_thread(psutil.wait_procs, workers, timeout=10)
-            assert (await goal_named(client, "home"))["val"] == 1
+async def test_a_planner_that_dies_costs_its_goal_only(server: RunningServer, client: FrameClient) -> None:
+    assert (await goal_named(client, "ready"))["val"] == 1
+    workers = [
+        child
+        for child in psutil.Process(server.process.pid).children(recursive=True)
+        if "planners.worker" in child.cmdline()
+    ]
+    assert len(workers) == 2
+    for worker in workers:
+        worker.suspend()
+    await client.publish("/moveit_goal_named", {"data": "home"})
+    await client.wait_for("/moveit_goal_status", goal_is("planning"))
+    for worker in workers:
+        worker.kill()
+    results = await client.wait_for(RESULT, lambda all_: len(all_) == 2)
+    # A goal that was not yet in the hands of the planner waits for the next one.
+    assert results[-1]["val"] in (-29, 1)
+    # The spare was killed as well; a process of this size takes a moment to be gone.
+    await asyncio.to_thread(psutil.wait_procs, workers, timeout=10)
+    assert (await goal_named(client, "home"))["val"] == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-async def test_a_signal_stops_the_moving_arm_and_ends_with_0_within_3_s(number: signal.Signals, tmp_path: Path) -> None:
-    log = tmp_path / "writes.jsonl"
-    with RunningServer(settings={"ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
+@dataclass(frozen=True)
+class Ended:
+    """A server that a signal ended while its arm moved, on the way to its second goal.
+
+    Attributes:
+        code: its exit code.
+        seconds: how long its end took [s].
+        results: the answers to the goals.
+        alive: which of its processes outlived it.
+        write_log: what was written to the servos.
+        recording: what it recorded.
+    """
+
+    code: int
+    seconds: float
+    results: list[dict[str, Any]]
+    alive: list[psutil.Process]
+    write_log: Path
+    recording: Path
+
+
+@pytest_asyncio.fixture(
+    scope="module", loop_scope="module", params=[signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"]
+)
+async def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    folder = tmp_path_factory.mktemp("ended")
+    log, recording = folder / "writes.jsonl", folder / "run.mcap"
+    with RunningServer(f"--port 0 --record {recording}", {"ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
         children = psutil.Process(server.process.pid).children(recursive=True)
         async with frame_client(server.url) as client:
             await client.open_goals()
+            await goal_named(client, "ready")
             await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
             await client.wait_for("/moveit_goal_status", goal_is("executing"))
-            code, seconds = await asyncio.to_thread(server.end, number)
-            assert client.messages(RESULT)[-1]["val"] == -7
-    assert code == 0
-    assert seconds < 3.0
+            code, seconds = await asyncio.to_thread(server.end, request.param)
+            results = client.messages(RESULT)
     _, alive = psutil.wait_procs(children, timeout=3)
-    assert not alive
-    assert_no_goal_jumped(log)
-    assert_comes_to_rest(log)
+    return Ended(code, seconds, results, alive, log, recording)
+
+
+def test_a_signal_stops_the_moving_arm_and_ends_with_0_within_3_s(ended: Ended) -> None:
+    assert [result["val"] for result in ended.results] == [1, -7]
+    assert ended.code == 0
+    assert ended.seconds < 3.0
+    assert not ended.alive
+    assert_no_goal_jumped(ended.write_log)
+    assert_comes_to_rest(ended.write_log)
+
+
+def decoded(path: Path, topic: str) -> list[Any]:
+    """The messages of a topic, as the MCAP project's own reader has them."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        return [one.decoded_message for one in reader.iter_decoded_messages(topics=[topic])]
+
+
+def test_a_goal_its_answer_and_the_motion_are_in_the_recording(ended: Ended) -> None:
+    assert [goal.data for goal in decoded(ended.recording, "/moveit_goal_named")] == ["ready"]
+    assert [answer.val for answer in decoded(ended.recording, "/moveit_goal_result")] == [1, -7]
+    assert "<robot" in decoded(ended.recording, "/robot_description")[0].data
+    states = decoded(ended.recording, "/joint_states")
+    assert states[0].name[0] == "shoulder_pan"
+    assert states[0].position != states[-1].position
 
 
 async def test_a_killed_server_leaves_an_arm_at_rest_no_process_behind_and_its_recording(tmp_path: Path) -> None:

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from server.config_reading import load
 from tests.helpers.server import RunningServer
 
@@ -30,18 +28,16 @@ def sections(settings: dict[str, Any], above: str = "") -> Iterator[tuple[str, l
             yield from sections(value, f"{above}{name}.")
 
 
-@pytest.mark.real_time
-def test_the_python_client_of_the_readme_moves_the_arm() -> None:
+def test_the_python_client_of_the_readme_moves_the_arm(simulated_server: RunningServer) -> None:
     program = blocks(ROOT / "README.md", "python")[0]
     assert "port=9090" in program
-    with RunningServer() as server:
-        done = subprocess.run(
-            [sys.executable, "-c", program.replace("port=9090", f"port={server.port}")],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+    done = subprocess.run(
+        [sys.executable, "-c", program.replace("port=9090", f"port={simulated_server.port}")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
     assert done.stdout == "1 the arm is there\n", done.stderr
 
 

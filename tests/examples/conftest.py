@@ -9,12 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.server import ROOT, RunningServer
+from tests.helpers.server import FAST, ROOT, RunningServer
 
 EXAMPLES = ROOT / "examples"
 EXAMPLE_TIMEOUT_S = 60
-
-FAST = {"ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "1", "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1"}
 
 RunExample = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -17,6 +17,9 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 
+# The arm moves as fast as its limits allow.
+FAST = {"ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "1", "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1"}
+
 READY = re.compile(r"armbridge is ready: ws://[^:]+:(\d+)")
 
 # Interpreter start, bus check and torque ramp take 0.8 s on a quiet machine.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from hypothesis import settings
@@ -12,6 +13,7 @@ from hypothesis import settings
 import server  # noqa: F401
 from tests.helpers.examples import EXAMPLES_IN_CI
 from tests.helpers.server import FAST, RunningServer
+from tests.helpers.stepped_loop import SteppedLoop
 
 # No deadline: how long an example takes depends on the machine and on what else it does; no test is about that.
 settings.register_profile("default", settings.get_profile("default"), max_examples=25, deadline=None)
@@ -19,8 +21,16 @@ settings.register_profile("ci", settings.get_profile("ci"), max_examples=EXAMPLE
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
 
 
-# Fixtures with processes of the arm, a whole server or a browser, which keep real time.
-REAL_TIME_FIXTURES = {"browser", "scripted_peer", "served", "simulated_server", "start_emulator"}
+# Fixtures with processes of the arm, a whole server or a browser, which keep real time, and those that burn a core.
+REAL_TIME_FIXTURES = {
+    "browser",
+    "busy_core",
+    "busy_process",
+    "scripted_peer",
+    "served",
+    "simulated_server",
+    "start_emulator",
+}
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -29,6 +39,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.Function) and REAL_TIME_FIXTURES.intersection(item.fixturenames):
             item.add_marker("real_time")
+
+
+def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Choose the event loop of a test, by its mark ``stepped_time``."""
+    return {"stepped": SteppedLoop} if item.get_closest_marker("stepped_time") else {"real": asyncio.new_event_loop}
 
 
 @pytest.fixture(scope="session")

@@ -43,7 +43,7 @@ class FrameClient:
     async def publish(self, topic: str, msg: dict[str, Any]) -> None:
         await self.send({"op": "publish", "topic": topic, "msg": msg})
 
-    async def goal(self, topic: str, msg: dict[str, Any], timeout_s: float = 20.0) -> dict[str, Any]:
+    async def goal(self, topic: str, msg: dict[str, Any], timeout_s: float = 60.0) -> dict[str, Any]:
         """Publish a goal and wait for the next result."""
         seen = len(self.messages("/moveit_goal_result"))
         await self.publish(topic, msg)
@@ -53,7 +53,7 @@ class FrameClient:
         return self.received.get(topic, [])
 
     async def wait_for(
-        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = 10.0
+        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = 60.0
     ) -> list[dict[str, Any]]:
         async with asyncio.timeout(timeout_s), self._news:
             await self._news.wait_for(lambda: condition(self.messages(topic)))

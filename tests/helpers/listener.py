@@ -13,7 +13,7 @@ from server.gateway.listener import Listener
 from server.graph import Graph
 
 REGISTRY = Registry.load()
-TIMEOUT_S = 5.0
+TIMEOUT_S = 30.0
 
 # What a client sends to become a WebSocket's, without the lines that tests are about.
 UPGRADE = (

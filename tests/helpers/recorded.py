@@ -49,7 +49,7 @@ def record_killed(path: Path, chunks: Iterable[Iterable[Entry]]) -> Path:
     return path
 
 
-def wait_until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+def wait_until(condition: Callable[[], bool], timeout_s: float = 30.0) -> bool:
     """Look again and again; returns whether it came true."""
     until_s = time.monotonic() + timeout_s
     while not condition() and time.monotonic() < until_s:

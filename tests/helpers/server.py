@@ -80,7 +80,7 @@ class RunningServer:
         code = self.process.wait(timeout_s)
         return code, time.monotonic() - started_s
 
-    def has_logged(self, text: str, timeout_s: float = 5.0) -> bool:
+    def has_logged(self, text: str, timeout_s: float = 30.0) -> bool:
         until_s = time.monotonic() + timeout_s
         while time.monotonic() < until_s:
             if any(text in line for line in list(self.lines)):

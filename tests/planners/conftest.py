@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -42,7 +43,8 @@ def joints(collision):
 
 @pytest.fixture(scope="session")
 def planner(robot):
-    return Planner(robot)
+    # By the clock of planner processes, which a busy machine does not hurry.
+    return Planner(robot, time.process_time)
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ class Workers:
 async def test_a_robot_that_no_worker_can_load_is_told_and_not_tried_again() -> None:
     workers = Workers(dataclasses.replace(model.builtin(), urdf="<robot/>"))
     await workers.those.start()
-    await asyncio.wait_for(workers.failed.wait(), 20.0)
+    await asyncio.wait_for(workers.failed.wait(), 60.0)
     assert workers.those.load_failure is not None
     assert workers.ready.empty()
     await workers.those.close()
@@ -40,10 +40,10 @@ async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: py
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
     workers = Workers(model.builtin())
     await workers.those.start()
-    await asyncio.wait_for(workers.failed.wait(), 20.0)
+    await asyncio.wait_for(workers.failed.wait(), 60.0)
     assert "planner processes ended while starting" in str(workers.those.load_failure)
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.worker")
-    worker = await asyncio.wait_for(workers.ready.get(), 20.0)
+    worker = await asyncio.wait_for(workers.ready.get(), 60.0)
     assert worker.pid in workers.those.pids
     assert workers.those.load_failure is None
     await workers.those.close()
@@ -57,5 +57,5 @@ async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.M
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.echo_child")
     workers = Workers(model.builtin())
     await workers.those.start()
-    await asyncio.wait_for(workers.failed.wait(), 20.0)
+    await asyncio.wait_for(workers.failed.wait(), 60.0)
     await workers.those.close()

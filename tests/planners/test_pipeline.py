@@ -1,5 +1,6 @@
 import dataclasses
 import pickle
+import time
 
 import numpy as np
 import pinocchio as pin
@@ -96,7 +97,11 @@ def test_same_problem_and_seed_have_the_same_plan(setting, robot):
     problem = setting.problem(
         JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0), attempts=2, seed=9
     )
-    plans = [setting.planner.plan(problem), Planner(robot).plan(problem), setting.planner.plan(problem)]
+    plans = [
+        setting.planner.plan(problem),
+        Planner(robot, time.process_time).plan(problem),
+        setting.planner.plan(problem),
+    ]
     for plan in plans[1:]:
         np.testing.assert_array_equal(plan.trajectory.time_s, plans[0].trajectory.time_s)
         np.testing.assert_array_equal(plan.trajectory.positions_rad, plans[0].trajectory.positions_rad)
@@ -195,7 +200,7 @@ def test_answers_cross_process_boundaries(setting):
 
 def test_an_arm_of_another_kind_is_planned_for():
     crane = model.parse(CRANE_URDF, CRANE_SRDF)
-    planner, collision = Planner(crane), CollisionModel(crane)
+    planner, collision = Planner(crane, time.process_time), CollisionModel(crane)
     start = {"turn": 0.0, "lift": 0.0, "slide": 0.0}
     plan = planner.plan(PlanningProblem("arm", start, PositionGoal("rod", (0.1, 0.3, 0.3), 0.005)))
     assert isinstance(plan, Plan), plan
@@ -221,7 +226,7 @@ def test_deviation_of_a_pose_on_five_joints_is_that_of_the_end(setting):
 
 
 def test_path_constraints_are_kept_all_the_way_around_an_obstacle(robot, setting):
-    planner = Planner(robot)
+    planner = Planner(robot, time.process_time)
     states = GoalStates(robot, setting.collision)
     wall = SceneObject("wall", ((Box((0.3, 0.02, 0.08)), Pose()),), Pose((0.25, 0.0, 0.04)))
     assert planner.set_scene(Scene(1, (wall,))) is None
@@ -258,7 +263,7 @@ def test_constraints_that_no_path_keeps_end_with_the_time(robot, setting):
 
 
 def test_bad_scene_is_refused_and_the_one_before_stays(robot, setting):
-    planner = Planner(robot)
+    planner = Planner(robot, time.process_time)
     block = SceneObject("block", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.39, 0.0, 0.226)))
     assert planner.set_scene(Scene(1, (block,))) is None
     assert isinstance(planner.set_scene(Scene(2, (block, block))), PlanningFailure)

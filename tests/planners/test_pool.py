@@ -61,7 +61,7 @@ async def pool() -> AsyncIterator[PlannerPool]:
 @pytest_asyncio.fixture(loop_scope="module")
 async def both_idle(pool: PlannerPool) -> PlannerPool:
     """The pool once it has recovered from whatever came before."""
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(60.0):
         while pool.idle_count < 2:
             await asyncio.sleep(0.01)
     return pool
@@ -128,7 +128,7 @@ async def test_a_fault_of_a_worker_costs_one_goal(pool: PlannerPool, fault: str)
 async def test_a_worker_that_ran_out_of_memory_is_replaced(both_idle: PlannerPool) -> None:
     before = set(both_idle.pids)
     await both_idle.ask(broken(broken_planner.MEMORY))
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(60.0):
         while both_idle.idle_count < 2:
             await asyncio.sleep(0.01)
     assert len(before & set(both_idle.pids)) == 1
@@ -141,7 +141,7 @@ async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: 
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert "0.1 s" in answer.message
     assert isinstance(await both_idle.ask(EASY), Plan)
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(60.0):
         while both_idle.idle_count < 2:
             await asyncio.sleep(0.01)
     assert len(set(before) & set(both_idle.pids)) == 1
@@ -170,7 +170,7 @@ async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
     monkeypatch.setattr(worker_process, "CANCEL_TIMEOUT_S", 60.0)
     before = set(both_idle.pids)
     await given_up(both_idle, broken(broken_planner.DEAF), 0.05)
-    assert isinstance(await asyncio.wait_for(both_idle.ask(EASY), 5.0), Plan)
+    assert isinstance(await asyncio.wait_for(both_idle.ask(EASY), 30.0), Plan)
     assert set(both_idle.pids) == before
     for pid in before:
         os.kill(pid, signal.SIGKILL)
@@ -180,7 +180,7 @@ async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
 async def test_a_cancelled_worker_that_does_not_listen_is_replaced(both_idle: PlannerPool, fault: str) -> None:
     before = set(both_idle.pids)
     await given_up(both_idle, broken(fault), 0.05)
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(60.0):
         while both_idle.idle_count < 2:
             await asyncio.sleep(0.01)
     assert len(before & set(both_idle.pids)) == 1
@@ -221,7 +221,7 @@ async def test_where_workers_have_loaded_requests_wait_for_the_next_that_does(
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
     kill_all(both_idle)
     asking = asyncio.create_task(both_idle.ask(EASY))
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(60.0):
         while both_idle._local._failed_starts < local_workers.MAX_FAILED_STARTS:
             await asyncio.sleep(0.01)
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.broken_planner")
@@ -288,7 +288,7 @@ async def test_a_worker_from_afar_takes_a_motion_that_would_wait_and_leaves_ques
     far = FarWorker(FAR_AWAY)
     busy.add(far)
     assert isinstance(await busy.ask(STATE), StateAnswer)
-    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is FAR_AWAY
+    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is FAR_AWAY
     busy.remove(far)
 
 
@@ -308,7 +308,7 @@ async def test_a_worker_that_joins_gets_the_motion_that_waits(busy: PlannerPool)
     waiting = asyncio.create_task(busy.ask(EASY))
     await asyncio.sleep(0)
     busy.add(far)
-    assert await asyncio.wait_for(waiting, 1.0) is FAR_AWAY
+    assert await asyncio.wait_for(waiting, 30.0) is FAR_AWAY
     busy.remove(far)
 
 
@@ -331,7 +331,7 @@ async def test_a_motion_whose_worker_came_out_of_reach_gets_another_for_the_time
     lost, found = FarWorker(OUT_OF_REACH), FarWorker(FAR_AWAY)
     for far in (lost, found):
         busy.add(far)
-    assert await asyncio.wait_for(busy.ask(dataclasses.replace(EASY, allowed_time_s=3.0)), 1.0) is FAR_AWAY
+    assert await asyncio.wait_for(busy.ask(dataclasses.replace(EASY, allowed_time_s=3.0)), 30.0) is FAR_AWAY
     (again,) = found.asked
     assert isinstance(again, PlanningProblem)
     assert 2.0 < again.allowed_time_s < 3.0
@@ -343,7 +343,7 @@ async def test_a_motion_is_given_to_another_worker_only_once(busy: PlannerPool) 
     those = [FarWorker(OUT_OF_REACH), FarWorker(OUT_OF_REACH), FarWorker(FAR_AWAY)]
     for far in those:
         busy.add(far)
-    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is OUT_OF_REACH
+    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is OUT_OF_REACH
     assert [len(far.asked) for far in those] == [1, 1, 0]
     for far in those:
         busy.remove(far)
@@ -355,7 +355,7 @@ async def test_a_worker_from_afar_that_overruns_is_stopped_and_used_again(busy: 
     answer = await busy.ask(dataclasses.replace(EASY, allowed_time_s=0.05))
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
-    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is FAR_AWAY
+    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is FAR_AWAY
     assert far.given_up == 1
     busy.remove(far)
 
@@ -370,13 +370,13 @@ async def test_a_worker_that_leaves_while_it_works_answers_and_gets_nothing_more
     await asyncio.wait([asking])
     await asyncio.sleep(0.01)
     busy.add(there)
-    assert await asyncio.wait_for(busy.ask(EASY), 1.0) is FAR_AWAY
+    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is FAR_AWAY
     assert len(gone.asked) == 1
     busy.remove(there)
 
 
 async def test_who_waits_for_a_worker_hears_when_there_is_one_and_when_there_is_none(both_idle: PlannerPool) -> None:
-    assert await both_idle.wait_ready(1.0) is None
+    assert await both_idle.wait_ready(30.0) is None
     nobody = made_of(model.builtin())
     assert await nobody.wait_ready(0.01) == "no planner process was ready within 0.01 s"
 
@@ -426,7 +426,7 @@ async def test_a_worker_that_waits_for_a_core_is_waited_for(request_: Request) -
 async def test_where_an_arm_moves_meanwhile_a_worker_that_waits_for_a_core_is_not_waited_for(request_: Request) -> None:
     pool, starved = made_of(model.builtin()), StarvedWorker(None)
     pool.add(starved)
-    answer = await asyncio.wait_for(pool.ask(request_), 5.0)
+    answer = await asyncio.wait_for(pool.ask(request_), 30.0)
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
     await pool.close()
@@ -438,7 +438,7 @@ async def test_a_worker_that_waits_for_a_core_for_ever_is_given_up(monkeypatch: 
     monkeypatch.setattr(run_delay, "MAX_STARVED_S", 0.2)
     pool, starved = made_of(model.builtin()), StarvedWorker(None)
     pool.add(starved)
-    answer = await asyncio.wait_for(pool.ask(EASY_AT_ONCE), 5.0)
+    answer = await asyncio.wait_for(pool.ask(EASY_AT_ONCE), 30.0)
     assert isinstance(answer, PlanningFailure)
     assert answer.message == "the planner did not answer within 0.05 s and was given up"
     await pool.close()

@@ -1,5 +1,7 @@
 """Another shape of arm, which reaches full poses."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,7 @@ def seven():
 
 @pytest.fixture(scope="module")
 def seven_setting(seven):
-    return Setting(Planner(seven), seven, CollisionModel(seven), "tool")
+    return Setting(Planner(seven, time.process_time), seven, CollisionModel(seven), "tool")
 
 
 @pytest.fixture

@@ -39,7 +39,7 @@ async def worker() -> AsyncIterator[WorkerProcess]:
     loaded = asyncio.Event()
     made = WorkerProcess(model.builtin(), 1 << 30, lambda _worker, _refusal: loaded.set(), lambda _worker: None)
     await made.start()
-    await asyncio.wait_for(loaded.wait(), 20.0)
+    await asyncio.wait_for(loaded.wait(), 60.0)
     yield made
     await made.kill()
 

@@ -172,10 +172,10 @@ def seconds_for(text):
     best = float("inf")
     for _ in range(3):
         reader = FrameReader(Limits())
-        started = time.perf_counter()
+        started = time.thread_time()
         reader.feed('{"a":')
         reader.feed(text)
-        best = min(best, time.perf_counter() - started)
+        best = min(best, time.thread_time() - started)
     return best
 
 
@@ -188,9 +188,9 @@ def test_hostile_frames_take_time_in_proportion_to_their_length(unit):
 
 def test_an_object_in_very_many_frames_takes_time_in_proportion_to_its_length():
     reader = FrameReader(Limits())
-    started = time.perf_counter()
+    started = time.thread_time()
     reader.feed('{"a":["')
     for _ in range(20_000):
         reader.feed('",{"b":1},"')
     # Reading it anew with each frame would look at two gigabytes.
-    assert time.perf_counter() - started < 5
+    assert time.thread_time() - started < 5

@@ -25,7 +25,7 @@ class Told:
 
     async def after_hangup(self) -> list[str]:
         signal.raise_signal(signal.SIGHUP)
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(30.0):
             while not self.calls:
                 await asyncio.sleep(0.005)
         return self.calls

@@ -3,13 +3,14 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import time
 from collections.abc import Awaitable, Callable
 
 import pytest
 
 from server.errors import StartError
 from server.stopping import HURRIED_S, RESERVED_S, Step, allowance_s, stop_in_order, stop_signals, unless_ended
+
+pytestmark = pytest.mark.stepped_time
 
 TOTAL_S = 2.0
 
@@ -68,11 +69,11 @@ async def test_a_hurry_leaves_each_step_little_time() -> None:
     taken: list[str] = []
     hurry = asyncio.Event()
     steps = [Step(name, recorder(taken, name, 60.0), 30.0) for name in ("a", "b")]
-    asyncio.get_running_loop().call_later(0.01, hurry.set)
-    began_s = time.monotonic()
-    await stop_in_order(steps, 60.0, hurry)
+    loop = asyncio.get_running_loop()
+    loop.call_later(0.01, hurry.set)
+    await stop_in_order(steps, 60.0, hurry, loop.time)
     assert taken == ["a", "b"]
-    assert time.monotonic() - began_s < 2 * HURRIED_S + 0.5
+    assert loop.time() == pytest.approx(0.01 + 2 * HURRIED_S)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,11 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from server.timers import call_later
+
+pytestmark = pytest.mark.stepped_time
 
 
 async def test_an_action_happens_after_its_delay() -> None:

@@ -22,6 +22,7 @@ from server.graph import Graph
 from server.node import Node
 
 TALKER = Node("talker")
+TIMEOUT_S = 30.0
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ async def url(graph: Graph) -> AsyncIterator[str]:
 
 
 async def until_subscribed(graph: Graph, count: int) -> None:
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(TIMEOUT_S):
         while len(graph._topics["/t"].subscribers) < count:
             await asyncio.sleep(0.005)
 
@@ -61,21 +62,20 @@ async def test_a_client_that_never_reads_costs_others_nothing_and_a_bounded_amou
         payload = "x" * 10_000
         for number in range(2000):
             graph.publish(TALKER, "/t", {"data": f"{number} {payload}"})
-            assert json.loads(await asyncio.wait_for(reading.recv(), 5.0))["msg"]["data"].startswith(f"{number} ")
+            assert json.loads(await asyncio.wait_for(reading.recv(), TIMEOUT_S))["msg"]["data"].startswith(f"{number} ")
         deaf.transport.abort()
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(TIMEOUT_S):
             while "messages were dropped" not in caplog.text:
                 await asyncio.sleep(0.01)
 
 
 async def test_a_throttled_message_leaves_when_it_is_due(graph: Graph, url: str) -> None:
     async with connect(url) as client:
-        await client.send(json.dumps({"op": "subscribe", "topic": "/t", "throttle_rate": 100, "queue_length": 1}))
+        await client.send(json.dumps({"op": "subscribe", "topic": "/t", "throttle_rate": 400, "queue_length": 1}))
         await until_subscribed(graph, 1)
         for data in ("first", "dropped", "last"):
             graph.publish(TALKER, "/t", {"data": data})
-            await asyncio.sleep(0.01)
-        got = [json.loads(await asyncio.wait_for(client.recv(), 1.0))["msg"]["data"] for _ in range(2)]
+        got = [json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))["msg"]["data"] for _ in range(2)]
     assert got == ["first", "last"]
 
 
@@ -84,13 +84,13 @@ async def test_a_client_that_breaks_off_is_taken_out_of_the_graph(graph: Graph, 
     await client.send(SUBSCRIBE)
     await until_subscribed(graph, 1)
     client.transport.abort()
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(TIMEOUT_S):
         while graph._topics["/t"].subscribers:
             await asyncio.sleep(0.005)
 
 
 async def until_logged(caplog: pytest.LogCaptureFixture, text: str) -> None:
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(TIMEOUT_S):
         while text not in caplog.text:
             await asyncio.sleep(0.01)
 
@@ -105,7 +105,7 @@ async def test_a_client_that_does_not_read_its_replies_is_closed_with_a_code_and
         await deaf.send(json.dumps({"op": "call_service", "service": "/long"}))
     await until_logged(caplog, "does not read its replies; closing")
     deaf.transport.resume_reading()
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(TIMEOUT_S):
         with contextlib.suppress(ConnectionClosed):
             while True:
                 await deaf.recv()
@@ -117,12 +117,13 @@ async def test_text_and_binary_frames_go_out_as_such(graph: Graph, url: str) -> 
         await reading.send(SUBSCRIBE)
         await until_subscribed(graph, 1)
         graph.publish(TALKER, "/t", {"data": "x"})
-        assert isinstance(await asyncio.wait_for(reading.recv(), 5.0), str)
+        assert isinstance(await asyncio.wait_for(reading.recv(), TIMEOUT_S), str)
         await reading.send(json.dumps({"op": "subscribe", "topic": "/t", "compression": "cbor", "id": "c"}))
-        await asyncio.wait_for(await reading.ping(), 5.0)
-        await asyncio.sleep(0.01)
+        # The answer comes after the subscription that was said before.
+        await reading.send(json.dumps({"op": "call_service", "service": "/nobody"}))
+        assert json.loads(await asyncio.wait_for(reading.recv(), TIMEOUT_S))["service"] == "/nobody"
         graph.publish(TALKER, "/t", {"data": "x"})
-        assert isinstance(await asyncio.wait_for(reading.recv(), 5.0), bytes)
+        assert isinstance(await asyncio.wait_for(reading.recv(), TIMEOUT_S), bytes)
 
 
 async def test_a_client_that_asks_for_ros1_in_its_url_gets_ros1_spelling(graph: Graph, url: str) -> None:
@@ -131,7 +132,7 @@ async def test_a_client_that_asks_for_ros1_in_its_url_gets_ros1_spelling(graph: 
     for query, stamp in [("?ros=1", {"secs": 1, "nsecs": 2}), ("?ros=2&x=1", {"sec": 1, "nanosec": 2})]:
         async with connect(f"{url}/{query}") as client:
             await client.send(json.dumps({"op": "subscribe", "topic": "/h"}))
-            assert json.loads(await asyncio.wait_for(client.recv(), 5.0))["msg"]["stamp"] == stamp
+            assert json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))["msg"]["stamp"] == stamp
 
 
 async def test_a_call_that_runs_does_not_hold_up_what_the_client_says_next(graph: Graph, url: str) -> None:
@@ -145,16 +146,16 @@ async def test_a_call_that_runs_does_not_hold_up_what_the_client_says_next(graph
     async with connect(url) as client:
         for service in ("/slow", "/nobody"):
             await client.send(json.dumps({"op": "call_service", "service": service}))
-        assert json.loads(await asyncio.wait_for(client.recv(), 5.0))["service"] == "/nobody"
+        assert json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))["service"] == "/nobody"
         answer.set()
-        assert json.loads(await asyncio.wait_for(client.recv(), 5.0))["service"] == "/slow"
+        assert json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))["service"] == "/slow"
 
 
 async def test_a_client_that_does_not_read_its_replies_is_closed(url: str, caplog: pytest.LogCaptureFixture) -> None:
     deaf = await connect(url, max_size=None)
     deaf.transport.pause_reading()
     call = json.dumps({"op": "call_service", "service": "/nobody", "id": "x" * 500})
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(TIMEOUT_S):
         while "does not read its replies" not in caplog.text:
             for _ in range(100):
                 await deaf.send(call)
@@ -227,14 +228,14 @@ class TestGuarded:
     async def test_a_right_token_lets_it_stay_and_send_what_it_likes(
         self, guarded_url: str, graph: Graph, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.05)
+        monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.5)
         async with connect(guarded_url, max_size=None) as client:
             await client.send(json.dumps({"op": "auth", "token": self.TOKEN}))
             await client.send(SUBSCRIBE)
             for size in (100_000, 1_500_000):
                 await client.send(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * size}}))
-                assert len(await asyncio.wait_for(client.recv(), 5.0)) > size
-            await asyncio.sleep(0.1)
+                assert len(await asyncio.wait_for(client.recv(), TIMEOUT_S)) > size
+            await asyncio.sleep(0.6)
             assert [str(node).startswith("ada (127.0.0.1:") for node in graph.subscribers("/t")] == [True]
 
     @pytest.mark.parametrize("by_header", [True, False])
@@ -257,5 +258,5 @@ async def test_a_client_that_hears_little_costs_no_task_of_its_own(graph: Graph,
         await client.send(SUBSCRIBE)
         await until_subscribed(graph, 1)
         graph.publish(TALKER, "/t", {"data": "hello"})
-        await asyncio.wait_for(client.recv(), 5.0)
+        await asyncio.wait_for(client.recv(), TIMEOUT_S)
         assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("write to")]

@@ -21,7 +21,7 @@ from server.graph import Graph
 from server.node import Node
 
 TALKER = Node("talker")
-TIMEOUT_S = 5.0
+TIMEOUT_S = 30.0
 
 
 class Link(NamedTuple):

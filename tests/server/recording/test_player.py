@@ -46,15 +46,14 @@ async def test_messages_are_published_in_order_and_complete(tmp_path: Path) -> N
     assert (playing.tally.published, playing.tally.unreadable) == (5, 0)
 
 
+@pytest.mark.stepped_time
 async def test_the_rate_is_kept(tmp_path: Path) -> None:
     graph = Graph(REGISTRY)
     playing = player(tmp_path, graph, [text(0), text(1), text(3)], rate=20.0)
     heard = Heard(graph)
     await playing.play()
     offsets_s = [at_s - heard.times_s[0] for at_s in heard.times_s]
-    assert offsets_s[1] >= 0.045
-    # As fast as it was, it would be three seconds.
-    assert 0.145 <= offsets_s[2] < 2.0
+    assert offsets_s == pytest.approx([0.0, 0.05, 0.15])
 
 
 async def test_what_was_latched_is_latched_again(tmp_path: Path) -> None:
@@ -110,5 +109,5 @@ async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
     playing = asyncio.create_task(player(tmp_path, Graph(REGISTRY), [text(0), text(1000)], rate=1.0).play())
     await asyncio.sleep(0.02)
     playing.cancel()
-    await asyncio.wait([playing], timeout=2.0)
+    await asyncio.wait([playing], timeout=30.0)
     assert playing.cancelled()

@@ -11,6 +11,7 @@ import pytest
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
 from server.errors import RecordingError
+from server.recording.player import Player
 from server.recording.replay import Replay, ReplayOptions
 from tests.helpers.client import frame_client
 from tests.helpers.recorded import record, record_killed, text
@@ -26,7 +27,7 @@ def options(tmp_path: Path) -> ReplayOptions:
 
 async def url(caplog: pytest.LogCaptureFixture) -> str:
     """Where the replay is offered, from its log."""
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(30.0):
         while not (found := SERVING.search(caplog.text)):
             await asyncio.sleep(0.01)
     return found[0]
@@ -34,17 +35,32 @@ async def url(caplog: pytest.LogCaptureFixture) -> str:
 
 async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(30.0):
         await Replay(options).run()
     assert "1 topics, 3 messages, 2.0 s" in caplog.text
     assert "replay ended: 3 messages published, 0 could not be read" in caplog.text
 
 
-async def test_a_client_gets_what_was_recorded(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_client_gets_what_was_recorded(
+    options: ReplayOptions, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     caplog.set_level("INFO")
-    playing = asyncio.create_task(Replay(replace(options, delay_s=0.3)).run())
+    # In place of a delay, which a client on a busy machine may miss.
+    subscribed, play = asyncio.Event(), Player.play
+
+    async def play_when_subscribed(player: Player) -> None:
+        await subscribed.wait()
+        await play(player)
+
+    monkeypatch.setattr(Player, "play", play_when_subscribed)
+    replay = Replay(options)
+    playing = asyncio.create_task(replay.run())
     async with frame_client(await url(caplog)) as client:
         await client.subscribe("/t", "std_msgs/String")
+        async with asyncio.timeout(30.0):
+            while not replay._graph.subscribers("/t"):
+                await asyncio.sleep(0.005)
+        subscribed.set()
         heard = await client.wait_for("/t", lambda messages: len(messages) >= 3)
     await playing
     assert [message["data"] for message in heard] == ["0", "1", "2"]
@@ -59,7 +75,7 @@ async def test_a_loop_begins_again_until_a_signal_ends_it(
         await client.subscribe("/t", "std_msgs/String")
         await client.wait_for("/t", lambda messages: [each["data"] for each in messages].count("2") >= 2)
         signal.raise_signal(signal.SIGTERM)
-        await asyncio.wait_for(playing, 3.0)
+        await asyncio.wait_for(playing, 30.0)
     assert "replay ended" in caplog.text
 
 

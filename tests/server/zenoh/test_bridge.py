@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ async def test_servers_find_each_other_in_whichever_order_they_start() -> None:
     async with Site(to=(port,), subscribe=("/arm1/*",)) as viewer:
         async with Site(port, namespace="/arm1", publish=("/news",)) as site:
             site.graph.advertise(site.part, "/news", STRING)
-            await until(lambda: viewer.graph.topic_type("/arm1/news") == STRING, timeout_s=10.0)
+            await until(lambda: viewer.graph.topic_type("/arm1/news") == STRING)
         await until(lambda: not viewer.graph.publishers("/arm1/news"))
 
 
@@ -35,7 +34,7 @@ async def test_other_domains_are_neither_seen_nor_heard() -> None:
             assert machine.tokens == set()
 
 
-async def test_the_network_is_left_at_once_with_all_that_was_shared() -> None:
+async def test_the_network_is_left_at_once_with_all_that_was_shared(caplog: pytest.LogCaptureFixture) -> None:
     port = free_port()
     with_machine = Site(port, publish=("/news",), subscribe=("/chat",), offer=("/arm/*",))
     async with with_machine as site:
@@ -43,11 +42,10 @@ async def test_the_network_is_left_at_once_with_all_that_was_shared() -> None:
         with RosMachine(port) as machine:
             machine.announce_topic("/chat", STRING)
             await until(lambda: machine.has_token("/MS/") and machine.has_token("/MP/%/%/armbridge"))
-            before_s = time.monotonic()
             await site.bridge.close()
-            assert time.monotonic() - before_s < 0.5
             await until(lambda: not machine.has_token("armbridge"))
     assert site.graph.publishers("/chat") == site.graph.subscribers("/news") == []
+    assert "the network was not left in time" not in caplog.text
 
 
 def with_certificate(authority: Pair, folder: Path) -> Path:

@@ -5,6 +5,7 @@ import threading
 
 from server.zenoh import inbox
 from server.zenoh.inbox import Inbox
+from tests.helpers.zenoh_network import until
 
 
 async def test_items_of_other_threads_come_to_the_loop_in_order() -> None:
@@ -12,9 +13,7 @@ async def test_items_of_other_threads_come_to_the_loop_in_order() -> None:
     box = Inbox[int](asyncio.get_running_loop(), taken.append)
     thread = threading.Thread(target=lambda: [box.put(number, 1) for number in range(100)])
     thread.start()
-    async with asyncio.timeout(5.0):
-        while len(taken) < 100:
-            await asyncio.sleep(0.001)
+    await until(lambda: len(taken) == 100)
     thread.join()
     assert taken == list(range(100))
     assert box.dropped == 0
@@ -25,7 +24,7 @@ async def test_of_too_many_items_the_newest_are_kept() -> None:
     box = Inbox[int](asyncio.get_running_loop(), taken.append)
     for number in range(inbox.MAX_WAITING + 5):
         box.put(number, 1)
-    await asyncio.sleep(0.05)
+    await until(lambda: len(taken) >= inbox.MAX_WAITING)
     assert taken == list(range(5, inbox.MAX_WAITING + 5))
     assert box.dropped == 5
 
@@ -35,7 +34,7 @@ async def test_of_too_large_items_the_newest_are_kept() -> None:
     box = Inbox[int](asyncio.get_running_loop(), taken.append)
     for number in range(3):
         box.put(number, inbox.MAX_WAITING_BYTES // 2)
-    await asyncio.sleep(0.01)
+    await until(lambda: len(taken) >= 2)
     assert taken == [1, 2]
 
 

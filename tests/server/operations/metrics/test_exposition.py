@@ -25,7 +25,7 @@ from tests.helpers.watched_parts import (
     arm_state,
 )
 
-# A scrape holds the event loop up for so long at most, on a quiet machine [s].
+# A scrape holds the event loop up for so long at most [s of processor time].
 SCRAPE_S = 0.005
 
 
@@ -111,7 +111,7 @@ def test_a_scrape_takes_little_of_the_event_loops_time(parts: Parts) -> None:
     exposition.expose("")
     took_s = []
     for _ in range(5):
-        began_s = time.perf_counter()
+        began_s = time.thread_time()
         exposition.expose("")
-        took_s.append(time.perf_counter() - began_s)
+        took_s.append(time.thread_time() - began_s)
     assert min(took_s) < SCRAPE_S

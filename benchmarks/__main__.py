@@ -8,6 +8,7 @@ import platform
 from collections.abc import Callable
 
 from benchmarks import (
+    busy_machine,
     event_loop,
     floods,
     gateway,
@@ -36,6 +37,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "planner_processes": planner_processes.run,
     "planning_scenes": planning_scenes.run,
     "planning_cluster": planning_cluster.run,
+    "busy_machine": busy_machine.run,
     "servo_loop": servo_loop.run,
     "servo_stream": servo_stream.run,
     "joint_states": joint_states.run,

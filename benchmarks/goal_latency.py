@@ -22,7 +22,7 @@ GOAL_ADDRESS = 41
 
 
 def run() -> None:
-    """Send short joint goals, and look up in the emulator's log when the first of their writes came."""
+    """Send short joint goals, and look up in the servos' log when the first of their writes came."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "writes.jsonl"
         with RunningServer(settings={**SETTINGS, "ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
@@ -57,7 +57,7 @@ def _first_change_s(writes: list[dict[str, Any]], after_s: float) -> float:
     held = None
     for entry in writes:
         goal = entry["data"][PAN_SERVO][1:3]
-        if entry["t"] > after_s and held is not None and goal != held:
-            return float(entry["t"])
+        if entry["machine_t"] > after_s and held is not None and goal != held:
+            return float(entry["machine_t"])
         held = goal
     raise AssertionError("a goal moved nothing")

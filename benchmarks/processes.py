@@ -15,7 +15,7 @@ REST_S = 10.0
 # The planner workers load their libraries behind the start.
 WARM_UP_S = 3.0
 
-NAMES = {"robot.control.loop": "arm", "robot.emulator": "emulator", "planners.worker": "planner"}
+NAMES = {"robot.control.loop": "arm", "planners.worker": "planner"}
 
 
 def run() -> None:

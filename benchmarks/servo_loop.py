@@ -29,6 +29,7 @@ from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
+from robot.hardware.config import FeetechConfig
 from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
 from robot.trapezoid import rest_to_rest
@@ -79,7 +80,7 @@ class Rig:
 
     async def start(self) -> None:
         """Start the arm process and wait until it holds."""
-        config = ArmConfig(ROBOT, CALIBRATION, self.emulator.port)
+        config = ArmConfig(ROBOT, FeetechConfig(CALIBRATION, self.emulator.port))
         self.arm = Arm(config, self.states.append, self.healths.append)
         await self.arm.start(START_TIMEOUT_S)
         if self.arm.state.mode is not Mode.HOLDING:

@@ -28,6 +28,7 @@ from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
 from robot.control.velocity_tracking import TIME_TO_FULL_ACCELERATION_S
+from robot.hardware.config import FeetechConfig
 from robot.limits import JointBounds, within_calibration
 from robot.messages import ArmConfig, Commanded
 from tests.helpers.arm_server import ArmClient, arm_client
@@ -162,7 +163,7 @@ async def _plan_for_ever(pool: PlannerPool) -> None:
 async def _wild() -> list[list[str]]:
     """Setpoints at random, and what the servo loop makes of them at every tick."""
     with _emulator() as (emulator, _):
-        arm = Arm(ArmConfig(ROBOT, CALIBRATION, emulator.port), lambda _state: None)
+        arm = Arm(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, emulator.port)), lambda _state: None)
         await arm.start(START_TIMEOUT_S)
         told = await _steered_wildly(arm)
         await arm.close()

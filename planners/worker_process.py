@@ -39,7 +39,7 @@ from planners.run_delay import Deadline, read_run_delay_s
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.model import RobotModel
-from robot.processes import Child
+from robot.processes import Child, StartedChild
 
 log = logging.getLogger("armbridge.planners")
 
@@ -104,7 +104,7 @@ class WorkerProcess:
         self._load = LoadRobot(robot, memory_limit_bytes)
         self._on_loaded = on_loaded
         self._on_exit = on_exit
-        self._child = Child(WORKER_MODULE, self._received, self._exited, niceness=NICENESS)
+        self._child = Child(StartedChild(WORKER_MODULE), self._received, self._exited, niceness=NICENESS)
         self._ending = False
         self._number = 0
         self.loaded = False

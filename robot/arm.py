@@ -1,4 +1,8 @@
-"""The arm, as the server sees it: a handle on the arm process."""
+"""The arm, as the server sees it: a handle on the arm process.
+
+Time limits of motions and orders are counted on the arm's own clock, as its states tell it. A simulated arm that a busy
+machine slows down so has all its time; a process that says nothing is ended after :data:`SILENT_S`.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import contextlib
 import itertools
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -31,6 +35,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
+from robot.processes import StartedChild
 from robot.trajectory import Trajectory
 
 log = logging.getLogger("armbridge.arm")
@@ -46,9 +51,13 @@ CLOSE_TIMEOUT_S = 5.5
 # A fifth of the shortest silence that the arm process takes for the server's death.
 HEARTBEAT_S = 0.1
 
-# States come once a second at least; a process that says nothing for 5 s hangs. Counted in heartbeats, for a server
-# that was stopped itself must not blame its child.
-SILENT_HEARTBEATS = 50
+# States come once a second at least; a process that says nothing for so long hangs, however busy the machine is.
+# Counted in heartbeats, for a server that was stopped itself must not blame its child.
+SILENT_S = 5.0
+SILENT_HEARTBEATS = round(SILENT_S / HEARTBEAT_S)
+
+# A real arm whose states are this old is stuck; a simulated one may be starved, and is waited for.
+STATE_MAX_AGE_S = 1.0
 
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
@@ -67,9 +76,11 @@ class Arm:
         config: the arm.
         on_state: called in the event loop with every state of the arm.
         on_health: called in the event loop with its condition, once a second.
+        started: its process, if it was started ahead.
 
     Attributes:
         state: the latest state.
+        state_max_age_s: age from which on the latest state says nothing of the arm any more [s].
         stops: how often all motion was stopped; a motion that was asked for before must not begin after it.
     """
 
@@ -78,14 +89,16 @@ class Arm:
         config: ArmConfig,
         on_state: Callable[[ArmState], None],
         on_health: Callable[[ArmHealth], None] = lambda _health: None,
+        started: StartedChild | None = None,
     ) -> None:
         self._config = config
         self._on_state = on_state
         self._on_health = on_health
-        self._process = ArmProcess(self._received, self._exited)
+        self._process = ArmProcess(self._received, self._exited, started)
         self._motions: dict[int, asyncio.Future[MotionEnded]] = {}
         self._streams: dict[int, ArmStream] = {}
         self._orders: dict[int, asyncio.Future[CommandDone]] = {}
+        self._bounds: set[asyncio.Task[None]] = set()
         self._held: list[MotionEnded | CommandDone] = []
         self._ids = itertools.count(1)
         self._closing = False
@@ -99,25 +112,26 @@ class Arm:
         self._state_at_s = time.monotonic()
         self.stops = 0
         self._speed_factor = 1.0
-        self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason="the arm process is starting")
+        reason = "the arm process is starting"
+        self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
+        self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
+        # Of an arm process that has ended: where simulated joints go on from.
+        self._last_connected = self.state
 
     async def launch(self) -> None:
         """Start the process, which looks for no arm before :meth:`start`; orders that come until then are kept."""
         self._starting = True
         await self._process.launch()
 
-    async def start(self, timeout_s: float, port: str | None = None) -> None:
+    async def start(self, timeout_s: float) -> None:
         """Have the process take the arm over, and wait for its first state, connected or not.
 
         Args:
             timeout_s: bound of the wait [s].
-            port: of the arm, when it was not known before.
 
         Raises:
             TimeoutError: no state came within ``timeout_s``.
         """
-        if port is not None:
-            self._config = replace(self._config, port=port)
         if not self._process.launched:
             await self.launch()
         self._begun = True
@@ -134,11 +148,6 @@ class Arm:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._first_state.wait(), timeout_s)
 
-    def use_port(self, port: str) -> None:
-        """Have the process look for its arm on another port, as soon as the one in use is lost."""
-        self._config = replace(self._config, port=port)
-        self._process.send(self._config)
-
     @property
     def pid(self) -> int | None:
         """Process id."""
@@ -148,6 +157,27 @@ class Arm:
     def state_age_s(self) -> float:
         """Time since the last state came [s]."""
         return time.monotonic() - self._state_at_s
+
+    @property
+    def clock_s(self) -> float:
+        """Time of the arm's control loop, as its latest state tells it [s]."""
+        return self.state.clock_s
+
+    async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
+        """Wait until all of some futures are done; returns whether they are.
+
+        Args:
+            ends: of motions or orders.
+            timeout_s: bound of the wait on the arm's clock [s]; an arm that says nothing is waited for no longer than
+                :data:`SILENT_S`.
+        """
+        until_s = self.clock_s + timeout_s
+        while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
+            if self.state_age_s > SILENT_S:
+                break
+            # The arm's clock is never faster than this one.
+            await asyncio.wait(pending, timeout=max(until_s - self.clock_s, HEARTBEAT_S))
+        return all(end.done() for end in ends)
 
     def execute(
         self,
@@ -188,9 +218,7 @@ class Arm:
         ends = [stream.ended for stream in self._streams.values()]
         for ended in ends:
             self.stop(ended)
-        if ends:
-            await asyncio.wait(ends, timeout=timeout_s)
-        return all(ended.done() for ended in ends)
+        return await self.wait(ends, timeout_s)
 
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
         """Brake along the path: one motion in progress, or all of them."""
@@ -209,10 +237,7 @@ class Arm:
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion in progress has ended; returns whether they have within ``timeout_s``."""
-        motions = list(self._motions.values())
-        if motions:
-            await asyncio.wait(motions, timeout=timeout_s)
-        return all(motion.done() for motion in motions)
+        return await self.wait(list(self._motions.values()), timeout_s)
 
     def order(self, order: Order) -> asyncio.Future[CommandDone]:
         """Send an order to the arm, before this returns; the future is its one answer, in time."""
@@ -223,11 +248,17 @@ class Arm:
             answered.set_result(CommandDone(number, done=False, message="the arm process is not running"))
             return answered
         self._orders[number] = answered
-        late = CommandDone(number, done=False, message=f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s")
-        timer = loop.call_later(ORDER_TIMEOUT_S, _settle, answered, late)
-        answered.add_done_callback(lambda _: timer.cancel())
         answered.add_done_callback(lambda _: self._orders.pop(number, None))
+        bound = asyncio.create_task(self._bound(number, answered), name="bound of an order to the arm")
+        self._bounds.add(bound)
+        bound.add_done_callback(self._bounds.discard)
         return answered
+
+    async def _bound(self, number: int, answered: asyncio.Future[CommandDone]) -> None:
+        """Answer an order that the process does not answer in time."""
+        if not await self.wait((answered,), ORDER_TIMEOUT_S):
+            message = f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s"
+            _settle(answered, CommandDone(number, done=False, message=message))
 
     async def close(self) -> None:
         """Brake the arm and end the process."""
@@ -246,7 +277,7 @@ class Arm:
             self._process.send(Heartbeat())
             self._silent_heartbeats += self._spoken
             if self._silent_heartbeats > SILENT_HEARTBEATS:
-                log.error("the arm process has said nothing for %g s; ending it", HEARTBEAT_S * SILENT_HEARTBEATS)
+                log.error("the arm process has said nothing for %g s; ending it", SILENT_S)
                 self._silent_heartbeats = 0
                 await self._process.kill()
 
@@ -300,6 +331,8 @@ class Arm:
     def _take_state(self, state: ArmState) -> None:
         self.state = state
         self._state_at_s = time.monotonic()
+        if state.position_rad is not None:
+            self._last_connected = state
         # An arm that is still being checked or switched on is not worth being told of yet.
         if state.mode is not Mode.CONNECTED or state.reason:
             self._first_state.set()
@@ -317,8 +350,9 @@ class Arm:
             return
         log.error("the arm process ended; starting it again")
         reason = "the arm process ended and is starting again"
+        names, fault = self.state.joint_names, self.state.fault
         self._take_state(
-            ArmState(time.time(), Mode.DISCONNECTED, self.state.joint_names, reason=reason, fault=self.state.fault)
+            ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=self.clock_s)
         )
         self._restart = asyncio.create_task(self._start_again(), name="restart arm process")
 
@@ -330,10 +364,18 @@ class Arm:
             return
         # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
         # not be switched on.
-        self._config = replace(self._config, start_enabled=False, fault=self.state.fault)
+        last = self._last_connected
+        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.driven)
+        self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
         await self._process.launch()
         if self._begun:
             self._process.configure(self._config)
+
+
+def _position_rad(state: ArmState) -> dict[str, float]:
+    """Where an arm is, or is told to be, by joint; empty for one that was never read [rad]."""
+    held_rad = state.goal_rad if state.driven else state.position_rad
+    return {} if held_rad is None else dict(zip(state.joint_names, held_rad.tolist(), strict=True))
 
 
 def _settle(waiting: asyncio.Future[Answer] | None, answer: Answer) -> None:

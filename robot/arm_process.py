@@ -6,10 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 from robot.messages import ArmConfig, Command, Shutdown
-from robot.processes import Child
+from robot.processes import Child, StartedChild
 
 # Orders that come before the process knows its arm are kept for it; it takes a fraction of a second.
 MAX_EARLY_ORDERS = 16
+
+
+def start_arm_process() -> StartedChild:
+    """Start a process that can drive an arm; it loads, and waits to be told which."""
+    return StartedChild("robot.control.loop")
 
 
 class ArmProcess:
@@ -18,9 +23,16 @@ class ArmProcess:
     Args:
         on_message: called in the event loop with every message of the process.
         on_exit: called in the event loop when a process is gone.
+        started: the first process, if it was started ahead.
     """
 
-    def __init__(self, on_message: Callable[[Any], None], on_exit: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        on_message: Callable[[Any], None],
+        on_exit: Callable[[], None],
+        started: StartedChild | None = None,
+    ) -> None:
+        self._started = started
         self._on_message = on_message
         self._on_exit = on_exit
         self._child: Child | None = None
@@ -44,7 +56,8 @@ class ArmProcess:
 
     async def launch(self) -> None:
         """Start a process, which does nothing before it is configured."""
-        self._child = Child("robot.control.loop", on_message=self._on_message, on_exit=self._exited)
+        started, self._started = self._started or start_arm_process(), None
+        self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
         await self._child.connect()
 
     def configure(self, config: ArmConfig) -> None:

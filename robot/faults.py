@@ -1,4 +1,4 @@
-"""What can go wrong with the arm while it runs: a code, a sentence and a remedy for each."""
+"""Faults of a running arm: a code, a sentence and a remedy for each."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ class FaultCode(Enum):
 
     BUS_LOST = "bus_lost"
     SERVO_SILENT = "servo_silent"
+    BUS_SILENT = "bus_silent"
     TRACKING_LOST = "tracking_lost"
     STALLED = "stalled"
     OVERLOAD = "overload"
@@ -29,10 +30,14 @@ class FaultCode(Enum):
     PROCESS_LOST = "process_lost"
 
 
-# What a person at the arm should do, one sentence each.
+# Advice to a person at the arm, one sentence each.
 REMEDIES: Mapping[FaultCode, str] = {
     FaultCode.BUS_LOST: "Check the USB cable and the servo adapter's supply; the server reconnects by itself.",
     FaultCode.SERVO_SILENT: "Check the cable to this servo and the one before it, then reset the fault.",
+    FaultCode.BUS_SILENT: (
+        "Check the adapter, its USB cable and the servos' supply, and whether this machine is overloaded, "
+        "then reset the fault."
+    ),
     FaultCode.TRACKING_LOST: "Clear what blocks the arm or lower speed and payload, then reset the fault.",
     FaultCode.STALLED: "Clear what blocks the joint, then reset the fault.",
     FaultCode.OVERLOAD: "Relieve the joint, then reset the fault; if it stays, switch the servos' supply off and on.",
@@ -51,26 +56,46 @@ REMEDIES: Mapping[FaultCode, str] = {
 }
 
 
+# The same for a simulated arm, which has no cable, supply or gear; faults of its servos come from live commands.
+SIMULATED_REMEDIES: Mapping[FaultCode, str] = {
+    FaultCode.BUS_LOST: "The emulated adapter is unplugged; the server reconnects as soon as it is plugged in again.",
+    FaultCode.SERVO_SILENT: "The emulated servo is offline: bring it online, then reset the fault.",
+    FaultCode.BUS_SILENT: "The emulated bus is frozen or its servos are offline: undo that, then reset the fault.",
+    FaultCode.OVERLOAD: "Relieve the joint, then reset the fault; if it stays, power-cycle the emulated servo.",
+    FaultCode.OVERCURRENT: "Relieve the joint, then reset the fault.",
+    FaultCode.VOLTAGE_LOW: "Raise the emulated supply, then reset the fault.",
+    FaultCode.VOLTAGE_HIGH: "Lower the emulated supply, then reset the fault.",
+    FaultCode.ENCODER_ERROR: "Take the forced complaint back, then reset the fault.",
+    FaultCode.POSITION_JUMP: "The emulated joint was made to jump; reset the fault.",
+    FaultCode.TORQUE_LOST: "Torque was switched off from outside; reset the fault.",
+    FaultCode.SERVO_REBOOTED: "The emulated servo was power-cycled; reset the fault.",
+    FaultCode.EMERGENCY_STOP_UNVERIFIED: "Some emulated servos do not answer: bring them online, then reset the fault.",
+}
+
+
 @dataclass(frozen=True)
 class Fault:
     """One fault, latched until somebody resets it.
 
     Attributes:
-        code: what kind.
+        code: its kind.
         message: one sentence with joint and figures.
         joint: the joint it is about, empty for the whole arm.
         stamp_s: wall-clock time at which it was found [s since the epoch].
+        simulated: whether the arm is a simulated one, which needs other advice.
     """
 
     code: FaultCode
     message: str
     joint: str = ""
     stamp_s: float = 0.0
+    simulated: bool = False
 
     @property
     def remedy(self) -> str:
-        """What to do about it, one sentence."""
-        return REMEDIES[self.code]
+        """Advice on it, one sentence."""
+        remedy = REMEDIES[self.code]
+        return SIMULATED_REMEDIES.get(self.code, remedy) if self.simulated else remedy
 
     def __str__(self) -> str:
         return f"{self.message}. {self.remedy}"

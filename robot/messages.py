@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from robot.calibration import Calibration
 from robot.faults import Fault
 from robot.guard_limits import GuardLimits
+from robot.hardware.config import HardwareConfig
+from robot.hardware.interface import BusCounters
 from robot.model import RobotModel
-from robot.servos.counters import BusCounters
 from robot.trajectory import Trajectory, Vector
 
 
@@ -73,11 +73,10 @@ class ArmConfig:
 
     Attributes:
         robot: joints and their soft limits.
-        calibration: servos of the joints, and how their ticks are radians.
-        port: serial device, ``socket://host:port`` or ``auto``.
+        hardware: the arm's actuators, real or simulated.
         state_rate_hz: how often states go to the server [Hz].
         start_enabled: whether the arm is made to hold as soon as it is connected; else it stays relaxed.
-        watchdog_s: silence of the server after which the arm is stopped [s].
+        watchdog_s: silence of the server after which the arm is stopped [s]; a simulated arm waits longer.
         on_server_lost: what becomes of the arm then, and when the server's process is gone.
         on_exit: what becomes of the arm when the server ends in good order.
         on_emergency_stop: what an emergency stop does.
@@ -89,8 +88,7 @@ class ArmConfig:
     """
 
     robot: RobotModel
-    calibration: Calibration
-    port: str
+    hardware: HardwareConfig
     state_rate_hz: float = 50.0
     start_enabled: bool = True
     watchdog_s: float = 0.5
@@ -277,6 +275,8 @@ class ArmState(Frequent):
         remaining_s: time left to the end of the motion [s].
         pace: how motions are played.
         lateness_s: by how much the latest ticks started late, one value each [s].
+        clock_s: time of the control loop, which on a simulated arm passes no faster than the loop runs [s].
+        driven: whether the arm is made to hold or move; else torque is off.
     """
 
     stamp_s: float
@@ -295,23 +295,26 @@ class ArmState(Frequent):
     pace: Pace = Pace()
     lateness_s: tuple[float, ...] = field(default=())
     fault: Fault | None = None
+    clock_s: float = 0.0
+    driven: bool = False
 
 
 @dataclass(frozen=True)
-class ServoHealth:
-    """One servo, as ``/diagnostics`` shows it.
+class JointHealth:
+    """One joint's actuator, as ``/diagnostics`` shows it; NaN for what the hardware does not measure.
 
     Attributes:
-        status: ERR byte of its last reply, the bits of register STATUS.
+        hardware_id: its actuator, as ``servo 3``.
+        status: bits of :class:`robot.hardware.interface.StatusFlag`.
         age_s: time since its last good reply [s].
         silent_cycles: cycles in which it did not answer, since the bus was opened.
-        warnings: what to look after, a sentence each.
+        warnings: findings to look after, a sentence each.
     """
 
     joint: str
-    servo_id: int
+    hardware_id: str
     position_rad: float
-    temperature_c: int
+    temperature_c: float
     voltage_v: float
     current_a: float
     load: float
@@ -328,21 +331,26 @@ class ArmHealth:
 
     Attributes:
         stamp_s: wall-clock time [s since the epoch].
-        bus: counters of the bus since it was opened.
+        port: the arm's port; ``simulated`` or ``ideal`` where there is none.
+        joints: one each, in the order of the arm's arrays.
+        bus: counters of the bus since it was opened; None for hardware without one.
         lateness_s: start of the ticks after their deadlines in the last second: p50, p99, greatest [s].
         round_trip_s: time that block reads took in the last second: p50, p99, greatest [s].
         real_time: whether the process has real-time priority.
+        real_time_factor: seconds of the arm's time that passed in one of the machine's; below 1 a simulated arm runs
+            slower because the machine is busy.
         limits_rad: soft limits that are kept, shape (joints, 2) [rad].
     """
 
     stamp_s: float
     mode: Mode
     port: str
-    servos: tuple[ServoHealth, ...]
-    bus: BusCounters
+    joints: tuple[JointHealth, ...]
+    bus: BusCounters | None
     lateness_s: tuple[float, float, float]
     round_trip_s: tuple[float, float, float]
     real_time: bool
+    real_time_factor: float = 1.0
     limits_rad: Vector | None = None
     fault: Fault | None = None
     reason: str = ""

@@ -146,6 +146,9 @@ def parse(
     semantics = _root(srdf, "SRDF")
     limits = _servo_limits()
     joints = {joint.name: joint for joint in (_joint(element, limits) for element in robot.iterfind("joint"))}
+    if not any(joint.movable for joint in joints.values()):
+        *others, last = MOVABLE_TYPES
+        raise DescriptionError("URDF", f"has no movable joint: no <joint> has the type {', '.join(others)} or {last}")
     links = _links_from_root(robot, joints)
     return RobotModel(
         name=robot.get("name", "robot"),
@@ -190,7 +193,9 @@ def _attribute(element: ET.Element, name: str, kind: str) -> str:
 
 
 def _number(element: ET.Element, name: str, where: str) -> float:
-    text = _attribute(element, name, where)
+    text = element.get(name)
+    if text is None:
+        raise DescriptionError(where, f"has no attribute {name!r}")
     try:
         value = float(text)
     except ValueError:

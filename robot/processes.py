@@ -32,12 +32,43 @@ CLOSE_TIMEOUT_S = 1.0
 # How often a process that is to end is looked at. No thread waits for it: one that hangs could not be left behind.
 POLL_S = 0.005
 
+# Environment variables by which systemd tells a service where and how often it wants to hear of it (sd_notify(3)).
+OF_SERVICE_MANAGER = frozenset({"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"})
+
+
+class StartedChild:
+    """A child process that loads while nobody talks to it yet; it ends by itself when this process does.
+
+    Args:
+        module: the module whose ``__main__`` is the child.
+
+    Attributes:
+        process: the child.
+        socket: the server's end of its channel.
+        adopted: whether a :class:`Child` talks to it.
+    """
+
+    def __init__(self, module: str) -> None:
+        self.adopted = False
+        self.socket, theirs = socket.socketpair()
+        with theirs:
+            level = str(logging.getLogger().getEffectiveLevel())
+            logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module]
+            self.process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
+
+    def close(self) -> None:
+        """End the child, which waits for its first message, unless it is adopted."""
+        if not self.adopted:
+            self.socket.close()
+            self.process.kill()
+            self.process.wait(KILL_TIMEOUT_S)
+
 
 class Child:
     """The server's end: one running child process.
 
     Args:
-        module: the module whose ``__main__`` is the child.
+        started: the child.
         on_message: called in the event loop with every message of the child.
         on_exit: called once in the event loop when the child is gone.
         niceness: added to the child's scheduling niceness.
@@ -45,7 +76,7 @@ class Child:
 
     def __init__(
         self,
-        module: str,
+        started: StartedChild,
         on_message: Callable[[Any], None],
         on_exit: Callable[[], None],
         *,
@@ -53,12 +84,8 @@ class Child:
     ) -> None:
         self._on_message = on_message
         self._on_exit = on_exit
-        ours, theirs = socket.socketpair()
-        with theirs:
-            level = str(logging.getLogger().getEffectiveLevel())
-            logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module]
-            self._process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
-        self._socket = ours
+        started.adopted = True
+        self._process, self._socket = started.process, started.socket
         if niceness:
             with contextlib.suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, self._process.pid, niceness)
@@ -189,12 +216,14 @@ def start_module(module: str, arguments: list[str], pass_fds: tuple[int, ...]) -
     """Start ``python -P -m MODULE`` in a session of its own, out of reach of the terminal's Ctrl-C.
 
     ``-P`` keeps a folder named like one of ours in the working directory from being imported instead.
-    One BLAS thread: the matrices are tiny, and idle BLAS threads spin on the cores that the servo loop needs.
+    One BLAS thread: the matrices are tiny, and idle BLAS threads spin on the cores that the servo loop needs. A child
+    does not speak to the service manager for the server (sd_notify(3)).
     """
+    environment = {name: value for name, value in os.environ.items() if name not in OF_SERVICE_MANAGER}
     return subprocess.Popen(  # noqa: S603 - our own interpreter and module
         [sys.executable, "-P", "-m", module, *arguments],
         pass_fds=pass_fds,
         stdin=subprocess.DEVNULL,
         start_new_session=True,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        env={**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )

@@ -14,6 +14,7 @@ from planners.pool import PlannerPool
 from protocol.registry import Registry
 from robot.arm import Arm
 from robot.messages import ArmHealth, ArmState, EndState, Mode
+from robot.processes import StartedChild
 from server.access.access import Access
 from server.access.control import Control
 from server.arm_pace import ArmPace
@@ -22,7 +23,6 @@ from server.arm_setup import Description, arm_config, check_parameters
 from server.arm_state import ArmStateTopics
 from server.config import RecordingSettings, Settings
 from server.diagnostics import Diagnostics
-from server.emulated_bus import EmulatedBus
 from server.errors import StartError
 from server.gateway import page
 from server.gateway.entrance.entrance import Entrance
@@ -52,14 +52,18 @@ STOP_TOTAL_S = 2.6
 RELAXING_S = 2.5
 
 
-def serve(settings: Settings) -> None:
+def serve(settings: Settings, arm_process: StartedChild | None = None) -> None:
     """Run the server until SIGINT or SIGTERM.
+
+    Args:
+        settings: everything that can be chosen.
+        arm_process: the arm's process, if it was started ahead.
 
     Raises:
         ConfigurationError: settings that contradict each other or the robot.
         StartError: a part that cannot start, such as a port in use.
     """
-    uvloop.run(App(settings).run())
+    uvloop.run(App(settings, arm_process).run())
 
 
 class App:
@@ -67,9 +71,10 @@ class App:
 
     Args:
         settings: everything that can be chosen.
+        arm_process: the arm's process, if it was started ahead.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, arm_process: StartedChild | None = None) -> None:
         self._settings = settings
         description = Description.read(settings.arm)
         check_parameters(settings.moveit, description.robot)
@@ -107,14 +112,8 @@ class App:
         planning = settings.planning
         self._pool = PlannerPool(description.robot, planning.active_here, planning.memory_limit_bytes)
         self._cluster = planning_cluster(planning, description.robot, self._pool)
-        self._emulated_bus = (
-            EmulatedBus(settings.emulator, description.calibration_file, self._use_port)
-            if settings.arm.serial is None
-            else None
-        )
         self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
-        # Its port is known when it is started.
-        self._arm = Arm(arm_config(settings.arm, description, ""), self._on_state, self._on_health)
+        self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
 
     async def run(self) -> None:
         """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
@@ -150,8 +149,6 @@ class App:
         await self._listener.bind()
         # Interpreters start and load while the server opens its parts. Clients are answered from then on, and what they
         # want to be moved waits for the arm.
-        if self._emulated_bus is not None:
-            await self._emulated_bus.launch()
         await self._arm.launch()
         self._open_parts()
         self._show_parts()
@@ -162,9 +159,8 @@ class App:
         # What lives as long as the server need not be looked at by every collection. Nothing moves yet that could wait.
         gc.collect()
         gc.freeze()
-        port = self._settings.arm.serial if self._emulated_bus is None else await self._emulated_bus.start()
         try:
-            await self._arm.start(ARM_START_TIMEOUT_S, port)
+            await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
         if self._cluster is not None:
@@ -186,10 +182,7 @@ class App:
         parts.traffic, parts.arm, parts.planners = self._listener.traffic, self._arm, self._pool
         parts.refused_connections = self._listener.refused_connections
         parts.goal_tally, parts.queue = self._face.goal_tally, self._face.queue
-        parts.recorder, parts.emulator, parts.zenoh = self._recorder, self._emulated_bus, self._bridge
-
-    def _use_port(self, port: str) -> None:
-        self._arm.use_port(port)
+        parts.recorder, parts.zenoh = self._recorder, self._bridge
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
@@ -213,7 +206,6 @@ class App:
             Step("the recording", self._close_recorder, 0.8),
             Step("the cluster", self._close_cluster, 0.4),
             Step("planners", self._pool.close, 0.4),
-            Step("the simulated arm", self._close_emulated_bus, 0.4),
         ]
 
     def _stop_total_s(self) -> float:
@@ -239,13 +231,11 @@ class App:
         if self._cluster is not None:
             await self._cluster.close()
 
-    async def _close_emulated_bus(self) -> None:
-        if self._emulated_bus is not None:
-            await self._emulated_bus.close()
-
     def _what_runs_where(self) -> str:
-        arm = self._arm
-        bus = "simulated" if self._emulated_bus is not None else f"on {self._settings.arm.serial}"
+        arm, serial = self._arm, self._settings.arm.serial
+        bus = f"on {serial}" if serial is not None else "simulated"
+        if self._description.calibration is None:
+            bus += " (ideal)"
         if arm.state.mode is Mode.DISCONNECTED:
             bus += f", NOT CONNECTED ({arm.state.reason})"
         elif arm.state.mode is not Mode.HOLDING:

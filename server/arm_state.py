@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from robot.messages import ArmHealth, ArmState, Mode
+from robot.faults import Fault
+from robot.messages import ArmHealth, ArmState, Mode, Pace
 from robot.model import RobotModel
 from server.arm_services import ENABLE, RESET_FAULT
 from server.graph import Graph
@@ -39,7 +40,8 @@ class ArmStateTopics:
         self._graph = graph
         self._robot = robot
         self._node = Node("arm state")
-        self._state: dict[str, Any] | None = None
+        # All of a state that its message tells.
+        self._told: tuple[Mode, str, Fault | None, Pace] | None = None
         self._limits: dict[str, Any] | None = None
 
     def open(self) -> None:
@@ -51,15 +53,15 @@ class ArmStateTopics:
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state when it says something new."""
-        message = status(state, self._robot.name)
-        if message != self._state:
-            self._state = message
-            self._graph.publish(self._node, STATE_TOPIC, message)
+        told = state.mode, state.reason, state.fault, state.pace
+        if told != self._told:
+            self._told = told
+            self._graph.publish(self._node, STATE_TOPIC, status(state, self._robot.name))
 
     def take_health(self, health: ArmHealth) -> None:
         """Publish the limits that the arm process keeps, when they are others."""
         if health.limits_rad is not None:
-            names = [servo.joint for servo in health.servos]
+            names = [joint.joint for joint in health.joints]
             self._publish_limits(
                 {name: (low, high) for name, (low, high) in zip(names, health.limits_rad.tolist(), strict=True)}
             )

@@ -79,14 +79,16 @@ class ArmSettings(_Section):
 
     Attributes:
         serial: serial device, URL or ``auto``; None for the simulated arm.
-        calibration: a lerobot calibration file, or the id under which lerobot keeps one; None for an ideal arm.
+        calibration: a lerobot calibration file, or the id under which lerobot keeps one; None for the nominal one.
         zero_offset_rad: by joint, a trim of its zero [rad].
-        urdf: the robot's URDF; None for the built-in SO-101.
+        urdf: the robot's URDF; None for the built-in SO-101. Without a serial port or a calibration it is an ideal arm,
+            whose joints follow their goals.
         srdf: the SRDF that goes with it.
+        ideal_lag_s: time constant with which the joints of an ideal arm follow their goals [s].
         joint_state_rate_hz: rate of ``/joint_states`` [Hz].
         tf_rate_hz: rate of ``/tf``, at most that of the joint states [Hz].
         start_enabled: make the arm hold as soon as it is connected; else it stays relaxed until it is enabled.
-        watchdog_s: silence of the server after which the arm is stopped [s].
+        watchdog_s: silence of the server after which the arm is stopped; a simulated arm waits for 5 s at least [s].
         on_server_lost: what becomes of the arm after such a silence.
         on_exit: what becomes of the arm when the server ends in good order.
         on_emergency_stop: what an emergency stop does.
@@ -101,6 +103,7 @@ class ArmSettings(_Section):
     zero_offset_rad: dict[str, float] = Field(default_factory=dict)
     urdf: Path | None = None
     srdf: Path | None = None
+    ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
     # What a screen shows at most.
     tf_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
@@ -177,19 +180,21 @@ class RecordingSettings(_Section):
 
 
 class EmulatorSettings(_Section):
-    """The simulated arm.
+    """The emulated servos of a simulated arm.
 
     Attributes:
         drop: probability that a reply is lost.
         corrupt: probability that a reply has a wrong byte.
         seed: of the random faults.
         write_log: file that gets a line of JSON for every write to a servo.
+        control: path of a Unix socket that takes live commands to the servos, as ``armbridge emulate`` does.
     """
 
     drop: float = Field(default=0.0, ge=0.0, le=1.0)
     corrupt: float = Field(default=0.0, ge=0.0, le=1.0)
     seed: int = 0
     write_log: Path | None = None
+    control: Path | None = None
 
 
 class Settings(BaseSettings):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Sequence
 from typing import Any
 
 from protocol.messages import Stamp
-from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm_state import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
 from server.graph import Graph
 from server.node import Node
@@ -20,8 +21,12 @@ LEVEL_STALE = 3
 
 PERIOD_S = 1.0
 
-# Three reports missed: as diagnostic_aggregator, which waits 5 s, but sooner.
+# Three reports missed: as diagnostic_aggregator, which waits 5 s, but sooner. A simulated arm that runs slower reports
+# as much more seldom.
 STALE_AFTER_S = 3.0
+
+# A simulated arm that runs slower than this is seen to be slow.
+SLOW_FACTOR = 0.9
 
 # A servo is asked a hundred times a second.
 SERVO_STALE_AFTER_S = 1.0
@@ -84,20 +89,28 @@ def diagnostic_array(state: ArmState, health: ArmHealth | None, now_s: float, ro
         arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {age_s:.1f} s old"}
     statuses = [arm]
     if health is not None:
-        stale = state.mode is Mode.DISCONNECTED or now_s - health.stamp_s > STALE_AFTER_S
+        stale = state.mode is Mode.DISCONNECTED or (now_s - health.stamp_s) * health.real_time_factor > STALE_AFTER_S
         arm["values"] += key_values(_arm_values(health))
+        if health.real_time_factor < SLOW_FACTOR and arm["level"] == LEVEL_OK:
+            share = f"{health.real_time_factor:.0%} of real time"
+            arm |= {"level": LEVEL_WARN, "message": f"{arm['message']}, at {share}: this machine is busy"}
         faulty = state.fault.joint if state.fault is not None else ""
-        statuses += [_servo_status(servo, stale=stale, faulty=servo.joint == faulty) for servo in health.servos]
+        statuses += [_joint_status(joint, stale=stale, faulty=joint.joint == faulty) for joint in health.joints]
         arm["level"] = max(arm["level"], *(min(each["level"], LEVEL_WARN) for each in statuses))
     return {"header": {"stamp": Stamp.from_seconds(now_s).as_message(), "frame_id": ""}, "status": statuses}
 
 
 def _arm_values(health: ArmHealth) -> dict[str, str]:
-    bus = health.bus
-    return {
+    values = {
         "port": health.port,
         "real_time_priority": str(health.real_time).lower(),
+        "real_time_factor": f"{health.real_time_factor:.2f}",
         "loop_lateness_ms": _percentiles_ms(health.lateness_s),
+    }
+    bus = health.bus
+    if bus is None:
+        return values
+    return values | {
         "bus_round_trip_ms": _percentiles_ms(health.round_trip_s),
         "bus_sent": str(bus.sent),
         "bus_replies": str(bus.replies),
@@ -112,33 +125,37 @@ def _percentiles_ms(values_s: Sequence[float]) -> str:
     return f"p50 {p50:.3f}, p99 {p99:.3f}, max {greatest:.3f}"
 
 
-def _servo_status(servo: ServoHealth, *, stale: bool, faulty: bool) -> dict[str, Any]:
+def _joint_status(joint: JointHealth, *, stale: bool, faulty: bool) -> dict[str, Any]:
     level, message = LEVEL_OK, "no complaints"
     if faulty:
-        level, message = LEVEL_ERROR, "; ".join(("the arm's fault is about this joint", *servo.warnings))
-    elif stale or servo.age_s > SERVO_STALE_AFTER_S:
-        level, message = LEVEL_STALE, "; ".join(servo.warnings) or "the servo is not being read"
-    elif servo.warnings:
-        level, message = LEVEL_WARN, "; ".join(servo.warnings)
+        level, message = LEVEL_ERROR, "; ".join(("the arm's fault is about this joint", *joint.warnings))
+    elif stale or joint.age_s > SERVO_STALE_AFTER_S:
+        level, message = LEVEL_STALE, "; ".join(joint.warnings) or "the servo is not being read"
+    elif joint.warnings:
+        level, message = LEVEL_WARN, "; ".join(joint.warnings)
     return {
         "level": level,
-        "name": f"arm: {servo.joint}",
+        "name": f"arm: {joint.joint}",
         "message": message,
-        "hardware_id": f"servo {servo.servo_id}",
-        "values": key_values(_servo_values(servo)),
+        "hardware_id": joint.hardware_id,
+        "values": key_values(_joint_values(joint)),
     }
 
 
-def _servo_values(servo: ServoHealth) -> dict[str, str]:
-    torque = {None: "unknown", True: "on", False: "off"}[servo.torque_enabled]
+def _joint_values(joint: JointHealth) -> dict[str, str]:
+    """Values of a joint; those that its hardware does not measure are left out."""
+    torque = {None: "unknown", True: "on", False: "off"}[joint.torque_enabled]
+    measured = {
+        "position_rad": (joint.position_rad, ".4f"),
+        "load": (joint.load, ".3f"),
+        "temperature_c": (joint.temperature_c, ".0f"),
+        "voltage_v": (joint.voltage_v, ".1f"),
+        "current_a": (joint.current_a, ".3f"),
+    }
     return {
-        "position_rad": f"{servo.position_rad:.4f}",
-        "load": f"{servo.load:.3f}",
-        "temperature_c": str(servo.temperature_c),
-        "voltage_v": f"{servo.voltage_v:.1f}",
-        "current_a": f"{servo.current_a:.3f}",
+        **{name: format(value, spec) for name, (value, spec) in measured.items() if not math.isnan(value)},
         "torque": torque,
-        "status_bits": str(servo.status),
-        "age_s": f"{servo.age_s:.3f}",
-        "silent_cycles": str(servo.silent_cycles),
+        "status_bits": str(joint.status),
+        "age_s": f"{joint.age_s:.3f}",
+        "silent_cycles": str(joint.silent_cycles),
     }

@@ -21,16 +21,9 @@ settings.register_profile("ci", settings.get_profile("ci"), max_examples=EXAMPLE
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
 
 
-# Fixtures with processes of the arm, a whole server or a browser, which keep real time, and those that burn a core.
-REAL_TIME_FIXTURES = {
-    "browser",
-    "busy_core",
-    "busy_process",
-    "scripted_peer",
-    "served",
-    "simulated_server",
-    "start_emulator",
-}
+# Fixtures with a browser, or a servo bus on a pseudo terminal, which keep real time, and those that burn a core. Servers on
+# the simulated arm do not: a busy machine only slows it down.
+REAL_TIME_FIXTURES = {"browser", "busy_core", "busy_process", "scripted_peer", "start_terminal"}
 
 
 @pytest.hookimpl(tryfirst=True)

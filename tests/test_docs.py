@@ -34,6 +34,7 @@ FOREIGN = (
     "export RMW_IMPLEMENTATION=",
     "ros2 ",
     "docker ",
+    "socat ",
 )
 
 # The page of the protocol shows what comes as well as what is sent.

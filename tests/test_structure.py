@@ -11,7 +11,7 @@ ROOMS = ("server", "planners", "robot", "protocol")
 WITHOUT_TEST = {
     "robot/messages.py",
     "robot/guard_limits.py",
-    "robot/servos/counters.py",
+    "robot/hardware/interface.py",
     "planners/messages.py",
     "planners/cluster/messages.py",
     "planners/planning_worker.py",

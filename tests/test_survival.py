@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
 import subprocess
 import time
@@ -13,6 +14,7 @@ import psutil
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
+from tests.helpers.arm_server import ServerOnBus, server_on_bus
 from tests.helpers.client import FrameClient, frame_client, goal_is
 from tests.helpers.server import ROOT, RunningServer, free_port, run_command
 
@@ -24,11 +26,22 @@ NEAR = {"name": ["shoulder_pan"], "position": [0.2]}
 # A process that dies is replaced, or a fault told, within so long.
 RECOVERY_S = 2.0
 
+# Longer than any limit that a real arm has, and shorter than what counts as a process's death [s].
+STARVED_S = 3.5
+ARRIVAL_S = 10.0
+
+HALF_WAY_RAD = 0.5
+
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[RunningServer]:
-    with RunningServer(settings={"ARMBRIDGE_ACCESS__CONTROL": "shared"}) as running:
+def on_bus() -> Iterator[ServerOnBus]:
+    with server_on_bus(ACCESS__CONTROL="shared") as running:
         yield running
+
+
+@pytest.fixture
+def server(on_bus: ServerOnBus) -> RunningServer:
+    return on_bus.server
 
 
 @pytest.fixture
@@ -59,28 +72,72 @@ async def told(client: FrameClient, words: str, timeout_s: float) -> None:
     await client.wait_for(STATE, lambda all_: bool(all_) and words in all_[-1]["message"], timeout_s)
 
 
-async def test_a_simulated_arm_that_dies_is_told_replaced_and_can_be_enabled(
-    server: RunningServer, client: FrameClient
+async def test_servos_that_are_gone_are_told_found_again_and_can_be_moved(
+    on_bus: ServerOnBus, client: FrameClient
 ) -> None:
     await moving(client)
-    child_of(server, "robot.emulator").kill()
+    on_bus.emulator.command(plugged=False)
     result = (await client.wait_for(RESULT, bool, RECOVERY_S))[-1]
     assert (result["val"], "lost" in result["message"]) == (-25, True)
-    await told(client, "relaxed; /arm/enable makes it hold", 2 * RECOVERY_S)
-    async with connect(server.url) as other:
-        await other.send(json.dumps({"op": "call_service", "service": "/arm/enable"}))
-        assert json.loads(await asyncio.wait_for(other.recv(), RECOVERY_S))["values"]["success"]
-    await told(client, "the arm holds", RECOVERY_S)
+    await told(client, "the arm is not connected", RECOVERY_S)
+    await asyncio.to_thread(on_bus.emulator.command, plugged=True)
+    await told(client, "the arm holds", 2 * RECOVERY_S)
     await reaches(client)
 
 
-async def test_an_arm_process_that_dies_costs_its_goal_and_comes_back(
+async def test_an_arm_process_that_dies_costs_its_goal_and_comes_back_with_its_joints_where_they_were(
     server: RunningServer, client: FrameClient
 ) -> None:
+    await client.subscribe("/joint_states", "sensor_msgs/JointState")
     await moving(client)
+    await client.wait_for("/joint_states", lambda all_: bool(all_) and all_[-1]["position"][0] > HALF_WAY_RAD)
     child_of(server, "robot.control.loop").kill()
     result = (await client.wait_for(RESULT, bool, RECOVERY_S))[-1]
     assert result["val"] == -25
+    await told(client, "the arm holds", 2 * RECOVERY_S)
+    seen = len(client.messages("/joint_states"))
+    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen))[-1]
+    assert HALF_WAY_RAD < state["position"][0] < FAR["position"][0]
+    await reaches(client)
+
+
+async def test_a_simulated_arm_that_stands_still_for_seconds_reaches_its_goal(
+    server: RunningServer, client: FrameClient
+) -> None:
+    await moving(client)
+    arm = child_of(server, "robot.control.loop")
+    arm.suspend()
+    await asyncio.sleep(STARVED_S)
+    assert client.messages(RESULT) == []
+    arm.resume()
+    result = (await client.wait_for(RESULT, bool, ARRIVAL_S))[-1]
+    assert (result["val"], result["message"]) == (1, "the arm is there")
+    await reaches(client)
+
+
+async def test_a_server_that_stands_still_for_seconds_does_not_cost_its_simulated_arms_goal(
+    server: RunningServer, client: FrameClient
+) -> None:
+    await moving(client)
+    os.kill(server.process.pid, signal.SIGSTOP)
+    await asyncio.sleep(STARVED_S)
+    os.kill(server.process.pid, signal.SIGCONT)
+    result = (await client.wait_for(RESULT, bool, ARRIVAL_S))[-1]
+    assert (result["val"], result["message"]) == (1, "the arm is there")
+    await reaches(client)
+
+
+async def test_a_simulated_arm_that_is_silent_for_more_than_five_seconds_is_replaced_and_its_goal_answered(
+    server: RunningServer, client: FrameClient
+) -> None:
+    await moving(client)
+    arm = child_of(server, "robot.control.loop")
+    arm.suspend()
+    suspended_s = time.monotonic()
+    result = (await client.wait_for(RESULT, bool, 5.0 + RECOVERY_S))[-1]
+    assert result["_at_s"] - suspended_s > 5.0
+    assert (result["val"], "the arm process ended" in result["message"]) == (-25, True)
+    assert await asyncio.to_thread(server.has_logged, "the arm process has said nothing for 5 s; ending it")
     await told(client, "the arm holds", 2 * RECOVERY_S)
     await reaches(client)
 
@@ -93,8 +150,7 @@ async def test_neither_a_hung_arm_nor_hung_planners_nor_a_deaf_client_hold_up_th
             await client.open_goals()
             await moving(client)
             for child in children:
-                if "robot.emulator" not in child.cmdline():
-                    child.suspend()
+                child.suspend()
             code, seconds = await asyncio.to_thread(server.end, signal.SIGTERM)
             assert [result["val"] for result in client.messages(RESULT)] == [-7]
             await client.websocket.wait_closed()

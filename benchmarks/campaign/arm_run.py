@@ -19,6 +19,7 @@ from benchmarks.campaign.scenario import CALIBRATION, MOVING_S, Event, Scenario,
 from benchmarks.campaign.write_log import Entry
 from robot import model
 from robot.arm import Arm
+from robot.hardware.config import FeetechConfig
 from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
 from tests.helpers.trajectories import smooth_move
@@ -199,8 +200,7 @@ async def run_arm(scenario: Scenario, folder: Path) -> Result:
     with campaign_bus(scenario, folder) as bus:
         config = ArmConfig(
             ROBOT,
-            CALIBRATION,
-            bus.port,
+            FeetechConfig(CALIBRATION, bus.port),
             on_exit=scenario.on_exit,
             on_server_lost=scenario.on_server_lost,
             on_emergency_stop=scenario.on_emergency_stop,

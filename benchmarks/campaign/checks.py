@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from benchmarks.campaign.scenario import CALIBRATION
 from benchmarks.campaign.write_log import Entry, pairs
 from robot import model
-from robot.control.driver import MAX_TICK_GAP_S, STEP_MARGIN
+from robot.control.controller import STEP_MARGIN
+from robot.hardware.clock import MAX_TICK_S
 from robot.limits import JointBounds, within_calibration
 from robot.messages import ArmState
 
@@ -61,7 +62,7 @@ def goal_steps(entries: list[Entry]) -> list[str]:
         for servo in _JOINTS:
             if "GOAL_POSITION" not in after.written.get(servo, ()):
                 continue
-            elapsed_s = after.at_s - told_s[servo] + MAX_TICK_GAP_S
+            elapsed_s = after.at_s - told_s[servo] + MAX_TICK_S
             told_s[servo] = after.at_s
             step = abs(after.goal[servo] - before.goal[servo])
             bound = STEP_MARGIN * _SPEED[servo] * min(elapsed_s, DEAF_S) + ROUNDING_TICKS

@@ -1,4 +1,4 @@
-"""What must not go on: looks at every reading, and says which fault it means.
+"""Guards: look at every reading, and say which fault it means.
 
 Independent of everything that commands the arm. Pure: readings and time come in, a fault or none comes out.
 """
@@ -8,21 +8,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot.calibration import RAD_PER_TICK
 from robot.faults import Fault, FaultCode
 from robot.guard_limits import GuardLimits
-from robot.servos.registers import StatusBit, status_names
-from robot.servos.telemetry import FREE_SPEED_RAD_S, JUMP_RAD, Measured
+from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Flags, Measured, StatusFlag, status_names
 from robot.trajectory import Vector
 
-Flags = NDArray[np.bool_]
-
 # A joint that pushes without moving is stalled: far behind its goal, near its torque limit or drawing much current,
-# and all but standing still.
-STALL_ERROR_RAD = 60 * RAD_PER_TICK
-STALL_SPEED_RAD_S = 30 * RAD_PER_TICK
+# and all but standing still (60 ticks of an STS3215, and 30 a second).
+STALL_ERROR_RAD = 0.092
+STALL_SPEED_RAD_S = 0.046
 STALL_LOAD_SHARE = 0.8
 
 # Backlash and droop under load of real arms: a joint no farther from its goal holds there.
@@ -31,18 +26,21 @@ DROOP_RAD = 0.06
 # Ten missed cycles. The servos still follow their last goals meanwhile.
 STALE_AFTER_S = 0.1
 
+# Readings of three cycles are missing: of joints this old at the least, no actuator has answered lately.
+NOBODY_AFTER_S = 0.03
+
 # Longer than the dip of a motor starting.
 LOW_VOLTAGE_TIME_S = 0.2
 VOLTAGE_BIT_TIME_S = 2.0
 
-# What register MAX_VOLTAGE holds in a new 7.4 V servo.
+# Register MAX_VOLTAGE of a new 7.4 V servo.
 DEFAULT_MAX_VOLTAGE_V = 8.0
 
 _STATUS_FAULTS = (
-    (StatusBit.TEMPERATURE, FaultCode.OVERHEATED),
-    (StatusBit.OVERLOAD, FaultCode.OVERLOAD),
-    (StatusBit.CURRENT, FaultCode.OVERCURRENT),
-    (StatusBit.ENCODER, FaultCode.ENCODER_ERROR),
+    (StatusFlag.TEMPERATURE, FaultCode.OVERHEATED),
+    (StatusFlag.OVERLOAD, FaultCode.OVERLOAD),
+    (StatusFlag.CURRENT, FaultCode.OVERCURRENT),
+    (StatusFlag.ENCODER, FaultCode.ENCODER_ERROR),
 )
 
 _SENTENCES = {
@@ -52,6 +50,7 @@ _SENTENCES = {
     FaultCode.ENCODER_ERROR: "joint {name} has a servo that complains of its encoder",
     FaultCode.POSITION_JUMP: "joint {name} seems to have jumped: its encoder or horn has slipped",
     FaultCode.SERVO_SILENT: "joint {name} has a servo that has not answered for {age_s:.2f} s",
+    FaultCode.BUS_SILENT: "no servo has answered for {age_s:.2f} s",
     FaultCode.VOLTAGE_LOW: "joint {name} has {volts:.1f} V; it needs {least_volts:g} V at least",
     FaultCode.VOLTAGE_HIGH: "joint {name} has {volts:.1f} V, above the {most_volts:.1f} V of its servo",
     FaultCode.STALLED: "joint {name} pushes in vain, {error_rad:.2f} rad short of its goal",
@@ -189,9 +188,9 @@ class Guards:
         if not all(abs(at - goal) <= self._near_goal_rad and abs(at - was) <= JUMP_RAD for at, goal, was in positions):
             return False
         return (
-            max(measured.temperature_c.tolist()) < self._temperatures.stop_c
-            and min(measured.voltage_v.tolist()) >= self.limits.min_voltage_v
-            and not any(measured.status.tolist())
+            not any(measured.status.tolist())
+            and not any(degrees >= self._temperatures.stop_c for degrees in measured.temperature_c.tolist())
+            and not any(volts < self.limits.min_voltage_v for volts in measured.voltage_v.tolist())
         )
 
     def _silence(self, goal_rad: Vector, measured: Measured) -> Fault | None:
@@ -219,7 +218,7 @@ class Guards:
         return np.asarray(lasting_s >= self.limits.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
-        low, complaining = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusBit.VOLTAGE != 0
+        low, complaining = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0
         low_s, complaining_s = self._low.lasting(low, now_s), self._complaining.lasting(complaining, now_s)
         return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (complaining_s >= VOLTAGE_BIT_TIME_S))
 
@@ -227,6 +226,8 @@ class Guards:
         """The fault of the flagged joint that is farthest from its goal."""
         errors = [abs(at - goal) for at, goal in zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)]
         joint = max((joint for joint, flag in enumerate(flags.tolist()) if flag), key=errors.__getitem__)
+        if code is FaultCode.SERVO_SILENT and measured.age_s.min() > NOBODY_AFTER_S:
+            code = FaultCode.BUS_SILENT
         volts, most_volts = measured.voltage_v[joint], self._max_voltage_v[joint]
         if code is FaultCode.VOLTAGE_LOW and volts > most_volts:
             code = FaultCode.VOLTAGE_HIGH
@@ -235,12 +236,12 @@ class Guards:
             error_rad=errors[joint],
             temperature_c=measured.temperature_c[joint],
             current_a=measured.current_a[joint],
-            age_s=measured.age_s[joint],
+            age_s=measured.age_s.min() if code is FaultCode.BUS_SILENT else measured.age_s[joint],
             volts=volts,
             most_volts=most_volts,
             least_volts=self.limits.min_voltage_v,
         )
-        return Fault(code, sentence, self._names[joint], measured.stamp_s)
+        return Fault(code, sentence, "" if code is FaultCode.BUS_SILENT else self._names[joint], measured.stamp_s)
 
 
 def _silent(measured: Measured) -> Flags:

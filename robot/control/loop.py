@@ -1,4 +1,4 @@
-"""The arm process: opens the bus, and gives the supervisor its ticks, 100 a second, and the server's messages.
+"""The arm process: opens the hardware, and gives the supervisor its ticks, 100 a second, and the server's messages.
 
 Nothing else runs here, so neither a planner's lock nor a burst of messages can delay a tick. When the server asks
 for the end, or is gone, the arm is brought to its end state and the process ends.
@@ -15,9 +15,9 @@ from robot.control.config_check import checked
 from robot.control.pacing import Pacer, become_punctual
 from robot.control.supervisor import Supervisor
 from robot.errors import RobotError
+from robot.hardware.clock import LoopClock, MachineClock, SimulationClock
+from robot.hardware.opening import hardware_source
 from robot.messages import ArmConfig, Command, Order
-from robot.servos.bus import Bus
-from robot.servos.discovery import resolve_port
 
 # Between attempts to open a port that is not there.
 FIRST_RETRY_S = 0.2
@@ -28,27 +28,30 @@ STEP_ROOM_S = 0.002
 
 
 class ArmLoop:
-    """Owns the port and the channel.
+    """The loop of one arm.
 
     Args:
         channel: the server.
-        config: the arm; the joints of its calibration are the order of every array.
+        config: the arm.
         real_time: whether the process has real-time priority.
+
+    Raises:
+        OSError: the log or the control socket of emulated servos cannot be made.
     """
 
     def __init__(self, channel: Channel, config: ArmConfig, *, real_time: bool) -> None:
         self._channel = channel
-        self._port = config.port
-        self._look_now = False
-        self._supervisor = Supervisor(config, self._send, time.monotonic(), real_time=real_time)
+        self._clock: LoopClock = SimulationClock(time.monotonic()) if config.hardware.simulated else MachineClock()
+        self._source = hardware_source(config, self._clock)
+        self._supervisor = Supervisor(config, self._send, self._clock, real_time=real_time)
 
     def run(self) -> None:
         """Serve until the end; an arm that is not there is tried again and again."""
         retry_s = FIRST_RETRY_S
-        while not self._finished():
+        while not self._supervisor.finished():
             try:
-                with contextlib.closing(Bus.open(resolve_port(self._port))) as bus:
-                    self._supervisor.connect(bus, time.monotonic())
+                with contextlib.closing(self._source.open()) as hardware:
+                    self._supervisor.connect(hardware)
                     retry_s = FIRST_RETRY_S
                     self._drive()
             except RobotError as error:
@@ -57,45 +60,50 @@ class ArmLoop:
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
 
     def _drive(self) -> None:
-        """Run ticks until the end; raises RobotError when the bus is lost."""
+        """Run ticks until the end; raises RobotError when the hardware is lost."""
         pacer = Pacer(time.monotonic())
-        while not self._finished():
-            self._between_ticks(pacer.deadline_s)
+        while not self._supervisor.finished():
+            skipped = self._between_ticks(pacer)
             now_s = time.monotonic()
             pacer.start_tick(now_s)
-            self._supervisor.tick(now_s, pacer, server_gone=self._channel.closed)
+            self._clock.start_tick(now_s)
+            self._supervisor.tick(pacer, ticks=1 + skipped, server_gone=self._channel.closed)
 
-    def _finished(self) -> bool:
-        return self._supervisor.finished(time.monotonic())
+    def _between_ticks(self, pacer: Pacer) -> int:
+        """Take the server's messages, and do what orders ask for, until the tick is due.
 
-    def _between_ticks(self, deadline_s: float) -> None:
-        """Take the server's messages, and do what orders ask for, until the tick is due."""
-        self._obey(self._channel.receive(0.0))
-        while (remaining_s := deadline_s - time.monotonic()) > 0.0:
+        Returns:
+            How many ticks were skipped, since the arm needed none; a message that has it move takes them back.
+        """
+        skipped = self._supervisor.spare_ticks
+        pacer.skip(skipped)
+        if time.monotonic() >= pacer.deadline_s:
+            self._obey(self._channel.receive(0.0))
+        while (remaining_s := pacer.deadline_s - time.monotonic()) > 0.0:
             idle_s = remaining_s
             if remaining_s > STEP_ROOM_S:
-                idle_s = min(remaining_s, self._supervisor.work(time.monotonic()))
+                idle_s = min(remaining_s, self._supervisor.work())
             if self._channel.closed:
                 time.sleep(max(0.0, idle_s))
             else:
                 self._obey(self._channel.receive(idle_s))
+            if skipped and not self._supervisor.spare_ticks:
+                pacer.hurry(skipped, time.monotonic())
+                skipped = 0
+        return skipped
 
     def _obey(self, messages: list[Any]) -> None:
         """Obey emergency stops first, the rest in order."""
         for message in sorted(messages, key=_rank):
-            if isinstance(message, ArmConfig):
-                # When its bus is lost, the arm is to be found elsewhere.
-                self._port, self._look_now = message.port, True
-            self._supervisor.obey(message, time.monotonic())
+            self._supervisor.obey(message)
 
     def _send(self, message: object, droppable: bool) -> None:
         self._channel.send(message, droppable=droppable)
 
     def _wait(self, wait_s: float) -> None:
-        """Answer the server while there is no bus, until it is time to look for one again."""
+        """Answer the server while there is no hardware, until it is time to look for it again."""
         until_s = time.monotonic() + wait_s
-        self._look_now = False
-        while not (self._finished() or self._look_now) and (remaining_s := until_s - time.monotonic()) > 0.0:
+        while not self._supervisor.finished() and (remaining_s := until_s - time.monotonic()) > 0.0:
             if self._channel.closed:
                 self._supervisor.lose_server()
             else:

@@ -1,54 +1,45 @@
-"""What each order does to the arm, as a sequence of steps that ends with a sentence or a RobotError."""
+"""Orders to the arm, each a sequence of steps that ends with a sentence or a RobotError."""
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from robot.control import torque
-from robot.control.arm_on_bus import ArmOnBus
-from robot.control.driver import Driver
+from robot.control.controller import ArmController
+from robot.control.cycle import ControlCycle
 from robot.control.guards import STALE_AFTER_S, Guards, Temperatures
-from robot.control.startup import ServoFound, read_control, survey
-from robot.control.steps import Steps
-from robot.control.torque import TickLimits
-from robot.control.upkeep import Upkeep
 from robot.errors import NoReply, OrderRefused, StartupError
 from robot.faults import Fault, FaultCode
-from robot.limits import JointBounds
+from robot.hardware.interface import Measured, StatusFlag, Survey, status_names
+from robot.hardware.steps import Steps
 from robot.messages import ArmConfig, EmergencyPolicy, MotionEnded
-from robot.servos.registers import StatusBit, status_names
 
 # Between two looks at what ticks bring along: readings, and the end of motions that brake.
 LOOK_AGAIN_S = 0.01
 LOOKS = 200
 
-# A fault cannot be reset while a servo complains of one of these; of its supply it may, which has a fault of its own.
-GRAVE_STATUS = StatusBit.TEMPERATURE | StatusBit.OVERLOAD | StatusBit.CURRENT | StatusBit.ENCODER
+# A fault cannot be reset while an actuator complains of one of these; of its supply it may, which has a fault of its
+# own.
+GRAVE_STATUS = StatusFlag.TEMPERATURE | StatusFlag.OVERLOAD | StatusFlag.CURRENT | StatusFlag.ENCODER
 
 Report = Callable[[list[MotionEnded]], None]
 
 
 class Orders:
-    """The orders to one arm on one bus.
+    """The orders to one arm on open hardware.
 
     Args:
         arm: the arm.
         config: how it is to behave.
-        bounds: soft limits before the servos' own are known.
-        fault: one that was latched before this bus was opened.
+        fault: one that was latched before this hardware was opened.
         report: takes the motions that an order ends.
     """
 
-    def __init__(
-        self, arm: ArmOnBus, config: ArmConfig, bounds: JointBounds, fault: Fault | None, report: Report
-    ) -> None:
+    def __init__(self, arm: ControlCycle, config: ArmConfig, fault: Fault | None, report: Report) -> None:
         self._arm = arm
         self._config = config
-        self._bounds = bounds
         self._early_fault = fault
         self._report = report
         self._temperatures = Temperatures(
@@ -58,84 +49,72 @@ class Orders:
     @property
     def fault(self) -> Fault | None:
         """The latched fault."""
-        return self._early_fault if self._arm.driver is None else self._arm.driver.fault
+        return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
     def connect(self, *, may_enable: bool) -> Steps[str]:
-        """Find the servos, adopt those that hold, and switch the arm on if it may be.
+        """Find the actuators, adopt those that hold, and switch the arm on if it may be.
 
         Args:
             may_enable: whether an arm that is relaxed may be made to hold.
         """
-        arm, servos = self._arm, self._arm.servos
-        found = yield from survey(arm.bus, servos)
-        yield from self._await_readings()
-        driver = self._begin(found)
-        holding = [servo for servo in servos.ids if found[servo].control.torque_on]
-        wanted = list(servos.ids) if may_enable else holding
+        hardware = self._arm.hardware
+        found = yield from hardware.survey()
+        measured = yield from self._first_readings()
+        controller = self._begin(found)
+        joints = range(len(hardware.joint_names))
+        holding = [joint for joint in joints if found.driven[joint]]
+        wanted = list(joints) if may_enable else holding
         if not wanted:
             return "the arm is relaxed"
         try:
             yield from self._enable(wanted)
         except (StartupError, NoReply) as error:
-            self._refuse_start(driver, found, holding, str(error))
+            if holding:
+                self._arm.hold(np.where(found.driven, found.goal_rad, measured.position_rad))
+            if controller.fault is None:
+                self._latch(FaultCode.STARTUP_REFUSED, str(error))
             raise
-        if len(wanted) < len(servos.ids):
-            limp = ", ".join(servos.label(servo) for servo in servos.ids if servo not in wanted)
+        if len(wanted) < len(joints):
+            limp = ", ".join(hardware.label(joint) for joint in joints if joint not in wanted)
             self._latch(FaultCode.TORQUE_LOST, f"the arm was found holding, but relaxed at {limp}")
         return "the arm was holding" if wanted == holding else "the arm holds"
 
-    def _await_readings(self) -> Steps[None]:
+    def _first_readings(self) -> Steps[Measured]:
         for _ in range(LOOKS):
-            if self._arm.watch.complete:
-                return
+            if self._arm.measured is not None:
+                return self._arm.measured
             yield LOOK_AGAIN_S
         raise StartupError("not every servo can be read")
 
-    def _begin(self, found: dict[int, ServoFound]) -> Driver:
-        servos = self._arm.servos
-        own_limits = {servo: each.angle_limits_ticks for servo, each in found.items()}
-        bounds = self._bounds.within_servos(self._config.calibration, own_limits)
-        max_voltage_v = np.array([found[i].max_voltage_v for i in servos.ids])
-        guards = Guards(servos.names, self._temperatures, max_voltage_v, self._config.guard_limits)
-        full_torque = servos.full_torque / 1000.0
-        driver = Driver(servos.names, bounds, guards, full_torque, self._temperatures, self._early_fault)
-        self._arm.begin(driver, Upkeep(servos, found), TickLimits(servos.ticks_range(bounds), own_limits))
-        return driver
+    def _begin(self, found: Survey) -> ArmController:
+        hardware, config = self._arm.hardware, self._config
+        guards = Guards(hardware.joint_names, self._temperatures, found.max_voltage_v, config.guard_limits)
+        controller = ArmController(
+            hardware.joint_names,
+            found.bounds,
+            guards,
+            hardware.full_torque,
+            self._temperatures,
+            self._early_fault,
+            simulated=config.hardware.simulated,
+        )
+        self._arm.controller = controller
+        return controller
 
-    def _refuse_start(self, driver: Driver, found: dict[int, ServoFound], holding: list[int], reason: str) -> None:
-        watch = self._arm.watch
-        if holding:
-            self._arm.hold(
-                {
-                    servo: each.control.goal_ticks if each.control.torque_on else watch.reading(servo).position_ticks
-                    for servo, each in found.items()
-                }
-            )
-        if driver.fault is None:
-            self._latch(FaultCode.STARTUP_REFUSED, reason)
-
-    def _enable(self, ids: Sequence[int]) -> Steps[None]:
-        """Bring servos to hold."""
-        arm = self._arm
-        with self._telling():
-            arm.hold((yield from torque.enable(arm.bus, arm.servos, arm.limits, ids)))
-
-    @contextlib.contextmanager
-    def _telling(self) -> Iterator[None]:
-        """Tell servos goals from here, while no tick tells them those that they had before."""
-        self._arm.telling = False
-        try:
-            yield
-        finally:
-            self._arm.telling = True
+    def _enable(self, joints: Sequence[int]) -> Steps[None]:
+        """Bring joints to hold."""
+        with self._arm.writing_paused():
+            self._arm.hold((yield from self._arm.hardware.enable(joints)))
 
     def enable(self) -> Steps[str]:
         """Make a relaxed arm hold where it is."""
-        driver = self._ready_driver()
-        if driver.driven:
+        controller = self._controller()
+        if controller.fault is not None:
+            raise OrderRefused(f"the arm has a fault: {controller.fault}")
+        if controller.driven:
             return "the arm is enabled already"
         try:
-            yield from self._enable(self._arm.servos.ids)
+            yield from self._enable(range(len(self._arm.hardware.joint_names)))
         except (StartupError, NoReply) as error:
             self._latch(FaultCode.STARTUP_REFUSED, str(error))
             raise
@@ -143,30 +122,29 @@ class Orders:
 
     def relax(self) -> Steps[str]:
         """Stop, and take torque off so slowly that the arm sinks instead of falling; also in a fault."""
-        driver = self._driver()
-        driver.stop()
+        controller, hardware = self._controller(), self._arm.hardware
+        controller.stop()
         for _ in range(LOOKS):
-            if not driver.moving:
+            if not controller.moving:
                 break
             yield LOOK_AGAIN_S
-        arm = self._arm
-        if driver.driven:
-            driver.release()
-            left = yield from torque.relax(arm.bus, arm.servos, arm.torque_permille(driver))
+        if controller.driven:
+            controller.release()
+            left = yield from hardware.relax(controller.torque_limit)
         else:
-            left = yield from torque.switch_off(arm.bus, list(arm.servos.ids))
+            left = yield from hardware.switch_off()
         self._check_all_off(left, FaultCode.SERVO_SILENT)
         return "the arm is relaxed"
 
     def emergency_stop(self) -> Steps[str]:
-        """Stop at once, by the configured policy; the first step sends the first broadcast."""
-        driver = self._arm.driver
-        if self._config.on_emergency_stop is EmergencyPolicy.HOLD and (driver is None or driver.driven):
+        """Stop at once, by the configured policy; the first step cuts torque."""
+        controller = self._arm.controller
+        if self._config.on_emergency_stop is EmergencyPolicy.HOLD and (controller is None or controller.driven):
             self._latch(FaultCode.EMERGENCY_STOP, "emergency stop: the arm holds where it is")
             return "the arm holds where it is"
-        if driver is not None:
-            driver.release()
-        steps = torque.emergency_stop(self._arm.bus, self._arm.servos)
+        if controller is not None:
+            controller.release()
+        steps = self._arm.hardware.cut_torque()
         first_wait_s = next(steps)
         self._latch(FaultCode.EMERGENCY_STOP, "emergency stop: torque is off")
         yield first_wait_s
@@ -176,84 +154,72 @@ class Orders:
 
     def reset_fault(self) -> Steps[str]:
         """Clear the fault when its cause is gone."""
-        driver = self._driver()
-        fault = driver.fault
+        controller, hardware = self._controller(), self._arm.hardware
+        fault = controller.fault
         if fault is None:
             return "there is no fault"
-        arm, servos = self._arm, self._arm.servos
         self._check_answers()
-        found = {}
-        for servo in servos.ids:
-            found[servo] = yield from read_control(arm.bus, servo)
-        on = [servo for servo, control in found.items() if control.torque_on]
-        yield from self._clear_overloads()
+        driven = yield from hardware.driven()
+        yield from self._clear_overloads(controller)
         yield LOOK_AGAIN_S
         self._check_causes(fault)
-        if driver.driven and on:
-            yield from self._enable(servos.ids)
+        on = [joint for joint, flag in enumerate(driven.tolist()) if flag]
+        if controller.driven and on:
+            yield from self._enable(range(len(hardware.joint_names)))
         else:
-            driver.release()
-            self._check_all_off((yield from torque.switch_off(arm.bus, on)), fault.code)
-        driver.reset()
-        return "the arm holds" if driver.driven else "the arm is relaxed"
+            controller.release()
+            self._check_all_off((yield from hardware.switch_off(on)), fault.code)
+        controller.reset()
+        return "the arm holds" if controller.driven else "the arm is relaxed"
 
-    def _clear_overloads(self) -> Steps[None]:
-        """Try to clear latched overloads: torque off, and on again at the present position."""
-        arm, driver = self._arm, self._driver()
-        overloaded = [servo for servo in arm.servos.ids if arm.watch.status(servo) & StatusBit.OVERLOAD]
-        with self._telling():
-            for servo in overloaded:
-                yield from torque.clear_overload(arm.bus, arm.servos, arm.limits, servo)
-                if not driver.driven:
-                    yield from torque.switch_off(arm.bus, [servo])
-            if overloaded and driver.driven:
-                goals = {}
-                for servo in arm.servos.ids:
-                    goals[servo] = (yield from read_control(arm.bus, servo)).goal_ticks
-                arm.hold(goals)
+    def _clear_overloads(self, controller: ArmController) -> Steps[None]:
+        status = self._readings().status.tolist()
+        overloaded = [joint for joint, word in enumerate(status) if word & StatusFlag.OVERLOAD]
+        if not overloaded:
+            return
+        with self._arm.writing_paused():
+            goal_rad = yield from self._arm.hardware.clear_overloads(overloaded, hold=controller.driven)
+            if goal_rad is not None:
+                self._arm.hold(goal_rad)
 
     def _check_answers(self) -> None:
-        now_s = time.monotonic()
-        for servo in self._arm.servos.ids:
-            if self._arm.watch.age_s(servo, now_s) > STALE_AFTER_S:
-                raise OrderRefused(f"the servo of joint {self._arm.servos.label(servo)} does not answer")
+        for joint, age_s in enumerate(self._readings().age_s.tolist()):
+            if age_s > STALE_AFTER_S:
+                raise OrderRefused(f"the servo of joint {self._arm.hardware.label(joint)} does not answer")
 
     def _check_causes(self, fault: Fault) -> None:
-        """Refuse to reset while a servo is hot or complains."""
-        watch = self._arm.watch
-        for servo in self._arm.servos.ids:
-            label = self._arm.servos.label(servo)
-            status = watch.status(servo) & GRAVE_STATUS
+        """Refuse to reset while an actuator is hot or complains."""
+        measured = self._readings()
+        readings = zip(measured.status.tolist(), measured.temperature_c.tolist(), strict=True)
+        limit_c = self._temperatures.warn_c if fault.code is FaultCode.OVERHEATED else self._temperatures.stop_c
+        for joint, (word, temperature_c) in enumerate(readings):
+            label, status = self._arm.hardware.label(joint), word & GRAVE_STATUS
             if status:
-                remedy = ": switch the servos' supply off and on" if status & StatusBit.OVERLOAD else ""
+                cut = status & StatusFlag.OVERLOAD and not self._config.hardware.simulated
+                remedy = ": switch the servos' supply off and on" if cut else ""
                 raise OrderRefused(f"joint {label} still complains of {', '.join(status_names(status))}{remedy}")
-            hot = fault.code is FaultCode.OVERHEATED
-            limit_c = self._temperatures.warn_c if hot else self._temperatures.stop_c
-            temperature_c = watch.reading(servo).temperature_c
             if temperature_c >= limit_c:
-                raise OrderRefused(f"joint {label} is at {temperature_c} degC; it must be below {limit_c:g} degC")
+                raise OrderRefused(f"joint {label} is at {temperature_c:.0f} degC; it must be below {limit_c:g} degC")
 
-    def _check_all_off(self, left: list[int], code: FaultCode) -> None:
+    def _check_all_off(self, left: Sequence[str], code: FaultCode) -> None:
         if left:
-            names = ", ".join(self._arm.servos.label(servo) for servo in left)
-            message = f"torque off could not be verified at {names}: they may still be driven"
+            message = f"torque off could not be verified at {', '.join(left)}: they may still be driven"
             self._latch(code, message)
             raise OrderRefused(message)
 
     def _latch(self, code: FaultCode, message: str) -> None:
-        fault = Fault(code, message, stamp_s=time.time())
-        if self._arm.driver is None:
+        fault = Fault(code, message, stamp_s=time.time(), simulated=self._config.hardware.simulated)
+        if self._arm.controller is None:
             self._early_fault = fault
         else:
-            self._report(self._arm.driver.latch(fault))
+            self._report(self._arm.controller.latch(fault))
 
-    def _driver(self) -> Driver:
-        if self._arm.driver is None:
+    def _readings(self) -> Measured:
+        if self._arm.measured is None:
             raise OrderRefused("the servos are still being checked")
-        return self._arm.driver
+        return self._arm.measured
 
-    def _ready_driver(self) -> Driver:
-        driver = self._driver()
-        if driver.fault is not None:
-            raise OrderRefused(f"the arm has a fault: {driver.fault}")
-        return driver
+    def _controller(self) -> ArmController:
+        if self._arm.controller is None:
+            raise OrderRefused("the servos are still being checked")
+        return self._arm.controller

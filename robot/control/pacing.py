@@ -44,6 +44,14 @@ class Pacer:
         # The rounding of a tick that starts exactly at the next deadline must not make it due again at once.
         self.deadline_s += PERIOD_S * (1 + max(0, math.floor(late_s / PERIOD_S + ROUNDING)))
 
+    def skip(self, ticks: int) -> None:
+        """Put the next tick off."""
+        self.deadline_s += ticks * PERIOD_S
+
+    def hurry(self, ticks: int, now_s: float) -> None:
+        """Take back what was skipped; a tick that should have been meanwhile is due now, and not late."""
+        self.deadline_s = max(self.deadline_s - ticks * PERIOD_S, now_s)
+
     def latest(self, count: int) -> tuple[float, ...]:
         """Lateness of the latest ticks, one value each [s]."""
         return tuple(self.lateness_s)[-count:]

@@ -1,7 +1,7 @@
-"""Runs one arm: takes the server's messages, runs orders between the ticks, and minds that the server lives.
+"""Supervisor of one arm: takes the server's messages, runs orders between the ticks, and watches that the server lives.
 
 The loop calls :meth:`Supervisor.tick` 100 times a second, :meth:`Supervisor.work` in between, and hands every message
-to :meth:`Supervisor.obey`. Buses come and go; a latched fault and the question whether the arm may be switched on
+to :meth:`Supervisor.obey`. Hardware comes and goes; a latched fault and the question whether the arm may be switched on
 stay.
 """
 
@@ -12,18 +12,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from robot.control import health
-from robot.control.arm_on_bus import ArmOnBus
-from robot.control.driver import RELAXING
+from robot.control.controller import RELAXING
+from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
 from robot.control.pacing import PERIOD_S, Pacer
-from robot.control.steps import Steps
+from robot.control.repeats import Repeats
 from robot.control.watchdog import Watchdog
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
-from robot.limits import JointBounds
+from robot.hardware.clock import LoopClock
+from robot.hardware.interface import HardwareInterface
+from robot.hardware.steps import Steps
 from robot.messages import (
     ArmConfig,
-    ArmHealth,
+    ArmState,
     ChangePace,
     Command,
     CommandDone,
@@ -38,8 +40,6 @@ from robot.messages import (
     Stop,
     Stream,
 )
-from robot.servos.bus import Bus
-from robot.servos.servo_map import ServoMap
 
 log = logging.getLogger("armbridge.arm")
 
@@ -54,7 +54,13 @@ END_TIMEOUT_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 
-# What is in progress, as refusals and logs name it.
+# Half of the ticks of a simulated arm at rest.
+SPARE_TICKS = 1
+
+# A server that is silent for so long hangs, however busy the machine is; a simulated arm can afford to wait.
+SIMULATED_WATCHDOG_S = 5.0
+
+# Names of sequences in progress, in refusals and logs.
 CONNECTING = "checking the servos"
 RELAXING_ARM = "relaxing"
 _NAMES = {
@@ -84,32 +90,32 @@ class Supervisor:
     Args:
         config: the arm.
         send: takes a message for the server, and whether it may be dropped while the server does not read.
-        now_s: monotonic time [s].
+        clock: time of the control loop.
         real_time: whether the process has real-time priority.
 
     Attributes:
-        servos: the arm's servos.
-        arm: the arm on its bus; None while there is no bus.
+        arm: the arm on its open hardware; None while there is none.
     """
 
-    def __init__(self, config: ArmConfig, send: Send, now_s: float, *, real_time: bool) -> None:
+    def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, *, real_time: bool) -> None:
         self._config = config
         self._send = send
+        self._clock = clock
         self._real_time = real_time
-        names = tuple(joint.joint for joint in config.calibration.joints)
-        self._bounds = JointBounds.of(config.robot, names)
-        self.servos = ServoMap(config.calibration, self._bounds, config.guard_limits)
+        self._joint_names = config.hardware.joint_names(config.robot)
         self._ticks_per_state = max(1, round(1.0 / (PERIOD_S * config.state_rate_hz)))
-        self._watchdog = Watchdog(config.watchdog_s, now_s)
-        self.arm: ArmOnBus | None = None
+        patience_s = max(config.watchdog_s, SIMULATED_WATCHDOG_S) if config.hardware.simulated else config.watchdog_s
+        self._watchdog = Watchdog(patience_s, clock())
+        self._silences = Repeats()
+        self.arm: ControlCycle | None = None
         self._orders: Orders | None = None
         self._task: _Task | None = None
         self._fault: Fault | None = config.fault
         self._may_enable = config.start_enabled
         self._reason = ""
         self._retry_s = FIRST_RETRY_S
-        self._check_at_s = now_s
-        self._ticks = 0
+        self._check_at_s = clock()
+        self._state_due, self._health_due = self._ticks_per_state, HEALTH_PERIOD_TICKS
         self._server_lost = False
         self._told_fault: Fault | None = None
         self._end: EndState | None = None
@@ -122,85 +128,107 @@ class Supervisor:
 
     @property
     def mode(self) -> Mode:
-        """What the arm is doing."""
+        """State of the arm's state machine."""
         if self.arm is None:
             return Mode.DISCONNECTED
         if self.fault is not None:
             return Mode.FAULT
-        driver = self.arm.driver
-        if driver is None or self._runs(CONNECTING):
+        controller = self.arm.controller
+        if controller is None or self._runs(CONNECTING):
             return Mode.CONNECTED
-        return Mode.HOLDING if self._runs(RELAXING_ARM) and not driver.moving else driver.mode
+        return Mode.HOLDING if self._runs(RELAXING_ARM) and not controller.moving else controller.mode
 
-    def connect(self, bus: Bus, now_s: float) -> None:
-        """Begin with a bus that was opened."""
-        self.arm = ArmOnBus(bus, self.servos)
-        self._orders = Orders(self.arm, self._config, self._bounds, self._fault, self._report)
-        self._check_at_s = now_s
+    def connect(self, hardware: HardwareInterface) -> None:
+        """Begin with hardware that was opened."""
+        self.arm = ControlCycle(hardware, self._clock)
+        self._orders = Orders(self.arm, self._config, self._fault, self._report)
+        self._check_at_s = self._clock()
         self._retry_s = FIRST_RETRY_S
 
     def disconnect(self, reason: str) -> None:
-        """The bus is gone, or there is none: answer whatever was in progress."""
-        if self.arm is not None and self.arm.driver is not None:
-            lost = Fault(FaultCode.BUS_LOST, reason)
-            self._report(self.arm.driver.abandon(Outcome.BUS_LOST, str(lost)))
+        """Answer whatever was in progress: the hardware is gone, or there is none."""
+        if self.arm is not None and self.arm.controller is not None:
+            lost = Fault(FaultCode.BUS_LOST, reason, simulated=self._config.hardware.simulated)
+            self._report(self.arm.controller.abandon(Outcome.BUS_LOST, str(lost)))
         self._fault = self.fault
         self._interrupt(reason)
         self.arm = self._orders = None
         self._reason = reason
-        self._send(health.disconnected(self.servos, reason, self._fault), True)
+        self._send(health.disconnected(self._joint_names, reason, self._fault, self._clock()), True)
 
-    def obey(self, message: object, now_s: float) -> None:
+    def obey(self, message: object) -> None:
         """Take one message of the server.
 
         Raises:
             PortLost: the port is gone.
         """
-        self._watchdog.hear(now_s)
-        driver = self.arm.driver if self.arm is not None else None
+        self._watchdog.hear(self._clock())
+        controller = self.arm.controller if self.arm is not None else None
         if isinstance(message, Execute | Stream):
             self._move(message)
-        elif isinstance(message, Setpoint) and driver is not None:
-            driver.steer(message)
-        elif isinstance(message, Stop) and driver is not None:
-            driver.stop(message.motion_id)
-        elif isinstance(message, ChangePace) and driver is not None:
-            driver.change_pace(message)
+        elif isinstance(message, Setpoint) and controller is not None:
+            controller.steer(message)
+        elif isinstance(message, Stop) and controller is not None:
+            controller.stop(message.motion_id)
+        elif isinstance(message, ChangePace) and controller is not None:
+            controller.change_pace(message)
         elif isinstance(message, Command):
-            self._command(message, now_s)
+            self._command(message)
         elif isinstance(message, Shutdown):
             self._end = self._config.on_exit
 
-    def tick(self, now_s: float, pacer: Pacer, *, server_gone: bool) -> None:
+    @property
+    def spare_ticks(self) -> int:
+        """Ticks that may be left out now.
+
+        A simulated arm that rests needs no more of them than states are told of, and its machine has other work; a real
+        arm is looked after at every tick.
+        """
+        if not self._config.hardware.simulated or self.arm is None or self.arm.controller is None or self._task:
+            return 0
+        return SPARE_TICKS if self.arm.controller.resting and self._ticks_per_state > SPARE_TICKS else 0
+
+    def tick(self, pacer: Pacer, *, server_gone: bool, ticks: int = 1) -> None:
         """Run one cycle of the arm.
+
+        Args:
+            pacer: of the loop.
+            server_gone: whether the server's process has ended.
+            ticks: periods since the last cycle; more than one where ticks were skipped.
 
         Raises:
             PortLost: the port is gone.
         """
-        arm = self.arm
+        arm, now_s = self.arm, self._clock()
         if arm is None:
             return
         self._report(arm.tick())
-        for each in arm.driver.commanded if arm.driver is not None else ():
+        for each in arm.controller.commanded if arm.controller is not None else ():
             self._send(each, True)
-        self._mind_server(now_s, server_gone=server_gone)
-        self._mind_fault(now_s)
-        if arm.driver is None and self._task is None and now_s >= self._check_at_s and self._orders is not None:
+        self._check_server(now_s, server_gone=server_gone)
+        self._check_fault()
+        if arm.controller is None and self._task is None and now_s >= self._check_at_s and self._orders is not None:
             self._begin(_Task(CONNECTING, self._orders.connect(may_enable=self._may_enable), None, now_s))
-        self._ticks += 1
-        if self._ticks % self._ticks_per_state == 0:
-            lateness_s = pacer.latest(self._ticks_per_state)
-            self._send(health.arm_state(arm, self.mode, self.fault, self._reason, lateness_s), True)
-        if self._ticks % HEALTH_PERIOD_TICKS == 0:
-            self._send(self._health(arm, pacer), True)
+        self._state_due -= ticks
+        self._health_due -= ticks
+        if min(self._state_due, self._health_due) > 0:
+            return
+        state = self._state(arm, pacer)
+        if self._state_due <= 0:
+            self._state_due += self._ticks_per_state
+            self._send(state, True)
+        if self._health_due <= 0:
+            self._health_due += HEALTH_PERIOD_TICKS
+            port = self._config.hardware.port
+            self._send(health.arm_health(arm, state, port, pacer, self._clock, real_time=self._real_time), True)
 
-    def work(self, now_s: float) -> float:
+    def work(self) -> float:
         """Do one step of the sequence in progress; returns how long there is nothing to do [s].
 
         Raises:
             PortError: the port is gone.
         """
-        task = self._task
+        task, now_s = self._task, self._clock()
         if task is None:
             return float("inf")
         if now_s < task.ready_s:
@@ -215,41 +243,42 @@ class Supervisor:
             self._finish(task, str(error), now_s, done=False)
         return 0.0
 
-    def finished(self, now_s: float) -> bool:
-        """Whether the server is done with, and the arm in its end state."""
+    def finished(self) -> bool:
+        """Tell whether the server is done with, and the arm in its end state."""
         if self._end is None:
             return False
-        driver = self.arm.driver if self.arm is not None else None
-        if driver is None:
+        controller, now_s = self.arm.controller if self.arm is not None else None, self._clock()
+        if controller is None:
             self._interrupt("the server is ending")
             return True
         self._end_begun_s = self._end_begun_s or now_s
-        resting = not driver.moving and self._task is None and not (self._end is EndState.RELAX and driver.driven)
+        driven = self._end is EndState.RELAX and controller.driven
+        resting = not controller.moving and self._task is None and not driven
         return resting or now_s - self._end_begun_s > END_TIMEOUT_S
 
     def lose_server(self) -> None:
-        """The server's process is gone: bring the arm to rest, then end."""
+        """Bring the arm to rest, then end: the server's process is gone."""
         if self._end is None:
-            log.warning("the server is gone: stopping")
+            log.warning("the server is gone: %s", self._consequence(self._config.on_server_lost))
             self._end = self._config.on_server_lost
 
     def _move(self, command: Execute | Stream) -> None:
         refused, reason = Outcome.REFUSED, ""
-        driver = self.arm.driver if self.arm is not None else None
+        controller = self.arm.controller if self.arm is not None else None
         if self.arm is None:
             refused, reason = Outcome.BUS_LOST, f"the arm is not connected: {self._reason}"
-        elif driver is None or (self._runs(CONNECTING) and driver.fault is None):
+        elif controller is None or (self._runs(CONNECTING) and controller.fault is None):
             reason = f"the servos are still being checked{self._reason and ': '}{self._reason}"
         elif self._end is not None or self._runs(RELAXING_ARM):
             reason = "the arm is being relaxed" if self._end is None else "the arm process is ending"
         else:
-            ended = driver.execute(command) if isinstance(command, Execute) else driver.stream(command)
+            ended = controller.execute(command) if isinstance(command, Execute) else controller.stream(command)
             self._report([ended] if ended is not None else [])
             return
         self._report([MotionEnded(command.motion_id, refused, reason)])
 
-    def _command(self, command: Command, now_s: float) -> None:
-        orders, order = self._orders, command.order
+    def _command(self, command: Command) -> None:
+        orders, order, now_s = self._orders, command.order, self._clock()
         urgent = order is Order.EMERGENCY_STOP
         if urgent:
             self._may_enable = False
@@ -268,7 +297,7 @@ class Supervisor:
         }[order]()
         self._begin(_Task(_NAMES[order], steps, command.number, now_s, urgent))
         if urgent:
-            self.work(now_s)
+            self.work()
 
     def _begin(self, task: _Task) -> None:
         self._interrupt(f"given up for another order: {task.name}")
@@ -286,7 +315,7 @@ class Supervisor:
         log.log(logging.INFO if done else logging.WARNING, "%s: %s", task.name, sentence)
         if task.name != CONNECTING:
             return
-        if self.arm is not None and self.arm.driver is not None:
+        if self.arm is not None and self.arm.controller is not None:
             self._reason, self._may_enable = "", False
             return
         self._reason = sentence
@@ -304,40 +333,49 @@ class Supervisor:
         for each in ended:
             self._send(each, False)
 
-    def _mind_fault(self, now_s: float) -> None:
+    def _check_fault(self) -> None:
         """Tell of a new fault once, and take torque off where it asks for that."""
         fault = self.fault
         if fault is not self._told_fault:
             self._told_fault = fault
             if fault is not None:
                 log.error("%s", fault)
-        driver = self.arm.driver if self.arm is not None else None
-        if fault is not None and fault.code in RELAXING and driver is not None and driver.driven:
-            self._relax(now_s)
+        controller = self.arm.controller if self.arm is not None else None
+        if fault is not None and fault.code in RELAXING and controller is not None and controller.driven:
+            self._relax()
 
-    def _mind_server(self, now_s: float, *, server_gone: bool) -> None:
+    def _check_server(self, now_s: float, *, server_gone: bool) -> None:
         """Bring the arm to rest, and to its end state, when nobody drives it any more."""
         if server_gone:
             self.lose_server()
-        lost = self._watchdog.barks(now_s)
-        if lost and not self._server_lost:
-            log.warning("nothing heard of the server for %.1f s: stopping", self._watchdog.silence_s(now_s))
+        lost = self._watchdog.expired(now_s)
+        if lost and not self._server_lost and self._silences.due(now_s):
+            silence_s, consequence = self._watchdog.silence_s(now_s), self._consequence(self._config.on_server_lost)
+            log.warning("nothing heard of the server for %.1f s: %s%s", silence_s, consequence, self._silences.note)
         self._server_lost = lost
         end = self._config.on_server_lost if lost and self._end is None else self._end
-        driver = self.arm.driver if self.arm is not None else None
-        if end is None or driver is None:
+        controller = self.arm.controller if self.arm is not None else None
+        if end is None or controller is None:
             return
-        driver.stop()
-        if end is EndState.RELAX and driver.driven:
-            self._relax(now_s)
+        controller.stop()
+        if end is EndState.RELAX and controller.driven:
+            self._relax()
 
-    def _relax(self, now_s: float) -> None:
+    def _consequence(self, end: EndState) -> str:
+        """Say what becomes of the arm when the server is lost."""
+        controller = self.arm.controller if self.arm is not None else None
+        if controller is not None and controller.moving:
+            return "stopping"
+        if end is EndState.RELAX and controller is not None and controller.driven:
+            return "relaxing"
+        return "nothing moves"
+
+    def _relax(self) -> None:
         """Relax the arm without an order, unless that or an emergency stop is in progress."""
         busy = self._task
         if self._orders is not None and (busy is None or not (busy.urgent or busy.name == RELAXING_ARM)):
-            self._begin(_Task(RELAXING_ARM, self._orders.relax(), None, now_s))
+            self._begin(_Task(RELAXING_ARM, self._orders.relax(), None, self._clock()))
 
-    def _health(self, arm: ArmOnBus, pacer: Pacer) -> ArmHealth:
-        return health.arm_health(
-            arm, self.mode, self.fault, self._reason, self._config.port, pacer, real_time=self._real_time
-        )
+    def _state(self, arm: ControlCycle, pacer: Pacer) -> ArmState:
+        lateness_s = pacer.latest(self._ticks_per_state)
+        return health.arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())

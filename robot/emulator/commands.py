@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Protocol
 
-from robot.emulator.adapter import UsbAdapter
 from robot.emulator.faults import PROBABILITIES
 from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus
-from robot.servos.registers import Register, StatusBit
+from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import StatusFlag
 
 MAX_TICKS = 4095
 
@@ -33,12 +34,32 @@ MAX_USB_FRAME_MS = 100
 MAX_HEAT_RATE = 3600
 
 
+class Adapter(Protocol):
+    """The USB adapter, as commands change it.
+
+    Attributes:
+        port: the port's own name.
+        frozen: whether it neither takes nor gives bytes.
+        frame_s: replies are handed on at multiples of this time [s]; 0 hands them on at once.
+    """
+
+    port: str
+    frozen: bool
+    frame_s: float
+
+    def plug_in(self, *, renamed: bool = False) -> None:
+        """Offer the port, under another name if ``renamed``; one that is there already stays."""
+
+    def unplug(self) -> None:
+        """Take the port away."""
+
+
 @dataclass(frozen=True)
 class Emulation:
     """All that commands can change."""
 
     bus: ServoBus
-    adapter: UsbAdapter
+    adapter: Adapter
 
 
 @dataclass(frozen=True)
@@ -161,7 +182,7 @@ def _voltage(servo: Servo, voltage_v: float) -> None:
 
 
 def _status(servo: Servo, status: float) -> None:
-    servo.protection.forced = StatusBit(int(status))
+    servo.protection.forced = StatusFlag(int(status))
 
 
 VALUES: Mapping[str, Value] = MappingProxyType(

@@ -53,8 +53,9 @@ from robot.emulator.commands import (
     Value,
 )
 from robot.emulator.servo import Servo
+from robot.emulator.servo_bus import ServoBus
 
-Change = Callable[[], None]
+Change = Callable[[Emulation], None]
 
 PLUGGED_RENAMED = "renamed"
 
@@ -62,73 +63,85 @@ PLUGGED_RENAMED = "renamed"
 def answer(line: bytes, emulation: Emulation) -> bytes:
     """Carry out one line of commands and return the line that answers it."""
     try:
-        command = _object(line)
-        changes = [_change(name, value, emulation) for name, value in command.items()]
+        command = json_object(line)
+        changes = check(command, emulation.bus)
     except ValueError as error:
         return _line({"error": str(error)})
     for change in changes:
-        change()
+        change(emulation)
     emulation.bus.record_command(command)
     return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in command else {"ok": True})
+
+
+def check(command: Mapping[str, object], bus: ServoBus) -> list[Change]:
+    """Check a command and return the changes that carry it out; nothing is changed yet.
+
+    Raises:
+        ValueError: there is no such command, or not with this value.
+    """
+    return [_change(name, value, bus) for name, value in command.items()]
+
+
+def json_object(line: bytes) -> dict[str, object]:
+    """Parse a line of JSON.
+
+    Raises:
+        ValueError: it is no JSON, or no object.
+    """
+    try:
+        command = json.loads(line)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"no JSON at column {error.colno}: {error.msg}") from error
+    if not isinstance(command, dict):
+        raise ValueError(f"a command is a JSON object, not {command!r}")  # noqa: TRY004 - refused input like the rest
+    return command
 
 
 def _line(reply: Mapping[str, object]) -> bytes:
     return json.dumps(reply).encode() + b"\n"
 
 
-def _object(line: bytes) -> dict[str, object]:
-    command = json.loads(line)
-    if not isinstance(command, dict):
-        raise ValueError(f"a command is a JSON object, not {command!r}")  # noqa: TRY004 - refused input like the rest
-    return command
-
-
-def _change(name: str, value: object, emulation: Emulation) -> Change:
-    """Check one command and return what carries it out.
-
-    Raises:
-        ValueError: there is no such command, or not with this value.
-    """
+def _change(name: str, value: object, bus: ServoBus) -> Change:
     if name in NUMBERS:
-        return _number(name, NUMBERS[name], value, emulation)
+        return _number(name, NUMBERS[name], value)
     if name in FOR_SERVOS:
-        return _for_servos(name, value, emulation)
+        return _for_servos(name, value, bus)
     if name in VALUES:
-        return _values(name, VALUES[name], value, emulation)
+        return _values(name, VALUES[name], value, bus)
     if name in SWITCHES:
-        return _switch(name, value, emulation)
+        return _switch(name, value)
     if name == "plugged":
-        return _plugged(value, emulation)
+        return _plugged(value)
     known = [*NUMBERS, *FOR_SERVOS, *VALUES, *SWITCHES, "plugged"]
     raise ValueError(f"unknown command {name!r}; there are {', '.join(known)}")
 
 
-def _number(name: str, number: Number, value: object, emulation: Emulation) -> Change:
+def _number(name: str, number: Number, value: object) -> Change:
     checked = _checked(name, value, number.lowest, number.highest, number.meaning)
-    return lambda: number.put(emulation, checked)
+    return lambda emulation: number.put(emulation, checked)
 
 
-def _for_servos(name: str, value: object, emulation: Emulation) -> Change:
-    servos = {servo.servo_id: servo for servo in emulation.bus.servos}
+def _for_servos(name: str, value: object, bus: ServoBus) -> Change:
+    servos = {servo.servo_id: servo for servo in bus.servos}
     if not isinstance(value, list) or any(servo_id not in list(servos) for servo_id in value):
         raise ValueError(f"{name} takes a list of servo ids out of {list(servos)}, not {value!r}")
 
-    def carry_out() -> None:
+    def carry_out(emulation: Emulation) -> None:
         for servo_id in value:
             FOR_SERVOS[name](emulation, servos[servo_id])
 
     return carry_out
 
 
-def _values(name: str, kind: Value, value: object, emulation: Emulation) -> Change:
-    servos = {str(servo.servo_id): servo for servo in emulation.bus.servos}
+def _values(name: str, kind: Value, value: object, bus: ServoBus) -> Change:
+    servos = {str(servo.servo_id): servo for servo in bus.servos}
     if not isinstance(value, dict) or any(servo_id not in servos for servo_id in value):
         raise ValueError(f"{name} takes an object with servo ids out of {list(servos)}, not {value!r}")
     changes = [_value(name, kind, servos[servo_id], one) for servo_id, one in value.items()]
 
-    def carry_out() -> None:
+    def carry_out(emulation: Emulation) -> None:
         for change in changes:
-            change()
+            change(emulation)
 
     return carry_out
 
@@ -136,24 +149,23 @@ def _values(name: str, kind: Value, value: object, emulation: Emulation) -> Chan
 def _value(name: str, kind: Value, servo: Servo, value: object) -> Change:
     end = kind.end
     if value is None and end is not None:
-        return lambda: end(servo)
+        return lambda _emulation: end(servo)
     checked = _checked(name, value, kind.lowest, kind.highest, "a number")
-    return lambda: kind.put(servo, checked)
+    return lambda _emulation: kind.put(servo, checked)
 
 
-def _switch(name: str, value: object, emulation: Emulation) -> Change:
+def _switch(name: str, value: object) -> Change:
     if not isinstance(value, bool):
         raise ValueError(f"{name} is true or false, not {value!r}")  # noqa: TRY004 - refused input like the rest
-    return lambda: SWITCHES[name](emulation, value)
+    return lambda emulation: SWITCHES[name](emulation, value)
 
 
-def _plugged(value: object, emulation: Emulation) -> Change:
+def _plugged(value: object) -> Change:
     if not isinstance(value, bool) and value != PLUGGED_RENAMED:
         raise ValueError(f"plugged is true, false or {PLUGGED_RENAMED!r}, not {value!r}")
-    adapter = emulation.adapter
     if value is False:
-        return adapter.unplug
-    return lambda: adapter.plug_in(renamed=value == PLUGGED_RENAMED)
+        return lambda emulation: emulation.adapter.unplug()
+    return lambda emulation: emulation.adapter.plug_in(renamed=value == PLUGGED_RENAMED)
 
 
 def _checked(name: str, value: object, lowest: float, highest: float, meaning: str) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from robot.servos.packets import HEADER, checksum
+from robot.hardware.feetech.packets import HEADER, checksum
 
 # Faults that strike each packet with a probability, and what they do; field of Faults, option and live command alike.
 PROBABILITIES: Mapping[str, str] = MappingProxyType(
@@ -57,6 +57,11 @@ class Faults:
     offline: set[int] = field(default_factory=set)
     stall_behind_missing: bool = False
     random: random.Random = field(default_factory=lambda: random.Random(0))  # noqa: S311 - repeatable faults, no secret
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether chance has a say in any packet."""
+        return any(getattr(self, name) > 0.0 for name in PROBABILITIES)
 
     def loses_instruction(self) -> bool:
         """Choose whether an instruction is lost."""

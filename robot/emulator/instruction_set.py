@@ -19,7 +19,7 @@ from scservo_sdk import (
 
 from robot.emulator.servo import Servo
 from robot.emulator.wire import Instruction
-from robot.servos.registers import Register
+from robot.hardware.feetech.registers import Register
 
 # Codes of Feetech's protocol manual that its SDK has no names for.
 INST_RESTORE = 0x06

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from robot.servos.registers import LAYOUT, Area, Register, decode, encode, value_range
+from robot.hardware.feetech.registers import LAYOUT, Area, Register, decode, encode, value_range
 
 # The last documented address is 86; whatever is asked beyond reads as zero.
 MEMORY_BYTES = 87
@@ -98,11 +98,14 @@ class Memory:
         """Read bytes; what lies beyond the memory is zero."""
         return bytes(self._bytes[address : address + length]).ljust(length, b"\0")
 
-    def write(self, address: int, data: bytes) -> None:
-        """Write bytes as an instruction does.
+    def write(self, address: int, data: bytes) -> bool:
+        """Write bytes as an instruction does; returns whether any register may hold another value now.
 
         Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK is 0.
         """
+        # A goal is told a hundred times a second, also while the arm rests.
+        if self._bytes[address : address + len(data)] == data:
+            return False
         unlocked = self._bytes[Register.LOCK] == 0
         for at, byte in enumerate(data, start=address):
             if Register.ID <= at < MEMORY_BYTES and at not in _READ_ONLY_ADDRESSES:
@@ -111,6 +114,7 @@ class Memory:
                     self._values.pop(_REGISTER_AT[at], None)
         if unlocked:
             self.store()
+        return True
 
     def store(self) -> None:
         """Let the EPROM as it is outlive a power cut, locked or not."""

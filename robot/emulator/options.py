@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import random
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
 from robot.calibration import Calibration
-from robot.emulator.adapter import UsbAdapter
 from robot.emulator.arm import build_servos, weight_of
-from robot.emulator.commands import MAX_DELAY_S, MAX_HEAT_RATE, MAX_USB_FRAME_MS, MAX_VOLTAGE_V, Emulation
+from robot.emulator.commands import MAX_DELAY_S, MAX_HEAT_RATE, MAX_USB_FRAME_MS, MAX_VOLTAGE_V
 from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
+from robot.emulator.rehearsal import REHEARSALS, Rehearsal, read_script
 from robot.emulator.servo import SUPPLY_V, Servo
 from robot.emulator.servo_bus import ServoBus
 from robot.emulator.write_log import WriteLog
@@ -23,7 +22,7 @@ JOINTS = 6
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options to a parser; :func:`build` takes what it parses."""
+    """Add the options to a parser; :func:`build_bus`, :func:`build_rehearsal` and the adapter take what it parses."""
     for name, meaning in PROBABILITIES.items():
         parser.add_argument(
             _option(name), type=_probability, default=0.0, metavar="P", help=f"{meaning} with this probability"
@@ -47,21 +46,37 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--calibration", type=Path, metavar="FILE", help="lerobot calibration of the arm (default: an ideal arm)")
     add("--write-log", type=Path, metavar="FILE", help="record every write here, one JSON line each")
     add("--link", type=Path, metavar="PATH", help="make a symbolic link to the terminal here")
+    script = parser.add_mutually_exclusive_group()
+    script.add_argument(
+        "--script",
+        type=Path,
+        metavar="FILE",
+        help='play these live commands from the host\'s first byte on: JSON lines with a time, {"at_s": 1.5, ...}',
+    )
+    script.add_argument(
+        "--rehearse",
+        choices=REHEARSALS,
+        help="play a ready-made script: sweep, a hand moves every joint from stop to stop; push, something pushes a "
+        "joint and lets go; stall, an obstacle is in a joint's way, and later goes",
+    )
+    add("--repeat", action="store_true", help="play the script again and again")
 
 
-def build(options: argparse.Namespace, resources: ExitStack) -> Emulation:
-    """Build what the options ask for.
+def build_bus(options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True) -> ServoBus:
+    """Build the servos that the options ask for.
 
     Args:
         options: as parsed.
         resources: gets what must be closed.
+        now_s: time at which the bus begins [s].
+        wire_time: whether bytes take their time on the wire.
 
     Raises:
         CalibrationError: the calibration cannot be used.
         ValueError: the start pose is not one.
-        OSError: the log cannot be written, or there is no terminal to be had.
+        OSError: the log cannot be written.
     """
-    calibration = Calibration.load(options.calibration) if options.calibration else Calibration.nominal()
+    calibration = _calibration(options)
     servos = build_servos(calibration, options.start)
     for servo in servos:
         _temper(servo, options)
@@ -69,10 +84,32 @@ def build(options: argparse.Namespace, resources: ExitStack) -> Emulation:
     if options.write_log:
         log = WriteLog(options.write_log)
         resources.callback(log.close)
-    adapter = UsbAdapter(options.link, options.usb_frame_ms / 1000.0)
-    resources.callback(adapter.unplug)
-    bus = ServoBus(servos, _faults(options), time.monotonic(), log, weight_of(calibration, servos))
-    return Emulation(bus, adapter)
+    return ServoBus(servos, _faults(options), now_s, log, weight_of(calibration, servos), wire_time=wire_time)
+
+
+def build_rehearsal(options: argparse.Namespace, bus: ServoBus) -> Rehearsal:
+    """Build the rehearsal that the options ask for; without them it has no commands.
+
+    Args:
+        options: as parsed.
+        bus: the servos that its commands may name.
+
+    Raises:
+        CalibrationError: the calibration cannot be used.
+        ValueError: the script is not one, or there is none to repeat.
+        OSError: the script cannot be read.
+    """
+    if options.script:
+        return Rehearsal(read_script(options.script, bus), repeats=options.repeat)
+    if options.rehearse:
+        return Rehearsal(REHEARSALS[options.rehearse](_calibration(options)), repeats=options.repeat)
+    if options.repeat:
+        raise ValueError("--repeat needs a script to repeat: --script or --rehearse")
+    return Rehearsal()
+
+
+def _calibration(options: argparse.Namespace) -> Calibration:
+    return Calibration.load(options.calibration) if options.calibration else Calibration.nominal()
 
 
 def _faults(options: argparse.Namespace) -> Faults:

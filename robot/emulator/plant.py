@@ -11,6 +11,9 @@ NO_LOAD_TICKS_S = 2867.0
 # Fast enough for the stiffest position gain to stay stable.
 SUBSTEP_S = 0.002
 
+# A joint slower than this creeps by a tick in a quarter of an hour: it rests.
+REST_TICKS_S = 1e-3
+
 # After the process was suspended the arm goes on from where it was rather than catching up.
 MAX_STEP_S = 0.1
 
@@ -62,6 +65,7 @@ class Plant:
         hand_ticks: where a hand that is stronger than the motor brings the joint; None lets it go.
         velocity_ticks_s: how fast it moves.
         duty_permille: what the motor gives [0.1 %].
+        at_rest: whether the joint stayed where it is in the latest step, and stays there until something changes.
     """
 
     position_ticks: float
@@ -77,6 +81,8 @@ class Plant:
         self._profile_ticks = self.position_ticks
         self._profile_velocity_ticks_s = 0.0
         self._walls_ticks = (self.lower_stop_ticks, self.upper_stop_ticks)
+        self.at_rest = False
+        self._rested_under: tuple[object, ...] = ()
 
     @property
     def current_a(self) -> float:
@@ -95,11 +101,25 @@ class Plant:
 
     def step(self, duration_s: float, drive: Drive) -> None:
         """Let time pass [s]."""
+        # All that can move the joint; a joint that rested under it rests on, and costs nothing.
+        under = (
+            drive,
+            self.position_ticks,
+            self.gravity_permille,
+            self.push_permille,
+            self.hand_ticks,
+            self._walls_ticks,
+        )
+        if self.at_rest and under == self._rested_under:
+            return
         remaining_s = min(duration_s, MAX_STEP_S)
         while remaining_s > 0.0:
             dt_s = min(remaining_s, SUBSTEP_S)
             remaining_s -= dt_s
             self._substep(dt_s, drive)
+        settled = drive.torque_permille == 0.0 or self._profile_ticks == drive.goal_ticks
+        self.at_rest = settled and self._profile_velocity_ticks_s == 0.0 and abs(self.velocity_ticks_s) < REST_TICKS_S
+        self._rested_under = (drive, self.position_ticks, *under[2:])
 
     def _substep(self, dt_s: float, drive: Drive) -> None:
         if drive.torque_permille > 0.0:

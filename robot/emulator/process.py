@@ -13,9 +13,12 @@ import time
 from types import FrameType
 
 from robot.control.pacing import take_priority
+from robot.emulator.adapter import UsbAdapter
 from robot.emulator.commands import Emulation
 from robot.emulator.control import answer
-from robot.emulator.options import build
+from robot.emulator.options import build_bus, build_rehearsal
+from robot.emulator.rehearsal import Rehearsal, TimedCommand
+from robot.emulator.servo_bus import ServoBus
 
 # How often the arm moves on while the bus is silent.
 TICK_S = 0.02
@@ -89,22 +92,28 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
 
     Raises:
         CalibrationError: the calibration cannot be used.
-        ValueError: the start pose is not one.
-        OSError: a file cannot be written, or there is no terminal to be had.
+        ValueError: the start pose or the script is not one.
+        OSError: a file cannot be read or written, or there is no terminal to be had.
     """
     _end_on_signals(controlled=control_descriptor is not None)
     with contextlib.ExitStack() as resources:
-        emulation = build(options, resources)
+        bus = build_bus(options, resources, time.monotonic())
+        rehearsal = build_rehearsal(options, bus)
+        adapter = UsbAdapter(options.link, options.usb_frame_ms / 1000.0)
+        resources.callback(adapter.unplug)
         take_priority()  # servos do not wait for a busy computer
         if control_descriptor is None:
-            serve(emulation, Control(STDIN, STDOUT, essential=False))
+            serve(bus, adapter, Control(STDIN, STDOUT, essential=False), rehearsal)
         else:
-            serve(emulation, Control(control_descriptor, control_descriptor, essential=True))
+            serve(bus, adapter, Control(control_descriptor, control_descriptor, essential=True), rehearsal)
 
 
-def serve(emulation: Emulation, control: Control) -> None:
-    """Run the bus for ever, or until an essential controller is gone and the bus is silent."""
-    bus, adapter = emulation.bus, emulation.adapter
+def serve(bus: ServoBus, adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
+    """Run the bus for ever, or until an essential controller is gone and the bus is silent.
+
+    The rehearsal starts with the first byte from a host.
+    """
+    emulation = Emulation(bus, adapter)
     control.announce(adapter.port)
     last_heard_s = time.monotonic()
     while control.wanted or time.monotonic() - last_heard_s < LINGER_S:
@@ -114,11 +123,24 @@ def serve(emulation: Emulation, control: Control) -> None:
         if ready:
             last_heard_s = now_s
         if any(descriptor in ready for descriptor in adapter.descriptors):
-            adapter.take(bus.receive(adapter.read(), now_s, adapter.baudrate))
+            data = adapter.read()
+            if data:
+                rehearsal.start(now_s)
+            adapter.take(bus.receive(data, now_s, adapter.baudrate))
         bus.advance(now_s)
         adapter.deliver(now_s)
+        for due in rehearsal.commands_due(now_s):
+            _play(due, emulation)
         if any(descriptor in ready for descriptor in control.descriptors):
             control.obey(emulation)
+
+
+def _play(due: TimedCommand, emulation: Emulation) -> None:
+    """Carry out a command of a script, and tell it and its answer on standard error."""
+    line = json.dumps(due.command)
+    answered = answer(line.encode(), emulation).decode()
+    with contextlib.suppress(OSError):
+        sys.stderr.write(f"{due.at_s:.1f} s: {line} {answered}")
 
 
 def _end_on_signals(*, controlled: bool) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robot.servos.registers import StatusBit
+from robot.hardware.interface import StatusFlag
 
 # Register 38's factory value; what the register says is not followed.
 OVERCURRENT_TIME_S = 2.0
@@ -32,7 +32,7 @@ class Thresholds:
     overload_s: float
     protective_permille: float
     current_a: float
-    unloading: StatusBit
+    unloading: StatusFlag
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Protection:
 
     def __init__(self) -> None:
         self.latches = False
-        self.forced = self.status = self._latched = StatusBit(0)
+        self.forced = self.status = self._latched = StatusFlag(0)
         self._overload_s = self._overcurrent_s = 0.0
 
     def step(self, duration_s: float, measured: Measured, limits: Thresholds) -> None:
@@ -75,19 +75,19 @@ class Protection:
         self._overload_s = self._overload_s + duration_s if overloaded else 0.0
         self._overcurrent_s = self._overcurrent_s + duration_s if abs(measured.current_a) > limits.current_a else 0.0
         if self._overload_s > limits.overload_s:
-            self._latched |= StatusBit.OVERLOAD
+            self._latched |= StatusFlag.OVERLOAD
         if self._overcurrent_s > OVERCURRENT_TIME_S:
-            self._latched |= StatusBit.CURRENT
+            self._latched |= StatusFlag.CURRENT
         self.status = self._latched | self.forced
         if not limits.voltage_v[0] <= measured.voltage_v <= limits.voltage_v[1]:
-            self.status |= StatusBit.VOLTAGE
+            self.status |= StatusFlag.VOLTAGE
         if measured.temperature_c > limits.temperature_c:
-            self.status |= StatusBit.TEMPERATURE
+            self.status |= StatusFlag.TEMPERATURE
 
     def duty_left_permille(self, limits: Thresholds) -> float:
         """Largest duty that the complaints leave [0.1 %]."""
         effective = self.status & limits.unloading
-        if effective & ~StatusBit.OVERLOAD:
+        if effective & ~StatusFlag.OVERLOAD:
             return 0.0
         return limits.protective_permille if effective else FULL_DUTY_PERMILLE
 
@@ -100,4 +100,4 @@ class Protection:
         """Power came on: nothing is remembered."""
         self._overload_s = self._overcurrent_s = 0.0
         self.status &= ~self._latched | self.forced
-        self._latched = StatusBit(0)
+        self._latched = StatusFlag(0)

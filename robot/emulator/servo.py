@@ -6,14 +6,14 @@ from robot.emulator.heat import Motor
 from robot.emulator.memory import FACTORY_EPROM, Memory
 from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
 from robot.emulator.protection import Measured, Protection, Thresholds
-from robot.servos.registers import (
+from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,
     Register,
-    StatusBit,
     value_range,
 )
+from robot.hardware.interface import StatusFlag
 
 # The SO-101's usual supply [V].
 SUPPLY_V = 5.0
@@ -28,8 +28,9 @@ STANDSTILL_TICKS_S = 3.0
 TORQUE_ENABLE_MAKES_MIDDLE = 128
 MIDDLE_TICKS = 2048
 
-# Heat and protection change slowly: they are looked after once in a while.
+# Heat and protection change slowly: they are looked after once in a while, of a joint at rest less often.
 UPKEEP_S = 0.01
+RESTING_UPKEEP_S = 0.04
 
 PERMILLE_PER_PERCENT = 10
 PROTECTION_TIME_UNIT_S = 0.01
@@ -49,6 +50,9 @@ class Servo:
         motor: its temperature, which may be set.
         protection: its complaints; some may be forced on it.
         voltage_v: its supply [V], which may be set.
+        changes: count of the writes that changed a register.
+        servo_id: the id it answers to.
+        baudrate_code: register BAUD_RATE.
     """
 
     def __init__(
@@ -66,27 +70,41 @@ class Servo:
             Register.HOMING_OFFSET: homing_offset_ticks,
         }
         self._memory = Memory({**FACTORY_EPROM, **arm})
-        self._upkeep_due_s = 0.0
+        self._unkept_s = 0.0
+        self.changes = 0
+        self._shown: tuple[object, ...] | None = None
         self.power_up()
 
-    def power_up(self) -> None:
+    def power_up(self, *, holding: bool = False) -> None:
         """Start as after a power cut: EPROM as last stored, torque off.
 
         The goal is 0, wherever the arm is: who switches torque on without setting it sees the arm jump. Only a servo
         that powers up holding has the goal where it is.
+
+        Args:
+            holding: whether it does so this time, whatever :attr:`powers_up_holding` says.
         """
         self._memory.power_up()
         self._kept: tuple[int, bytes] | None = None
         self.protection.power_up()
-        if self.powers_up_holding:
+        if holding or self.powers_up_holding:
             self._memory.show(Register.GOAL_POSITION, self.present_ticks)
             self._memory.set(Register.TORQUE_ENABLE, 1)
         self._follow_registers()
 
     @property
-    def servo_id(self) -> int:
-        """The id it answers to."""
-        return self._memory.value(Register.ID)
+    def visible(self) -> tuple[object, ...]:
+        """All that its measured registers depend on; the same as before means that they read the same."""
+        plant = self.plant
+        return (
+            plant.position_ticks,
+            plant.velocity_ticks_s,
+            plant.duty_permille,
+            self.voltage_v,
+            round(self.motor.temperature_c),
+            self.protection.status,
+            self.changes,
+        )
 
     @property
     def error(self) -> int:
@@ -105,10 +123,9 @@ class Servo:
     def step(self, duration_s: float) -> None:
         """Let time pass [s]."""
         self.plant.step(duration_s, self._drive)
-        self._upkeep_due_s += duration_s
-        if self._upkeep_due_s >= UPKEEP_S:
-            self._keep_up(self._upkeep_due_s)
-            self._upkeep_due_s = 0.0
+        self._unkept_s += duration_s
+        if self._unkept_s >= (RESTING_UPKEEP_S if self.plant.at_rest else UPKEEP_S):
+            self.keep_up()
 
     def read(self, address: int, length: int) -> bytes:
         """Read memory; what lies beyond it is zero."""
@@ -118,7 +135,9 @@ class Servo:
     def write(self, address: int, data: bytes) -> None:
         """Write memory as an instruction does; see :meth:`robot.emulator.memory.Memory.write`."""
         torque = self.value(Register.TORQUE_ENABLE)
-        self._memory.write(address, data)
+        if not self._memory.write(address, data):
+            return
+        self.changes += 1
         asked = self.value(Register.TORQUE_ENABLE)
         if asked == TORQUE_ENABLE_MAKES_MIDDLE:
             self._memory.set(Register.TORQUE_ENABLE, torque)
@@ -158,9 +177,9 @@ class Servo:
         self._memory.restore()
         self._follow_registers()
 
-    def _keep_up(self, duration_s: float) -> None:
-        """Let motor and protection follow what happened."""
-        plant = self.plant
+    def keep_up(self) -> None:
+        """Let motor and protection follow what happened, now."""
+        plant, duration_s, self._unkept_s = self.plant, self._unkept_s, 0.0
         self.motor.step(duration_s, plant.current_a)
         measured = Measured(plant.duty_permille, plant.current_a, self.motor.temperature_c, self.voltage_v)
         before = self.protection.status
@@ -169,8 +188,12 @@ class Servo:
             self._drive = self._drive_from_registers()
 
     def _measure(self) -> None:
-        """Bring the read-only registers up to date."""
+        """Bring the read-only registers up to date; those of an arm at rest are."""
         plant, drive, memory = self.plant, self._drive, self._memory
+        seen = self.visible
+        if seen == self._shown:
+            return
+        self._shown = seen
         memory.show(Register.PRESENT_POSITION, self.present_ticks)
         memory.show(Register.PRESENT_VELOCITY, round(plant.velocity_ticks_s))
         memory.show(Register.PRESENT_LOAD, round(plant.duty_permille))
@@ -184,6 +207,9 @@ class Servo:
 
     def _follow_registers(self) -> None:
         value = self.value
+        self.servo_id, self.baudrate_code = value(Register.ID), value(Register.BAUD_RATE)
+        self._shown = None
+        self.changes += 1
         self._thresholds = Thresholds(
             voltage_v=(value(Register.MIN_VOLTAGE) * VOLT_PER_UNIT, value(Register.MAX_VOLTAGE) * VOLT_PER_UNIT),
             temperature_c=value(Register.MAX_TEMPERATURE),
@@ -191,7 +217,7 @@ class Servo:
             overload_s=value(Register.PROTECTION_TIME) * PROTECTION_TIME_UNIT_S,
             protective_permille=value(Register.PROTECTIVE_TORQUE) * PERMILLE_PER_PERCENT,
             current_a=value(Register.PROTECTION_CURRENT) * AMPERE_PER_UNIT,
-            unloading=StatusBit(value(Register.UNLOADING_CONDITION)),
+            unloading=StatusFlag(value(Register.UNLOADING_CONDITION)),
         )
         self._drive = self._drive_from_registers()
 

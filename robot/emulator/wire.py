@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from scservo_sdk import BROADCAST_ID
 
-from robot.servos.packets import HEADER, LENGTH_OVERHEAD, checksum
+from robot.hardware.feetech.packets import HEADER, LENGTH_OVERHEAD, checksum
 
 # A packet that stays unfinished this long was cut off, and does not swallow the next one.
 PARTIAL_PACKET_S = 0.005
@@ -41,6 +41,11 @@ class InstructionParser:
     def __init__(self) -> None:
         self._buffer = b""
         self._last_byte_s = 0.0
+
+    @property
+    def begun(self) -> bool:
+        """Whether the bytes left over may be the beginning of an instruction."""
+        return self._buffer.startswith(HEADER[:1])
 
     def feed(self, data: bytes, now_s: float) -> list[Instruction]:
         """Return the instructions completed by ``data``."""

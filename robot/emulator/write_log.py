@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -10,7 +11,7 @@ from types import MappingProxyType
 from scservo_sdk import INST_ACTION, INST_SYNC_WRITE, INST_WRITE
 
 from robot.emulator.servo import Servo
-from robot.servos.registers import LAYOUT, Register, decode
+from robot.hardware.feetech.registers import LAYOUT, Register, decode
 
 _NAMES: Mapping[int, str] = MappingProxyType(
     {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
@@ -21,7 +22,8 @@ class WriteLog:
     """One JSON line per write instruction or live command, flushed at once.
 
     ============== ===========================================================================
-    ``t``           monotonic clock of the machine, the same in every process [s]
+    ``t``           time of the bus: of the control loop it runs in, or the machine's monotonic clock [s]
+    ``machine_t``   the machine's monotonic clock, the same in every process [s]
     ``instruction`` "write", "sync_write", "action" (of kept writes), or "command"
     ``address``     first register written; null of a command
     ``data``        servo id to the bytes that it took; empty of a command
@@ -35,10 +37,17 @@ class WriteLog:
     ============== ===========================================================================
 
     The last five are of all servos, after the write.
+
+    Args:
+        path: the file.
+        append: whether to go on with a file that is there, instead of replacing it.
+
+    Raises:
+        OSError: it cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("w", buffering=1)
+    def __init__(self, path: Path, *, append: bool = False) -> None:
+        self._file = path.open("a" if append else "w", buffering=1)
 
     def record_write(
         self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[Servo]
@@ -63,6 +72,7 @@ class WriteLog:
     def _append(self, now_s: float, what: Mapping[str, object], servos: Sequence[Servo]) -> None:
         line = {
             "t": now_s,
+            "machine_t": time.monotonic(),
             **what,
             "present": {servo.servo_id: servo.present_ticks for servo in servos},
             "torque": {servo.servo_id: servo.value(Register.TORQUE_ENABLE) for servo in servos},

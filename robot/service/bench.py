@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from robot.control.blocking import run_to_end
-from robot.control.steps import write_verified
 from robot.errors import NoReply, StartupError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, Telemetry, goal_block
+from robot.hardware.feetech.transactions import write_verified
+from robot.hardware.interface import StatusFlag
+from robot.hardware.steps import run_to_end
 from robot.service.scan import read_telemetry
-from robot.servos.bus import Bus
-from robot.servos.registers import GOAL_ADDRESS, Register, StatusBit, Telemetry, goal_block
 
 # Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper.
 GENTLE_TORQUE = 200
@@ -37,12 +38,14 @@ class Bench:
         bus: an open bus.
         servo_id: the servo whose torque may be switched.
         present_ids: all servos that answer.
+        clock: monotonic time [s].
         wait: waits for so long [s].
     """
 
     bus: Bus
     servo_id: int
     present_ids: tuple[int, ...]
+    clock: Callable[[], float] = time.monotonic
     wait: Callable[[float], None] = time.sleep
 
     def read(self, register: Register) -> int:
@@ -64,7 +67,7 @@ class Bench:
 
     def require_relaxed(self) -> None:
         """Refuse a servo that holds something; an overloaded one is relaxed."""
-        if self.read(Register.STATUS) & StatusBit.OVERLOAD:
+        if self.read(Register.STATUS) & StatusFlag.OVERLOAD:
             self.set(Register.TORQUE_ENABLE, 0)
         elif self.read(Register.TORQUE_ENABLE):
             raise StartupError(f"servo {self.servo_id} holds: relax the arm first (armbridge relax)")
@@ -102,16 +105,16 @@ class Bench:
     def go(self, goal_ticks: int) -> list[tuple[float, Telemetry]]:
         """Go to a goal; returns what was measured on the way, with the time since the goal was set [s]."""
         self.set_goal(goal_ticks)
-        start_s = time.monotonic()
+        start_s = self.clock()
         samples: list[tuple[float, Telemetry]] = []
-        while (at_s := time.monotonic() - start_s) < STEP_S or not samples:
+        while (at_s := self.clock() - start_s) < STEP_S or not samples:
             samples.append((at_s, self.telemetry()))
         return samples
 
     def await_answers(self, *, answering: bool) -> bool:
         """Wait until the servo answers, or until it does not; False if that does not come in time."""
-        until_s = time.monotonic() + POWER_TIMEOUT_S
-        while time.monotonic() < until_s:
+        until_s = self.clock() + POWER_TIMEOUT_S
+        while self.clock() < until_s:
             if self._answers() is answering:
                 return True
             self.wait(POWER_POLL_S)

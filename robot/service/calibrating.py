@@ -18,11 +18,12 @@ from robot.calibration import (
     JointCalibration,
     JointSpec,
 )
-from robot.control.steps import Steps, read, write_verified
 from robot.errors import CalibrationError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import Register
+from robot.hardware.feetech.transactions import read, write_verified
+from robot.hardware.steps import Steps
 from robot.service.scan import ServoReport
-from robot.servos.bus import Bus
-from robot.servos.registers import Register
 
 # Where lerobot puts the middle pose.
 MIDDLE_TICK = 2047

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from robot.calibration import SO101_JOINTS, Calibration
-from robot.control.startup import MODEL_STS3215, PHASE_MULTI_TURN, POSITION_MODE
+from robot.hardware.feetech.survey import MODEL_STS3215, PHASE_MULTI_TURN, POSITION_MODE
+from robot.hardware.interface import status_names
 from robot.service.calibrating import differences
 from robot.service.measuring import CycleTimes
 from robot.service.scan import ScanResult, ServoReport, explain_missing
-from robot.servos.registers import status_names
 
 # Degrees of the motor's housing: the driver stops an arm at the higher one, and warns at the lower.
 HOT_C = 65

@@ -11,11 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from robot.errors import NoReply, StartupError
+from robot.hardware.feetech.bus import SERVO_IDS
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.interface import StatusFlag
 from robot.service.bench import POWER_TIMEOUT_S, STEP_S, STEP_TICKS, Bench
 from robot.service.doctor import Finding, Verdict
 from robot.service.measuring import measure_reads
-from robot.servos.bus import SERVO_IDS
-from robot.servos.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, StatusBit
 
 # A servo that has come this far of a step has followed it.
 FOLLOWED_TICKS = STEP_TICKS // 2
@@ -92,7 +93,7 @@ def _return_delay(bench: Bench) -> Finding:
         for _ in range(RETURN_DELAY_READS):
             for delay, taken_s in times.items():
                 bench.set(Register.RETURN_DELAY, delay)
-                taken_s += measure_reads(bench.bus, bench.servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES, 1)
+                taken_s += measure_reads(bench.bus, bench.servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES, 1, bench.clock)
     finally:
         bench.set(Register.RETURN_DELAY, before)
     if not all(times.values()):
@@ -104,13 +105,13 @@ def _return_delay(bench: Bench) -> Finding:
 
 def _overload(bench: Bench) -> Finding:
     name = "overload cleared by torque off and on"
-    overloaded = [i for i in bench.present_ids if bench.bus.read(i, Register.STATUS) & StatusBit.OVERLOAD]
+    overloaded = [i for i in bench.present_ids if bench.bus.read(i, Register.STATUS) & StatusFlag.OVERLOAD]
     if not overloaded:
         return _open(name, "no servo is overloaded; run this again when one is")
     servo = replace(bench, servo_id=overloaded[0])
     with servo.holding():
         bench.wait(STEP_S)
-        still = servo.read(Register.STATUS) & StatusBit.OVERLOAD
+        still = servo.read(Register.STATUS) & StatusFlag.OVERLOAD
     if still:
         return Finding(name, Verdict.NOTE, "it does not", "Switch the servos' supply off and on after an overload.")
     return Finding(name, Verdict.GOOD, "it does")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot.control.pacing import PERIOD_S
-from robot.servos.bus import Bus
-from robot.servos.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
 
 
 @dataclass(frozen=True)
@@ -34,43 +34,61 @@ class CycleTimes:
     expected_replies: int
 
 
-def measure_cycles(bus: Bus, servo_ids: Sequence[int], cycles: int) -> CycleTimes:
+def measure_cycles(
+    bus: Bus,
+    servo_ids: Sequence[int],
+    cycles: int,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> CycleTimes:
     """Read all servos at the rate of the servo loop and as it does.
 
     Args:
         bus: an open bus.
         servo_ids: those that are there.
         cycles: how many, 100 a second.
+        clock: monotonic time [s].
+        wait: waits for so long [s].
 
     Raises:
         PortLost: the port is gone.
     """
     round_trips, lateness = [], []
     replies = 0
-    due_s = time.monotonic()
+    due_s = clock()
     for _ in range(cycles):
-        due_s = max(due_s + PERIOD_S, time.monotonic())
-        time.sleep(max(0.0, due_s - time.monotonic()))
-        start_s = time.monotonic()
+        due_s = max(due_s + PERIOD_S, clock())
+        wait(max(0.0, due_s - clock()))
+        start_s = clock()
         frames = bus.sync_read(servo_ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
         lateness.append(start_s - due_s)
         replies += len(frames)
         if len(frames) == len(servo_ids):
-            round_trips.append(time.monotonic() - start_s)
+            round_trips.append(clock() - start_s)
     p50_s, p99_s = np.percentile(round_trips or [np.nan], [50, 99]).tolist()
     expected = cycles * len(servo_ids)
     return CycleTimes(cycles, p50_s, p99_s, float(np.percentile(lateness, 99)), expected - replies, expected)
 
 
-def measure_reads(bus: Bus, servo_id: int, address: int, length: int, count: int) -> list[float]:
-    """Times that sound replies of one servo took [s], sorted; fewer than ``count`` where replies were lost.
+def measure_reads(
+    bus: Bus, servo_id: int, address: int, length: int, count: int, clock: Callable[[], float] = time.monotonic
+) -> list[float]:
+    """Measure the times that sound replies of one servo take [s], sorted; fewer than ``count`` where some were lost.
+
+    Args:
+        bus: an open bus.
+        servo_id: the servo to ask.
+        address: first register of the block that is read.
+        length: bytes of the block.
+        count: how often to ask.
+        clock: monotonic time [s].
 
     Raises:
         PortLost: the port is gone.
     """
     taken = []
     for _ in range(count):
-        start_s = time.monotonic()
+        start_s = clock()
         if servo_id in bus.sync_read((servo_id,), address, length):
-            taken.append(time.monotonic() - start_s)
+            taken.append(clock() - start_s)
     return sorted(taken)

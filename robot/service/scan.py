@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from robot.calibration import JointSpec
 from robot.errors import NoReply
-from robot.servos.bus import Bus
-from robot.servos.registers import (
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import (
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     VOLT_PER_UNIT,

@@ -8,12 +8,12 @@ import json
 import textwrap
 
 from robot.calibration import SO101_JOINTS
+from robot.hardware.feetech.bus import Bus
 from robot.service.bench import Bench
 from robot.service.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
 from robot.service.experiments import EXPERIMENTS, Experiment, ask
 from robot.service.measuring import measure_cycles, measure_reads
 from robot.service.scan import scan
-from robot.servos.bus import Bus
 from server.commands.arm_options import (
     Subparsers,
     add_calibration,

@@ -66,7 +66,12 @@ def _add_arm_options(parser: argparse.ArgumentParser) -> None:
         help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
     )
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
-    parser.add_argument("--urdf", type=Path, metavar="FILE", help="the robot's URDF, instead of the built-in SO-101's")
+    parser.add_argument(
+        "--urdf",
+        type=Path,
+        metavar="FILE",
+        help="another robot's URDF; without --serial and --calibration its arm is an ideal one",
+    )
     parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
 
 

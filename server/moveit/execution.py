@@ -85,7 +85,7 @@ class GoalExecutor:
         self._confirm = confirm
         self._current = CurrentState(arm, robot)
         self._alternatives = Alternatives(robot, pool)
-        self._watch = SceneWatch(pool, scene)
+        self._watch = SceneWatch(pool, scene, arm.state_max_age_s)
         self.recorder = Recorder()
         self._player = Player(arm, self._watch, allowance or Allowance())
         self._work: asyncio.Task[Any] | None = None
@@ -254,7 +254,7 @@ class GoalExecutor:
         now_seen = self._scene.scene.version
         certified = Certified(group, whole, others_rad, now_seen, summary)
         if whole is not motion or now_seen != seen:
-            contact = await self._unless_ended(self._watch.look(certified.question(0.0)))
+            contact = await self._unless_ended(self._watch.look(lambda: certified.question(0.0)))
             if contact is not None:
                 return Answer.of(contact)
         if self._end_reason:
@@ -268,7 +268,7 @@ class GoalExecutor:
         await self._unless_ended(self._arm.until_started(ARM_START_TIMEOUT_S))
         if self._end_reason:
             return PlanningFailure(MoveItErrorCode.PREEMPTED, f"{self._end_reason} before the motion began")
-        failure = unusable(self._arm.state, self._arm.state_age_s)
+        failure = unusable(self._arm)
         if failure is None and not await self._arm.end_streams(STREAMS_TIMEOUT_S):
             message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
             return PlanningFailure(MoveItErrorCode.CONTROL_FAILED, message)

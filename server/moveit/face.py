@@ -10,7 +10,7 @@ from robot.arm import Arm
 from robot.calibration import GRIPPER_JOINT
 from robot.forward import ForwardPlacements
 from robot.messages import ArmState
-from robot.model import RobotModel
+from robot.model import Joint, RobotModel
 from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, QueuedGoal
 from server.graph import Graph
@@ -69,7 +69,9 @@ class MoveItFace:
         self._description = RobotDescription(graph, robot, keep_parameter)
         self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
         self._simple_layer = SimpleLayer(graph, robot, settings)
-        self._gripper_actions = GripperActions(graph, robot.joints[GRIPPER_JOINT])
+        gripper = robot.joints.get(GRIPPER_JOINT)
+        # Another arm's gripper is not known by its description.
+        self._gripper_joint = gripper if gripper is not None and gripper.movable else None
         directory, keep = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         self._failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, keep)
         self._servo = ServoNode(graph, robot, settings.moveit, self._scene, self._frames.resolve)
@@ -91,12 +93,12 @@ class MoveItFace:
         self._transforms.open(time.time())
         self._scene_interface.open(CurrentState(arm, self._robot))
         simple_layer.open(self.queue, pool, CurrentState(arm, self._robot), self._frames.resolve, self._scene)
-        self._gripper_actions.open(self._gripper(arm))
+        gripper_actions = () if self._gripper_joint is None else self._open_gripper(arm, self._gripper_joint)
         self._display.open()
         context = self._planning_context(arm, pool)
         offer_services(self._graph, context)
         self._actions = MotionActions(self._graph, context, arm, self.queue)
-        self._actions.open((GRIPPER_ACTION, PARALLEL_ACTION))
+        self._actions.open(gripper_actions)
         queue = self.queue
         self._servo.open(arm, pool, lambda: queue.busy)
 
@@ -144,9 +146,13 @@ class MoveItFace:
         if self.queue is not None:
             await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
 
-    def _gripper(self, arm: Arm) -> Gripper:
+    def _open_gripper(self, arm: Arm, joint: Joint) -> tuple[str, ...]:
+        """Offer the gripper's actions; returns their names."""
+        GripperActions(self._graph, joint).open(self._gripper(arm, joint))
+        return GRIPPER_ACTION, PARALLEL_ACTION
+
+    def _gripper(self, arm: Arm, joint: Joint) -> Gripper:
         moveit = self._settings.moveit
-        joint = self._robot.joints[GRIPPER_JOINT]
         torque_limit = self._settings.arm.guards.gripper_torque_limit
         return Gripper(
             arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling, self._allowance(), torque_limit

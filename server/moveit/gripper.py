@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import time
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ from server.moveit.readiness import ARM_START_TIMEOUT_S, unusable
 
 FEEDBACK_PERIOD_S = 0.1
 
-# A grip takes the goal back from behind the object, a step a tick; the whole way takes half a second.
+# Of the arm's clock. A grip takes the goal back from behind the object, a step a tick: half a second for the whole way.
 SQUEEZE_TIMEOUT_S = 1.0
 SQUEEZE_PERIOD_S = 0.04
 SQUEEZED_WITHIN_RAD = 0.005
@@ -119,7 +119,7 @@ class Gripper:
             self._arm.stop(self._motion)
 
     async def _play(self, command: GripperCommand, tell: Callable[[GripperReading], None]) -> MotionEnded:
-        failure = unusable(self._arm.state, self._arm.state_age_s)
+        failure = unusable(self._arm)
         if failure is not None:
             return MotionEnded(0, Outcome.REFUSED, failure.message)
         velocity = min(command.max_velocity_rad_s or self._max_velocity, self._max_velocity)
@@ -127,7 +127,7 @@ class Gripper:
             self._joint.name, self._goal_rad(), command.position_rad, velocity, self._max_acceleration
         )
         share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
-        until_s = time.monotonic() + self._allowance.of(trajectory.duration_s)
+        until_s = self._arm.clock_s + self._allowance.of(trajectory.duration_s)
         self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share)
         ended = await self._until_ended(self._motion, until_s, tell)
         if ended.outcome is Outcome.GRIPPED:
@@ -137,27 +137,29 @@ class Gripper:
     async def _until_ended(
         self, motion: asyncio.Future[MotionEnded], until_s: float, tell: Callable[[GripperReading], None]
     ) -> MotionEnded:
-        while not motion.done() and time.monotonic() < until_s:
+        while not motion.done() and self._arm.clock_s < until_s:
             await asyncio.wait([motion], timeout=FEEDBACK_PERIOD_S)
             reading = self.reading()
             if not motion.done() and reading is not None:
                 tell(reading)
         if not motion.done():
             self._stop_motion()
-            await asyncio.wait([motion], timeout=BRAKING_TIMEOUT_S)
+            await self._arm.wait((motion,), BRAKING_TIMEOUT_S)
         if not motion.done():
             return MotionEnded(0, Outcome.PROCESS_LOST, "the arm did not end the gripper's motion in time")
         return motion.result()
 
     async def _until_squeezed(self) -> None:
         """Wait until the goal rests at its squeeze: the next motion starts there."""
-        until_s = time.monotonic() + SQUEEZE_TIMEOUT_S
-        last_rad = float("inf")
-        while time.monotonic() < until_s and self._arm.state.goal_rad is not None:
-            goal_rad = self._goal_rad()
-            if abs(goal_rad - last_rad) < SQUEEZED_WITHIN_RAD:
-                return
-            last_rad = goal_rad
+        until_s = self._arm.clock_s + SQUEEZE_TIMEOUT_S
+        last_rad, looked_at_s = math.inf, -math.inf
+        while (now_s := self._arm.clock_s) < until_s and self._arm.state.goal_rad is not None:
+            # A goal that the arm had no time to change does not rest.
+            if now_s - looked_at_s >= SQUEEZE_PERIOD_S:
+                goal_rad = self._goal_rad()
+                if abs(goal_rad - last_rad) < SQUEEZED_WITHIN_RAD:
+                    return
+                last_rad, looked_at_s = goal_rad, now_s
             await asyncio.sleep(SQUEEZE_PERIOD_S)
 
     def _goal_rad(self) -> float:

@@ -1,4 +1,8 @@
-"""Plays one motion on the arm: tells how it goes, and ends it when it overruns or the scene gets in its way."""
+"""Plays one motion on the arm: tells how it goes, and ends it when it overruns or the scene gets in its way.
+
+What a motion may take is counted on the arm's clock: a simulated arm that a busy machine slows down has all its time. A
+process that falls silent is ended by :class:`robot.arm.Arm`, and with it the motion.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,7 @@ from server.moveit.handing_over import HORIZON_S, SENDING_S, STATE_AGE_S, Branch
 from server.moveit.patience import Allowance, Patience
 from server.moveit.scene_watch import SceneWatch
 
-# A motion that overran is braked; no arm needs longer for that.
+# A motion that overran is braked; no arm needs longer for that, by its own clock.
 BRAKING_TIMEOUT_S = 2.0
 
 PROGRESS_PERIOD_S = 0.2
@@ -83,7 +87,7 @@ class Player:
         arm: the arm.
         watch: guards the motion.
         allowance: what a motion may take.
-        clock: monotonic time [s].
+        clock: monotonic time of this machine [s].
     """
 
     def __init__(
@@ -94,7 +98,7 @@ class Player:
         self._allowance = allowance
         self._clock = clock
         self._motion: asyncio.Future[MotionEnded] | None = None
-        self._began_s = 0.0
+        self._began_s = self._began_by_arm_s = 0.0
         self._end: Answer | None = None
         self._leaving: asyncio.Future[None] | None = None
         self.left: Left | None = None
@@ -110,7 +114,7 @@ class Player:
         """
         self._end = None
         self._leaving = asyncio.get_running_loop().create_future()
-        self._began_s = self._clock()
+        self._began_s, self._began_by_arm_s = self._clock(), self._arm.clock_s
         if self.left is None or from_s is None:
             self._motion = self._arm.execute(motion.trajectory)
         else:
@@ -139,7 +143,7 @@ class Player:
         left, self.left = self.left, None
         if left is not None and not left.ended.done():
             self._arm.stop(left.ended)
-            await asyncio.wait([left.ended], timeout=BRAKING_TIMEOUT_S)
+            await self._arm.wait((left.ended,), BRAKING_TIMEOUT_S)
 
     def _on_contact(self, contact: PlanningFailure) -> None:
         self._brake(Answer.of(contact))
@@ -157,8 +161,9 @@ class Player:
 
     @property
     def _just_begun(self) -> bool:
-        """Whether the arm's state may still tell of the motion before."""
-        return self._clock() - self._began_s < STATE_AGE_S
+        """Whether the arm's state may still tell of the motion before: it is late where the arm or the server is."""
+        passed_s = min(self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s)
+        return passed_s < STATE_AGE_S
 
     async def _until_ended(
         self,
@@ -167,20 +172,20 @@ class Player:
         motion: Certified,
         report: Callable[[Progress], None],
     ) -> Answer:
-        patience, before_s = Patience(motion.trajectory.duration_s, self._allowance), self._clock()
+        patience, before_s = Patience(motion.trajectory.duration_s, self._allowance), self._arm.clock_s
         ends: tuple[asyncio.Future[Any], ...] = (ended, leaving)
         while not ended.done() and patience.end is None:
             await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
             if leaving.done() and not ended.done():
                 return self._left_behind(motion, ended)
-            now_s, state = self._clock(), self._arm.state
+            now_s, state = self._arm.clock_s, self._arm.state
             patience.pass_time(now_s - before_s, state.pace)
             before_s = now_s
             if not ended.done() and state.mode is Mode.MOVING:
                 report(Progress(GoalState.EXECUTING, motion.summary, state.fraction, state.remaining_s))
         if not ended.done():
             self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{patience.end}; {_lagging(self._arm.state)}"))
-            await asyncio.wait([ended], timeout=BRAKING_TIMEOUT_S)
+            await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
         if not ended.done():
             return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{patience.end}, and does not brake either")
         return self._answer(ended.result())

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 from typing import Protocol
 
 from planners.pool import PlannerPool
-from planners.problem import MoveItErrorCode, PlanningFailure, RecheckQuestion
+from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
 
 log = logging.getLogger("armbridge.execution")
@@ -31,21 +32,40 @@ class SceneWatch:
     Args:
         pool: who looks.
         state: the planning scene.
+        patience_s: for how long a planner that does not answer in time is asked again [s]; as long as the arm may be
+            silent, for a busy machine keeps both from the cores.
+        clock: monotonic time [s].
     """
 
-    def __init__(self, pool: PlannerPool, state: WatchedScene) -> None:
+    def __init__(
+        self,
+        pool: PlannerPool,
+        state: WatchedScene,
+        patience_s: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._pool = pool
         self._state = state
+        self._patience_s = patience_s
+        self._clock = clock
         self._seen = 0
         self._question: Callable[[], RecheckQuestion] | None = None
         self._on_contact: Callable[[PlanningFailure], None] = lambda _contact: None
         self._task: asyncio.Task[None] | None = None
         state.on_change(self._changed)
 
-    async def look(self, question: RecheckQuestion) -> PlanningFailure | None:
-        """What a motion would touch in the present scene, or why that cannot be told; None when it is free."""
-        scene = self._state.scene
-        answer = await self._pool.ask(question, scene)
+    async def look(self, question: Callable[[], RecheckQuestion]) -> PlanningFailure | None:
+        """Tell what a motion would touch in the present scene, or why that cannot be told; None when it is free.
+
+        Args:
+            question: asks about what is left of the motion.
+        """
+        until_s = self._clock() + self._patience_s
+        while True:
+            scene = self._state.scene
+            answer = await self._pool.ask(question(), scene)
+            if not _too_late(answer) or self._clock() >= until_s:
+                break
         self._seen = scene.version
         if isinstance(answer, PlanningFailure):
             message = f"whether the motion is free cannot be told: {answer.message}"
@@ -80,9 +100,13 @@ class SceneWatch:
         """Look until the scene no longer changes meanwhile."""
         contact = None
         while self._question is not None and contact is None and self._state.scene.version != self._seen:
-            contact = await self.look(self._question())
+            contact = await self.look(self._question)
         self._task = None
         if contact is not None and self._question is not None:
             self._question = None
             log.warning("the scene has changed: %s", contact.message)
             self._on_contact(contact)
+
+
+def _too_late(answer: RecheckAnswer | PlanningFailure) -> bool:
+    return isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT

@@ -15,7 +15,7 @@ from server.operations.parts import ArmPart, Parts, PlannersPart
 # While there is no bus, the arm process is heard at each attempt to open it: every 2 s, and opening takes its time.
 ARM_SILENT_S = 10.0
 
-# A state is sent at least once a second while the arm is connected.
+# A state is sent at least once a second while the arm is connected; a simulated arm may be starved for longer.
 ARM_STALE_S = 1.5
 
 
@@ -75,8 +75,8 @@ def _why_arm_is_not_ready(arm: ArmPart) -> Iterator[str]:
         yield "the arm is not connected"
     elif state.mode is Mode.CONNECTED:
         yield "the servos are being checked, or were refused"
-    elif arm.state_age_s > ARM_STALE_S:
-        yield f"the last state of the arm is older than {ARM_STALE_S:g} s"
+    elif arm.state_age_s > (stale_s := max(ARM_STALE_S, arm.state_max_age_s)):
+        yield f"the last state of the arm is older than {stale_s:g} s"
 
 
 def _why_planners_are_not_ready(planners: PlannersPart) -> Iterator[str]:

@@ -15,6 +15,7 @@ class ArmPart(Protocol):
     """The arm process, as `robot.arm.Arm`."""
 
     state: ArmState
+    state_max_age_s: float
 
     @property
     def pid(self) -> int | None:
@@ -77,14 +78,6 @@ class ZenohPart(Protocol):
         """How many messages were lost."""
 
 
-class ProcessPart(Protocol):
-    """A child process."""
-
-    @property
-    def pid(self) -> int | None:
-        """Process id."""
-
-
 class QueuePart(Protocol):
     """The queue of goals, as `server.goal_queue.GoalQueue`."""
 
@@ -111,7 +104,6 @@ class Parts:
         planners: the planner processes.
         recorder: the recording; None also when nothing is recorded.
         zenoh: the part in a zenoh network; None also when there is none.
-        emulator: the process of a simulated arm.
         started: whether the arm has been taken over, and goals are carried out.
         stopping: whether the server is about to end.
     """
@@ -125,14 +117,12 @@ class Parts:
     planners: PlannersPart | None = None
     recorder: RecorderPart | None = None
     zenoh: ZenohPart | None = None
-    emulator: ProcessPart | None = None
     started: bool = False
     stopping: bool = False
 
     def children(self) -> Mapping[str, int]:
         """Process id of every child that runs, by what it is."""
-        found = {"arm": self.arm, "emulator": self.emulator}
-        pids = {name: part.pid for name, part in found.items() if part is not None}
+        pids = {} if self.arm is None else {"arm": self.arm.pid}
         planners = () if self.planners is None else self.planners.pids
         pids |= {f"planner_{number}": pid for number, pid in enumerate(planners, 1)}
         return {name: pid for name, pid in pids.items() if pid is not None}

@@ -1,17 +1,21 @@
-"""An arm process without the process: the supervisor, driven tick by tick on a real bus."""
+"""An arm process without the process: the supervisor on emulated servos, driven tick by tick in a time of its own."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from robot import model
 from robot.calibration import Calibration
-from robot.control.pacing import Pacer
+from robot.control.pacing import PERIOD_S, Pacer
 from robot.control.supervisor import Supervisor
-from robot.limits import within_calibration
+from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.registers import Register
+from robot.hardware.ideal import IdealArm
+from robot.hardware.interface import HardwareInterface
+from robot.limits import JointBounds, within_calibration
 from robot.messages import (
     ArmConfig,
     ArmHealth,
@@ -24,44 +28,53 @@ from robot.messages import (
     MotionEnded,
     Order,
 )
-from robot.servos.bus import Bus
-from robot.servos.registers import Register
 from robot.trajectory import Trajectory
+from tests.helpers.stepped_emulator import SteppedEmulator
 
 CALIBRATION = Calibration.nominal()
 ROBOT = within_calibration(model.builtin(), CALIBRATION)
-CONFIG = ArmConfig(ROBOT, CALIBRATION, port="")
+NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
+BOUNDS = JointBounds.of(ROBOT, NAMES)
 
-# A tick's room on the bus is 10 ms; sequences are worked at until so much is left.
-STEP_ROOM_S = 0.002
+# A simulated arm's configuration, and that of one on metal, whose rules are stricter.
+CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
+METAL = FeetechConfig(CALIBRATION, "/dev/arm")
+
+# A transaction takes 1 to 2 ms, and the tick's own a third of its period.
+STEPS_A_TICK = 4
 
 
 class ArmRig:
-    """A supervisor on a bus; time is real, since the emulator's is."""
+    """A supervisor on emulated servos, which it takes for real ones unless ``hardware`` says otherwise.
 
-    def __init__(self, port: str, **settings: Any) -> None:
-        self.port = port
+    With an ideal arm for ``hardware`` it drives that, and the servos are only there.
+    """
+
+    def __init__(self, emulator: SteppedEmulator | None = None, **settings: Any) -> None:
+        self.emulator = emulator or SteppedEmulator(wire_time=False)
+        self.clock = self.emulator.clock
         self.sent: list[object] = []
         self.alive = True
+        self.config = ArmConfig(**{"robot": ROBOT, "hardware": METAL, **settings})
         self.supervisor = Supervisor(
-            replace(CONFIG, port=port, **settings),
-            lambda message, _: self.sent.append(message),
-            time.monotonic(),
-            real_time=False,
+            self.config, lambda message, _: self.sent.append(message), self.clock, real_time=False
         )
-        self.bus: Bus | None = None
-        self.pacer = Pacer(time.monotonic())
+        self.bus: Bus = self.emulator.open_bus()
+        self.pacer = Pacer(self.clock())
         self._numbers = 0
         self.connect()
 
     def connect(self) -> None:
-        self.bus = Bus.open(self.port)
-        self.supervisor.connect(self.bus, time.monotonic())
-        self.pacer = Pacer(time.monotonic())
+        """Open the hardware, again if it was open."""
+        self.bus = self.emulator.open_bus()
+        self.supervisor.connect(self._hardware())
 
-    def close(self) -> None:
-        if self.bus is not None:
-            self.bus.close()
+    def _hardware(self) -> HardwareInterface:
+        config = self.config
+        if isinstance(config.hardware, IdealConfig):
+            return IdealArm(config.hardware, NAMES, BOUNDS, self.clock)
+        simulated = config.hardware.simulated
+        return FeetechHardware(self.bus, CALIBRATION, BOUNDS, config.guard_limits, self.clock, simulated=simulated)
 
     @property
     def mode(self) -> Mode:
@@ -85,26 +98,23 @@ class ArmRig:
 
     def tick(self) -> None:
         """One period of the loop."""
-        while (remaining_s := self.pacer.deadline_s - time.monotonic()) > 0.0:
-            wait_s = (
-                min(remaining_s, self.supervisor.work(time.monotonic())) if remaining_s > STEP_ROOM_S else remaining_s
-            )
-            time.sleep(max(wait_s, 0.0))
-        now_s = time.monotonic()
-        self.pacer.start_tick(now_s)
+        for _ in range(STEPS_A_TICK):
+            if self.supervisor.work() > 0.0:
+                break
+        self.clock.advance(PERIOD_S)
+        self.pacer.start_tick(self.clock())
         if self.alive:
-            self.supervisor.obey(Heartbeat(), now_s)
-        self.supervisor.tick(now_s, self.pacer, server_gone=False)
+            self.supervisor.obey(Heartbeat())
+        self.supervisor.tick(self.pacer, server_gone=False)
 
     def run(self, seconds: float) -> None:
-        until_s = time.monotonic() + seconds
-        while time.monotonic() < until_s:
+        for _ in range(round(seconds / PERIOD_S)):
             self.tick()
 
     def until(self, condition: Callable[[], bool], timeout_s: float = 6.0) -> None:
-        until_s = time.monotonic() + timeout_s
+        until_s = self.clock() + timeout_s
         while not condition():
-            assert time.monotonic() < until_s, f"timed out in {self.mode}, {self.supervisor.fault}"
+            assert self.clock() < until_s, f"timed out in {self.mode}, {self.supervisor.fault}"
             self.tick()
 
     def until_mode(self, mode: Mode) -> None:
@@ -113,7 +123,7 @@ class ArmRig:
     def begin(self, order: Order) -> int:
         """Give an order; returns its number."""
         self._numbers += 1
-        self.supervisor.obey(Command(self._numbers, order), time.monotonic())
+        self.supervisor.obey(Command(self._numbers, order))
         return self._numbers
 
     def answer(self, number: int) -> CommandDone | None:
@@ -130,9 +140,8 @@ class ArmRig:
         return answer
 
     def execute(self, trajectory: Trajectory, motion_id: int = 1, **options: Any) -> None:
-        self.supervisor.obey(Execute(motion_id, trajectory, **options), time.monotonic())
+        self.supervisor.obey(Execute(motion_id, trajectory, **options))
 
     def torque(self) -> list[int]:
         """Register TORQUE_ENABLE of every servo."""
-        assert self.bus is not None
-        return [self.bus.read(servo, Register.TORQUE_ENABLE) for servo in self.supervisor.servos.ids]
+        return [self.bus.read(joint.servo_id, Register.TORQUE_ENABLE) for joint in CALIBRATION.joints]

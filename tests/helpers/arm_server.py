@@ -1,19 +1,21 @@
-"""A server with its arm on an emulator that the test commands, and a client that calls services and sends goals."""
+"""A server with a simulated arm that the test commands, and a client that calls services and sends goals."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
 import json
+import tempfile
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 
+from tests.helpers.emulator_control import EmulatorControl
 from tests.helpers.server import RunningServer
-from tests.robot.conftest import RunningEmulator
 
 ANSWER_TIMEOUT_S = 10.0
 
@@ -28,23 +30,21 @@ LATCHED = {
 
 @dataclass
 class ServerOnBus:
-    """A running server and the emulator of its servos."""
+    """A running server and the emulated servos of its arm."""
 
     server: RunningServer
-    emulator: RunningEmulator
+    emulator: EmulatorControl
 
 
 @contextmanager
-def server_on_bus(*emulator_options: str, **settings: str) -> Iterator[ServerOnBus]:
-    """Start both; settings are environment variables without ``ARMBRIDGE_``."""
-    emulator = RunningEmulator(*emulator_options)
-    try:
-        with RunningServer(
-            f"--port 0 --serial {emulator.port}", {f"ARMBRIDGE_{key}": value for key, value in settings.items()}
-        ) as server:
-            yield ServerOnBus(server, emulator)
-    finally:
-        emulator.end()
+def server_on_bus(arguments: str = "--port 0", **settings: str) -> Iterator[ServerOnBus]:
+    """Start a server; settings are environment variables without ``ARMBRIDGE_``."""
+    # A short path: that of a Unix socket has 107 bytes at most, and pytest's folders are deep.
+    with tempfile.TemporaryDirectory(prefix="arm") as folder:
+        control = Path(folder) / "control"
+        settings = {"EMULATOR__CONTROL": str(control), **settings}
+        with RunningServer(arguments, {f"ARMBRIDGE_{key}": value for key, value in settings.items()}) as server:
+            yield ServerOnBus(server, EmulatorControl(control))
 
 
 class ArmClient:

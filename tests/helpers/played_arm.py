@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot import model
+from robot.arm import Arm
 from robot.messages import ArmState, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 
@@ -16,12 +17,15 @@ JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 
 
 class PlayedArm:
-    """What is asked of `robot.arm.Arm` by those who play motions."""
+    """What is asked of `robot.arm.Arm` by those who play motions; its time passes when a test says so."""
+
+    wait = Arm.wait
 
     def __init__(self) -> None:
         zeros = np.zeros(len(JOINTS))
         self.state = ArmState(1.0, Mode.HOLDING, JOINTS, position_rad=zeros, velocity_rad_s=zeros, goal_rad=zeros)
         self.state_age_s = 0.0
+        self.state_max_age_s = 1.0
         self.steered = False
         self.started = asyncio.Event()
         self.started.set()
@@ -30,6 +34,14 @@ class PlayedArm:
         self.continued: list[float] = []
         self.refusing = False
         self._motion: asyncio.Future[MotionEnded] | None = None
+
+    @property
+    def clock_s(self) -> float:
+        return self.state.clock_s
+
+    def pass_time(self, seconds: float) -> None:
+        """Say the next state, so much later on the arm's clock."""
+        self.state = replace(self.state, clock_s=self.state.clock_s + seconds)
 
     def execute(
         self, trajectory: Trajectory, continues: tuple[asyncio.Future[MotionEnded], float] | None = None
@@ -82,5 +94,5 @@ class PlayedArm:
 
 async def settle() -> None:
     """Let every task that can go on do so."""
-    for _ in range(20):
+    for _ in range(50):
         await asyncio.sleep(0)

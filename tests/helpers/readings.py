@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from robot.servos.telemetry import Measured
+from robot.hardware.interface import Measured
 
 
 def reading(position_rad: Any, **told: Any) -> Measured:

@@ -7,7 +7,7 @@ from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST
 from robot.calibration import Calibration
 from robot.emulator.wire import Instruction, status_packet
 
-# Addresses and values of Feetech's memory table V3.6, as bytes: nothing here asks robot.servos.registers.
+# Addresses and values of Feetech's memory table V3.6, as bytes: nothing here asks robot.hardware.feetech.registers.
 MODEL, MIN_LIMIT, MAX_LIMIT, VOLTAGE_LIMITS, MAX_TORQUE = 3, 9, 11, 14, 16
 TORQUE, GOAL, TORQUE_LIMIT, LOCK, PRESENT, VOLTAGE, TEMPERATURE = 40, 42, 48, 55, 56, 62, 63
 MEMORY_BYTES = 128

@@ -23,6 +23,7 @@ class SteerableArm:
         zeros = np.zeros(len(NAMES))
         self.state = ArmState(0.0, Mode.HOLDING, NAMES, position_rad=zeros, goal_rad=zeros)
         self.state_age_s = 0.0
+        self.state_max_age_s = 1.0
         self.setpoints: list[Setpoint] = []
         self.streams: list[ArmStream] = []
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from robot.faults import Fault, FaultCode
-from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
-from robot.servos.counters import BusCounters
+from robot.hardware.interface import BusCounters
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 
 JOINTS = ("shoulder_pan", "gripper")
 
@@ -20,6 +20,7 @@ class WatchedArm:
     state: ArmState
     state_age_s: float = 0.01
     pid: int | None = None
+    state_max_age_s: float = 1.0
 
 
 @dataclass
@@ -51,13 +52,6 @@ class WatchedQueue:
     busy: str = "goal 7 from /a is worked on"
 
 
-@dataclass
-class WatchedProcess:
-    """A child."""
-
-    pid: int | None
-
-
 def arm_state(mode: Mode = Mode.HOLDING, fault: FaultCode | None = None, reason: str = "") -> ArmState:
     """A state; its words name what a stranger should not hear of."""
     found = None if fault is None else Fault(fault, "servo 3 on /dev/ttySECRET is hot", "elbow_flex")
@@ -67,7 +61,7 @@ def arm_state(mode: Mode = Mode.HOLDING, fault: FaultCode | None = None, reason:
 def arm_health() -> ArmHealth:
     """A condition."""
     servos = tuple(
-        ServoHealth(joint, number, 0.1, 30 + number, 5.0, 0.25, -0.5, True, 0, 0.002, 4)
+        JointHealth(joint, f"servo {number}", 0.1, 30 + number, 5.0, 0.25, -0.5, True, 0, 0.002, 4)
         for number, joint in enumerate(JOINTS, 1)
     )
     bus = BusCounters(sent=100, replies=90, timeouts=10, discarded_bytes=11, retries=12)

@@ -1,4 +1,4 @@
-"""What the tests of the arm stand on: the emulator as a process, and a peer whose every byte is scripted."""
+"""Fixtures of the arm's tests: emulated servos in the test's own time or as a process, and a peer that is scripted."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ import pytest
 
 from robot.control.pacing import take_priority
 from robot.emulator.wire import Instruction, InstructionParser
-from robot.servos.bus import Bus
+from robot.hardware.feetech.bus import Bus
+from tests.helpers.scripted_port import Script
+from tests.helpers.stepped_emulator import SteppedEmulator
 
 START_TIMEOUT_S = 10.0
 END_TIMEOUT_S = 5.0
@@ -60,7 +62,26 @@ class RunningEmulator:
 
 
 @pytest.fixture
-def start_emulator() -> Iterator[Callable[..., RunningEmulator]]:
+def start_emulator() -> Iterator[Callable[..., SteppedEmulator]]:
+    """Starts emulated servos in the test's own process and time."""
+    with contextlib.ExitStack() as running:
+
+        def start(*options: str) -> SteppedEmulator:
+            emulator = SteppedEmulator(*options)
+            running.callback(emulator.end)
+            return emulator
+
+        yield start
+
+
+@pytest.fixture
+def emulator(start_emulator: Callable[..., SteppedEmulator]) -> SteppedEmulator:
+    return start_emulator()
+
+
+@pytest.fixture
+def start_terminal() -> Iterator[Callable[..., RunningEmulator]]:
+    """Starts emulated servos as a process on a pseudo terminal, in real time."""
     with contextlib.ExitStack() as running:
 
         def start(*options: str) -> RunningEmulator:
@@ -72,8 +93,8 @@ def start_emulator() -> Iterator[Callable[..., RunningEmulator]]:
 
 
 @pytest.fixture
-def emulator(start_emulator: Callable[..., RunningEmulator]) -> RunningEmulator:
-    return start_emulator()
+def terminal(start_terminal: Callable[..., RunningEmulator]) -> RunningEmulator:
+    return start_terminal()
 
 
 @pytest.fixture
@@ -82,20 +103,12 @@ def write_log(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def bus(emulator: RunningEmulator) -> Iterator[Bus]:
-    with contextlib.closing(Bus.open(emulator.port)) as bus:
-        yield bus
-
-
-Script = Callable[[Instruction], list[tuple[float, bytes]]]
+def bus(emulator: SteppedEmulator) -> Bus:
+    return emulator.open_bus()
 
 
 class ScriptedPeer:
-    """The far end of a serial line that answers every instruction with what a script says.
-
-    The script returns (delay in seconds, bytes) pairs. Bytes leave in the order in which they were scripted, as they
-    would pass one wire: a late one holds up those behind it.
-    """
+    """The far end of a pseudo terminal that answers every instruction with what a script says, in real time."""
 
     def __init__(self, script: Script) -> None:
         self.script = script
@@ -126,6 +139,9 @@ class ScriptedPeer:
                         outbox.append((max(last_due, now + delay_s), data))
             while outbox and outbox[0][0] <= now:
                 os.write(self._master, outbox.popleft()[1])
+
+    def open_bus(self) -> Bus:
+        return Bus.open(self.port)
 
     def unplug(self) -> None:
         """Take the line away, as when the adapter is pulled."""

@@ -1,8 +1,9 @@
-"""The contract of an arm: what a server may rely on, whatever is at the other end of the bus."""
+"""The server's handle on an arm process, whose servos are emulated within it."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import signal
 import time
@@ -16,36 +17,40 @@ import pytest
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.control.supervisor import SIMULATED_WATCHDOG_S
+from robot.hardware.config import EmulatedConfig, FeetechConfig
 from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmHealth, ArmState, ChangePace, Mode, Order, Outcome, Pace
 from robot.trajectory import Trajectory
+from tests.helpers.emulator_control import EmulatorControl
 from tests.helpers.server import read_write_log
 from tests.helpers.trajectories import smooth_move
-from tests.robot.conftest import RunningEmulator
 
 CALIBRATION = Calibration.nominal()
 ROBOT = within_calibration(model.builtin(), CALIBRATION)
-CONFIG = ArmConfig(ROBOT, CALIBRATION, port="")
+CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
 
-Start = Callable[..., RunningEmulator]
+# Bound of a wait for what takes milliseconds on a quiet machine.
+SOON_S = 30.0
 
 
-class ArmOnBus:
-    """An arm process on an emulated bus."""
+class ArmOnServos:
+    """An arm process with its servos, their log and their control socket."""
 
-    def __init__(self, emulator: RunningEmulator, log: Path) -> None:
-        self.emulator = emulator
-        self.log = log
+    def __init__(self, folder: Path) -> None:
+        self.log = folder / "writes.jsonl"
+        servos = EmulatedConfig(CALIBRATION, write_log=self.log, control=folder / "control")
+        self.emulator = EmulatorControl(folder / "control")
         self.states: list[ArmState] = []
         self.health: list[ArmHealth] = []
-        self.arm = Arm(replace(CONFIG, port=emulator.port), self.states.append, self.health.append)
+        self.arm = Arm(replace(CONFIG, hardware=servos), self.states.append, self.health.append)
 
     @property
     def pan_rad(self) -> float:
         assert self.arm.state.position_rad is not None
         return float(self.arm.state.position_rad[0])
 
-    async def until(self, condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    async def until(self, condition: Callable[[], bool], timeout_s: float = SOON_S) -> None:
         async with asyncio.timeout(timeout_s):
             while not condition():
                 await asyncio.sleep(0.005)
@@ -55,10 +60,9 @@ class ArmOnBus:
 
 
 @pytest.fixture
-async def rig(start_emulator: Start, tmp_path: Path) -> AsyncIterator[ArmOnBus]:
-    log = tmp_path / "writes.jsonl"
-    made = ArmOnBus(start_emulator("--write-log", str(log)), log)
-    await made.arm.start(10.0)
+async def rig(tmp_path: Path) -> AsyncIterator[ArmOnServos]:
+    made = ArmOnServos(tmp_path)
+    await made.arm.start(SOON_S)
     await made.until(lambda: made.arm.state.mode is Mode.HOLDING)
     yield made
     await made.arm.close()
@@ -68,14 +72,14 @@ def to(position_rad: float, duration_s: float = 1.0, start_rad: float = 0.0) -> 
     return smooth_move({"shoulder_pan": (start_rad, position_rad)}, duration_s)
 
 
-async def test_a_trajectory_is_played_and_its_end_told(rig: ArmOnBus) -> None:
+async def test_a_trajectory_is_played_and_its_end_told(rig: ArmOnServos) -> None:
     ended = await rig.arm.execute(to(0.6))
     assert ended.outcome is Outcome.REACHED
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
     assert rig.pan_rad == pytest.approx(0.6, abs=0.05)
 
 
-async def test_states_tell_mode_motion_and_progress(rig: ArmOnBus) -> None:
+async def test_states_tell_mode_motion_and_progress(rig: ArmOnServos) -> None:
     await rig.arm.execute(to(0.6))
     moving = [state for state in rig.states if state.mode is Mode.MOVING]
     assert len({state.motion_id for state in moving}) == 1
@@ -85,110 +89,139 @@ async def test_states_tell_mode_motion_and_progress(rig: ArmOnBus) -> None:
     assert stamps == sorted(stamps)
 
 
-async def test_measured_velocity_is_the_slope_of_measured_position(rig: ArmOnBus) -> None:
+async def test_measured_velocity_is_the_slope_of_measured_position(rig: ArmOnServos) -> None:
     await rig.arm.execute(to(1.0, duration_s=1.2))
     moving = [state for state in rig.states if state.mode is Mode.MOVING]
     middle = moving[len(moving) // 2 - 5 : len(moving) // 2 + 6]
     first, last = middle[0], middle[-1]
     assert first.position_rad is not None
     assert last.position_rad is not None
-    slope = (last.position_rad[0] - first.position_rad[0]) / (last.stamp_s - first.stamp_s)
+    slope = (last.position_rad[0] - first.position_rad[0]) / (last.clock_s - first.clock_s)
     told = sum(float(state.velocity_rad_s[0]) for state in middle if state.velocity_rad_s is not None) / len(middle)
     assert told == pytest.approx(slope, rel=0.2)
 
 
-async def test_a_stop_ends_the_motion_on_the_way(rig: ArmOnBus) -> None:
+async def test_a_stop_ends_the_motion_on_the_way(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.0, duration_s=2.0))
     await rig.until(lambda: rig.pan_rad > 0.2)
     rig.arm.stop()
-    ended = await asyncio.wait_for(motion, 2.0)
+    ended = await asyncio.wait_for(motion, SOON_S)
     assert ended.outcome is Outcome.STOPPED
     assert 0.2 < rig.pan_rad < 0.9
 
 
-async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnBus) -> None:
+async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.0))
     rig.arm.stop()
-    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.STOPPED
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.STOPPED
 
 
-async def test_one_of_two_motions_is_stopped(rig: ArmOnBus) -> None:
+async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     pan = rig.arm.execute(to(0.6))
     roll = rig.arm.execute(smooth_move({"wrist_roll": (0.0, 1.0)}, 2.0))
     rig.arm.stop(roll)
-    assert (await asyncio.wait_for(roll, 2.0)).outcome is Outcome.STOPPED
+    assert (await asyncio.wait_for(roll, SOON_S)).outcome is Outcome.STOPPED
     assert (await pan).outcome is Outcome.REACHED
 
 
-async def test_an_order_is_answered_with_the_state_that_shows_it(rig: ArmOnBus) -> None:
+async def test_an_order_is_answered_with_the_state_that_shows_it(rig: ArmOnServos) -> None:
     for order, mode in ((Order.RELAX, Mode.RELAXED), (Order.ENABLE, Mode.HOLDING), (Order.EMERGENCY_STOP, Mode.FAULT)):
         assert (await rig.arm.order(order)).done
         assert rig.arm.state.mode is mode
 
 
-async def test_an_order_that_cannot_be_carried_out_says_why(rig: ArmOnBus) -> None:
+async def test_an_order_that_cannot_be_carried_out_says_why(rig: ArmOnServos) -> None:
     await rig.arm.order(Order.EMERGENCY_STOP)
     refused = await rig.arm.order(Order.ENABLE)
     assert not refused.done
     assert "reset the fault" in refused.message
 
 
-async def test_an_order_is_answered_when_the_process_dies(rig: ArmOnBus) -> None:
+async def test_an_order_is_answered_when_the_process_dies(rig: ArmOnServos) -> None:
     assert rig.arm.pid is not None
     os.kill(rig.arm.pid, signal.SIGSTOP)
     answer = rig.arm.order(Order.RELAX)
     os.kill(rig.arm.pid, signal.SIGKILL)
-    assert "ended before it had answered" in (await asyncio.wait_for(answer, 2.0)).message
+    assert "ended before it had answered" in (await asyncio.wait_for(answer, SOON_S)).message
 
 
 async def test_an_order_to_a_process_that_hangs_is_answered_in_time(
-    rig: ArmOnBus, monkeypatch: pytest.MonkeyPatch
+    rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("robot.arm.SILENT_S", 0.3)
     assert rig.arm.pid is not None
     os.kill(rig.arm.pid, signal.SIGSTOP)
-    answer = await asyncio.wait_for(rig.arm.order(Order.RELAX), 2.0)
+    answer = await asyncio.wait_for(rig.arm.order(Order.RELAX), SOON_S)
     os.kill(rig.arm.pid, signal.SIGCONT)
     assert answer.message == "the arm process did not answer in 0.1 s"
 
 
-async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnBus) -> None:
-    motion = rig.arm.execute(to(1.5, duration_s=2.5))
-    await rig.until(lambda: rig.pan_rad > 0.1)
+async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnServos) -> None:
+    motion = rig.arm.execute(to(1.5, duration_s=20.0))
+    await rig.until(lambda: rig.arm.state.mode is Mode.MOVING)
     # The hang itself: nothing of the server runs, so no heartbeat leaves.
-    time.sleep(CONFIG.watchdog_s + 0.6)  # noqa: ASYNC251 - it is to block the event loop
-    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.STOPPED
+    time.sleep(SIMULATED_WATCHDOG_S + 0.6)  # noqa: ASYNC251 - it is to block the event loop
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.STOPPED
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
-    assert rig.pan_rad < 1.2
 
 
-async def test_its_condition_is_told_once_a_second(rig: ArmOnBus) -> None:
+async def test_an_arm_whose_process_is_starved_goes_on_from_where_it_was(rig: ArmOnServos) -> None:
+    motion = rig.arm.execute(to(0.6, duration_s=1.0))
+    await rig.until(lambda: rig.pan_rad > 0.1)
+    assert rig.arm.pid is not None
+    for _ in range(3):
+        os.kill(rig.arm.pid, signal.SIGSTOP)
+        await asyncio.sleep(0.4)
+        os.kill(rig.arm.pid, signal.SIGCONT)
+        await asyncio.sleep(0.05)
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.REACHED
+    assert all(state.fault is None for state in rig.states)
+    goals = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes() if "1" in data]
+    # In 0.02 s, the longest that a tick may be, the trajectory covers 15 ticks of the servo at its fastest.
+    assert max(abs(after - before) for before, after in itertools.pairwise(goals)) <= 16
+
+
+async def test_limits_of_time_are_counted_on_the_clock_of_a_starved_arm(
+    rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 2.5)
+    assert rig.arm.pid is not None
+    relaxing = rig.arm.order(Order.RELAX)
+    # Relaxing takes 1.5 s of the arm's time, which stands still while its process does.
+    os.kill(rig.arm.pid, signal.SIGSTOP)
+    await asyncio.sleep(3.0)
+    os.kill(rig.arm.pid, signal.SIGCONT)
+    assert (await asyncio.wait_for(relaxing, SOON_S)).done
+
+
+async def test_its_condition_is_told_once_a_second(rig: ArmOnServos) -> None:
     await rig.until(lambda: len(rig.health) >= 2)
-    assert 0.5 < rig.health[1].stamp_s - rig.health[0].stamp_s < 2.0
-    assert [servo.joint for servo in rig.health[0].servos] == [joint.joint for joint in CALIBRATION.joints]
+    assert rig.health[1].stamp_s - rig.health[0].stamp_s > 0.5
+    assert [joint.joint for joint in rig.health[0].joints] == [joint.joint for joint in CALIBRATION.joints]
 
 
-async def test_a_trajectory_from_elsewhere_is_refused(rig: ArmOnBus) -> None:
+async def test_a_trajectory_from_elsewhere_is_refused(rig: ArmOnServos) -> None:
     ended = await rig.arm.execute(to(1.0, start_rad=0.5))
     assert ended.outcome is Outcome.REFUSED
     assert "shoulder_pan" in ended.message
 
 
-async def test_a_servo_that_goes_silent_ends_the_motion(rig: ArmOnBus) -> None:
+async def test_a_servo_that_goes_silent_ends_the_motion(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.0, duration_s=2.0))
     await rig.until(lambda: rig.pan_rad > 0.1)
     rig.emulator.command(offline=[3])
-    ended = await asyncio.wait_for(motion, 2.0)
+    ended = await asyncio.wait_for(motion, SOON_S)
     assert ended.outcome is Outcome.BUS_LOST
     assert "elbow_flex" in ended.message
 
 
-async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(rig: ArmOnBus) -> None:
+async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.0, duration_s=2.0))
     await rig.until(lambda: rig.pan_rad > 0.2)
     assert rig.arm.pid is not None
     os.kill(rig.arm.pid, signal.SIGKILL)
-    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.PROCESS_LOST
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.PROCESS_LOST
     before = len(rig.goal_writes())
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
     held_rad = rig.pan_rad
@@ -198,19 +231,19 @@ async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(r
     assert joint.rad_from_ticks(first[1] | first[2] << 8) == pytest.approx(held_rad, abs=0.1)
 
 
-async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnBus, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot.arm.SILENT_HEARTBEATS", 4)
     hanging = rig.arm.pid
     assert hanging is not None
     motion = rig.arm.execute(to(1.0, duration_s=2.0))
     await rig.until(lambda: rig.pan_rad > 0.1)
     os.kill(hanging, signal.SIGSTOP)
-    assert (await asyncio.wait_for(motion, 2.0)).outcome is Outcome.PROCESS_LOST
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.PROCESS_LOST
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
     assert rig.arm.pid != hanging
 
 
-async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew(rig: ArmOnBus) -> None:
+async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew(rig: ArmOnServos) -> None:
     rig.arm.change_pace(ChangePace(speed_factor=0.5))
     assert rig.arm.pid is not None
     os.kill(rig.arm.pid, signal.SIGKILL)
@@ -221,30 +254,28 @@ async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew
     assert rig.arm.state.pace == Pace(0.5)
 
 
-async def test_ticks_that_were_missed_are_not_made_up_for(rig: ArmOnBus) -> None:
+async def test_ticks_that_were_missed_are_not_made_up_for(rig: ArmOnServos) -> None:
     assert rig.arm.pid is not None
     os.kill(rig.arm.pid, signal.SIGSTOP)
     await asyncio.sleep(0.5)
     before = len(rig.goal_writes())
     os.kill(rig.arm.pid, signal.SIGCONT)
     await asyncio.sleep(0.3)
-    times_s = [entry["t"] for entry in read_write_log(rig.log) if entry["address"] == 41][before:]
+    times_s = [entry["machine_t"] for entry in read_write_log(rig.log) if entry["address"] == 41][before:]
     # 50 ticks were missed; in the first tenth of a second there is room for ten.
     assert sum(time_s - times_s[0] < 0.1 for time_s in times_s) <= 15
 
 
-async def test_closing_brakes_the_arm_and_leaves_it_holding(rig: ArmOnBus) -> None:
+async def test_closing_brakes_the_arm_and_leaves_it_holding(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.5, duration_s=2.0))
     await rig.until(lambda: rig.pan_rad > 0.3)
-    started_s = time.monotonic()
     await rig.arm.close()
-    assert time.monotonic() - started_s < 2.0
     assert (await motion).outcome is Outcome.STOPPED
     last = read_write_log(rig.log)[-1]
     assert set(last["torque"].values()) == {1}
 
 
-async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnBus) -> None:
+async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnServos) -> None:
     rig.arm.execute(to(1.5, duration_s=2.0))
     await rig.until(lambda: rig.pan_rad > 0.3)
     assert rig.arm.pid is not None
@@ -259,15 +290,15 @@ async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnBus) -> None:
     assert max(pans) - min(pans) <= 2
 
 
-async def test_who_asks_while_the_arm_is_being_started_waits_for_it(start_emulator: Start, tmp_path: Path) -> None:
-    made = ArmOnBus(start_emulator(), tmp_path / "none")
+async def test_who_asks_while_the_arm_is_being_started_waits_for_it(tmp_path: Path) -> None:
+    made = ArmOnServos(tmp_path)
     await asyncio.wait_for(made.arm.until_started(10.0), 0.1)
     await made.arm.launch()
-    waiting = asyncio.create_task(made.arm.until_started(10.0))
+    waiting = asyncio.create_task(made.arm.until_started(SOON_S))
     await asyncio.sleep(0)
     assert not waiting.done()
-    await made.arm.start(10.0)
-    await asyncio.wait_for(waiting, 0.1)
+    await made.arm.start(SOON_S)
+    await asyncio.wait_for(waiting, SOON_S)
     assert made.arm.state.mode is Mode.HOLDING
     await made.arm.close()
 
@@ -279,35 +310,38 @@ async def test_who_waits_for_an_arm_that_does_not_start_waits_no_longer_than_tol
     await arm.close()
 
 
-async def test_an_arm_whose_bus_is_gone_is_found_on_another_port(rig: ArmOnBus, start_emulator: Start) -> None:
-    rig.emulator.process.kill()
+async def test_an_arm_whose_bus_is_gone_is_found_when_it_is_back(rig: ArmOnServos) -> None:
+    rig.emulator.command(plugged=False)
     await rig.until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
-    rig.arm.use_port(start_emulator().port)
-    await rig.until(lambda: rig.arm.state.mode is Mode.RELAXED, 2.0)
+    assert "unplugged" in rig.arm.state.reason
+    rig.emulator.command(plugged=True)
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
 
 
 async def test_a_number_that_cannot_be_does_not_end_the_arm_process() -> None:
-    arm = Arm(replace(CONFIG, port="/dev/nothing", state_rate_hz=0.0), lambda _state: None)
-    await arm.start(10.0)
+    arm = Arm(
+        replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/nothing"), state_rate_hz=0.0), lambda _state: None
+    )
+    await arm.start(SOON_S)
     assert "/dev/nothing does not exist" in arm.state.reason
     await arm.close()
 
 
 async def test_a_port_that_does_not_exist_is_told_and_tried_again() -> None:
     states: list[ArmState] = []
-    arm = Arm(replace(CONFIG, port="/dev/does-not-exist"), states.append)
-    await arm.start(10.0)
+    arm = Arm(replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/does-not-exist")), states.append)
+    await arm.start(SOON_S)
     assert arm.state.mode is Mode.DISCONNECTED
     assert "/dev/does-not-exist does not exist" in arm.state.reason
-    refused = await asyncio.wait_for(arm.execute(to(0.5)), 2.0)
+    refused = await asyncio.wait_for(arm.execute(to(0.5)), SOON_S)
     assert refused.outcome is Outcome.BUS_LOST
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(SOON_S):
         while len(states) < 3:
             await asyncio.sleep(0.01)
     await arm.close()
 
 
-async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig: ArmOnBus) -> None:
+async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig: ArmOnServos) -> None:
     stream = rig.arm.stream(("shoulder_pan",))
     for _ in range(25):
         stream.steer(np.array([0.5]))
@@ -321,7 +355,7 @@ async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig:
     assert (await rig.arm.execute(to(0.0, start_rad=float(rig.arm.state.goal_rad[0])))).outcome is Outcome.REACHED
 
 
-async def test_streams_are_ended_for_who_needs_the_arm(rig: ArmOnBus) -> None:
+async def test_streams_are_ended_for_who_needs_the_arm(rig: ArmOnServos) -> None:
     assert await rig.arm.end_streams(1.0)
     stream = rig.arm.stream(("shoulder_pan",))
     stream.steer(np.array([0.5]))

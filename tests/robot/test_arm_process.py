@@ -7,20 +7,22 @@ from typing import Any
 import pytest
 
 from robot import model
-from robot.arm_process import MAX_EARLY_ORDERS, ArmProcess
+from robot.arm_process import MAX_EARLY_ORDERS, ArmProcess, start_arm_process
 from robot.calibration import Calibration
+from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmState, Command, CommandDone, Order
+from robot.processes import StartedChild
 
-CONFIG = ArmConfig(model.builtin(), Calibration.nominal(), port="/dev/does-not-exist")
+CONFIG = ArmConfig(model.builtin(), FeetechConfig(Calibration.nominal(), "/dev/does-not-exist"))
 
 
 class Desk:
     """A process and all that it told."""
 
-    def __init__(self) -> None:
+    def __init__(self, started: StartedChild | None = None) -> None:
         self.told: list[Any] = []
         self.exits = 0
-        self.process = ArmProcess(self.told.append, self._exited)
+        self.process = ArmProcess(self.told.append, self._exited, started)
 
     def _exited(self) -> None:
         self.exits += 1
@@ -60,14 +62,19 @@ async def test_what_is_said_before_the_configuration_does_not_take_its_place(des
     assert "/dev/does-not-exist" in (await desk.until_told(ArmState)).reason
 
 
-async def test_a_configuration_that_comes_again_leads_to_another_port(desk: Desk) -> None:
-    desk.process.configure(CONFIG)
-    await desk.until_told(ArmState)
-    desk.told.clear()
-    desk.process.send(ArmConfig(CONFIG.robot, CONFIG.calibration, port="/dev/elsewhere"))
-    async with asyncio.timeout(5.0):
-        while not any(isinstance(each, ArmState) and "/dev/elsewhere" in each.reason for each in desk.told):
-            await asyncio.sleep(0.005)
+async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first() -> None:
+    started = start_arm_process()
+    desk = Desk(started)
+    await desk.process.launch()
+    try:
+        assert desk.process.pid == started.process.pid
+        desk.process.configure(CONFIG)
+        await desk.until_told(ArmState)
+        await desk.process.kill()
+        await desk.process.launch()
+        assert desk.process.pid != started.process.pid
+    finally:
+        await desk.process.kill()
 
 
 async def test_a_process_that_has_died_takes_no_orders(desk: Desk) -> None:

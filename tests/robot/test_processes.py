@@ -13,13 +13,13 @@ import pytest
 
 from robot import log_levels, logs, processes
 from robot.logs import LoggerLevel
-from robot.processes import Child
+from robot.processes import Child, StartedChild
 
 ECHO = "tests.helpers.echo_child"
 
 
 async def start_echo(received: list[Any], exited: asyncio.Event) -> Child:
-    child = Child(ECHO, received.append, exited.set)
+    child = Child(StartedChild(ECHO), received.append, exited.set)
     await child.connect()
     return child
 
@@ -88,7 +88,7 @@ async def test_a_child_that_does_not_end_is_ended_by_force() -> None:
 @pytest.mark.parametrize("garbage", [b"\xff\xff\xff\xff", b"\x04\x00\x00\x00what"], ids=["huge", "no pickle"])
 async def test_a_child_that_sends_garbage_is_ended_and_its_end_told(garbage: bytes) -> None:
     exited = asyncio.Event()
-    child = Child(ECHO, lambda _message: None, exited.set)
+    child = Child(StartedChild(ECHO), lambda _message: None, exited.set)
     await child.connect()
     child.send(("raw", garbage))
     await asyncio.wait_for(exited.wait(), 5.0)
@@ -115,7 +115,7 @@ async def test_an_error_in_serving_one_message_does_not_make_the_server_deaf(
             raise ValueError(message)
         received.append(message)
 
-    child = Child(ECHO, serve, lambda: None)
+    child = Child(StartedChild(ECHO), serve, lambda: None)
     await child.connect()
     for message in ("good", "bad", "good again"):
         child.send(message)

@@ -9,6 +9,7 @@ from protocol.registry import Registry
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, ChangePace, Mode
 from server.arm_pace import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace
 from server.graph import Graph
@@ -23,7 +24,7 @@ class ListeningArm(Arm):
     """Notes what it is told, and is in the mode a test says."""
 
     def __init__(self) -> None:
-        super().__init__(ArmConfig(model.builtin(), Calibration.nominal(), ""), lambda _state: None)
+        super().__init__(ArmConfig(model.builtin(), EmulatedConfig(Calibration.nominal())), lambda _state: None)
         self.changes: list[ChangePace] = []
         self.be(Mode.HOLDING)
 

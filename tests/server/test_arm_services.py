@@ -147,7 +147,7 @@ async def test_a_fault_outlives_the_arm_process(client: ArmClient, served: Serve
 @pytest.mark.real_time
 async def test_an_arm_that_is_not_to_be_enabled_starts_relaxed_and_ends_relaxed(tmp_path: Path) -> None:
     log = tmp_path / "writes.jsonl"
-    with server_on_bus("--write-log", str(log), ARM__START_ENABLED="false", ARM__ON_EXIT="relax", **FAST) as made:
+    with server_on_bus(EMULATOR__WRITE_LOG=str(log), ARM__START_ENABLED="false", ARM__ON_EXIT="relax", **FAST) as made:
         async with arm_client(made.server.url) as client:
             await client.until_mode("relaxed")
             assert (await client.call("/arm/enable"))["success"]

@@ -8,8 +8,8 @@ import pytest
 from protocol.registry import Registry
 from robot import model
 from robot.faults import Fault, FaultCode
-from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
-from robot.servos.counters import BusCounters
+from robot.hardware.interface import BusCounters
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm_state import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
 from server.graph import Graph, Subscriber
 from server.node import Node
@@ -45,11 +45,11 @@ def heard() -> Heard:
 
 def health(limits_rad: list[tuple[float, float]]) -> ArmHealth:
     servos = tuple(
-        ServoHealth(name, number, 0.0, 30, 5.0, 0.0, 0.0, True, 0, 0.0, 0)
+        JointHealth(name, f"servo {number}", 0.0, 30, 5.0, 0.0, 0.0, True, 0, 0.0, 0)
         for number, name in enumerate(("shoulder_pan", "gripper"), start=1)
     )
     times = (0.0, 0.0, 0.0)
-    return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, np.array(limits_rad))
+    return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, limits_rad=np.array(limits_rad))
 
 
 def test_a_state_is_published_when_it_says_something_new(heard: Heard) -> None:

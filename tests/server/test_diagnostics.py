@@ -4,12 +4,12 @@ from dataclasses import replace
 from typing import Any
 
 from robot.faults import Fault, FaultCode
-from robot.messages import ArmHealth, ArmState, Mode, ServoHealth
-from robot.servos.counters import BusCounters
+from robot.hardware.interface import BusCounters
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.diagnostics import diagnostic_array
 from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
 
-SERVO = ServoHealth("elbow_flex", 3, 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
+SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
 HEALTH = ArmHealth(
     100.0,
     Mode.HOLDING,
@@ -21,6 +21,7 @@ HEALTH = ArmHealth(
     True,
 )
 STATE = ArmState(100.0, Mode.HOLDING, ("elbow_flex",))
+NAN = float("nan")
 
 
 def statuses(state: ArmState = STATE, health: ArmHealth | None = HEALTH, now_s: float = 100.5) -> list[dict[str, Any]]:
@@ -39,8 +40,39 @@ def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos() -> None:
     assert values_of(servo)["torque"] == "on"
 
 
+def test_an_ideal_joint_has_neither_temperature_nor_bus() -> None:
+    ideal = replace(SERVO, hardware_id="ideal joint", temperature_c=NAN, voltage_v=NAN, current_a=NAN, load=0.0)
+    arm, joint = statuses(health=replace(HEALTH, port="ideal", joints=(ideal,), bus=None))
+    assert (arm["level"], joint["level"], joint["hardware_id"]) == (0, 0, "ideal joint")
+    assert values_of(joint).keys() == values_of(statuses()[1]).keys() - {"temperature_c", "voltage_v", "current_a"}
+    assert values_of(arm)["port"] == "ideal"
+    assert not [key for key in values_of(arm) if key.startswith("bus")]
+
+
+def test_a_simulated_arm_that_a_busy_machine_slows_down_says_so() -> None:
+    arm, servo = statuses(health=replace(HEALTH, real_time_factor=0.42))
+    assert (arm["level"], arm["message"]) == (1, "the arm holds, at 42% of real time: this machine is busy")
+    assert values_of(arm)["real_time_factor"] == "0.42"
+    assert servo["level"] == 0
+    arm, _ = statuses(health=replace(HEALTH, real_time_factor=0.95))
+    assert (arm["level"], values_of(arm)["real_time_factor"]) == (0, "0.95")
+
+
+def test_a_slow_simulated_arm_reports_as_seldom_as_its_time_passes() -> None:
+    now_s = 108.0
+    state = replace(STATE, stamp_s=now_s)
+    assert statuses(state, replace(HEALTH, real_time_factor=0.25), now_s)[1]["level"] == 0
+    assert statuses(state, replace(HEALTH, real_time_factor=0.5), now_s)[1]["level"] == 3
+
+
+def test_what_is_worse_than_slow_is_told_instead() -> None:
+    fault = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex")
+    arm, _ = statuses(replace(STATE, mode=Mode.FAULT, fault=fault), replace(HEALTH, real_time_factor=0.42))
+    assert (arm["level"], arm["message"].startswith(str(fault))) == (2, True)
+
+
 def test_a_servo_with_a_warning_makes_servo_and_arm_warn() -> None:
-    arm, servo = statuses(health=replace(HEALTH, servos=(replace(SERVO, warnings=("warm: 56 degC",)),)))
+    arm, servo = statuses(health=replace(HEALTH, joints=(replace(SERVO, warnings=("warm: 56 degC",)),)))
     assert (arm["level"], servo["level"], servo["message"]) == (1, 1, "warm: 56 degC")
 
 
@@ -51,7 +83,7 @@ def test_the_joint_of_a_fault_is_an_error() -> None:
 
 
 def test_a_servo_that_is_not_read_is_stale() -> None:
-    assert statuses(health=replace(HEALTH, servos=(replace(SERVO, age_s=2.0),)))[1]["level"] == 3
+    assert statuses(health=replace(HEALTH, joints=(replace(SERVO, age_s=2.0),)))[1]["level"] == 3
     assert statuses(now_s=104.0)[1]["level"] == 3
     assert statuses(replace(STATE, mode=Mode.DISCONNECTED))[1]["level"] == 3
 

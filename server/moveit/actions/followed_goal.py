@@ -37,7 +37,7 @@ class FollowedTolerances:
     Attributes:
         path: while it is played.
         goal: at its end.
-        time_s: by which the end's may be met later [s].
+        time_s: by which the end's may be met later, on the arm's clock [s].
     """
 
     path: Tolerances
@@ -105,14 +105,14 @@ class FollowedGoal:
             return
         last = performed.planned[-1]
         self._end_rad = dict(zip(last.joint_names, last.positions_rad[-1].tolist(), strict=True))
-        self._settle_until_s = state.stamp_s + self._demands.time_s
+        self._settle_until_s = state.clock_s + self._demands.time_s
         self._look_at_end(state)
 
     def _look_at_end(self, state: ArmState) -> None:
         if self._goal.ended or self._end_rad is None or self._settle_until_s is None:
             return
         away = violated(self._demands.goal, state, self._end_rad)
-        if not away or state.stamp_s >= self._settle_until_s:
+        if not away or state.clock_s >= self._settle_until_s:
             self._finish(away)
 
     def _finish(self, away_from_goal: str) -> None:

@@ -78,7 +78,7 @@ class ServoNode:
         timeout_s = parameters.incoming_command_timeout
 
         def closed() -> str:
-            failure = unusable(arm.state, arm.state_age_s)
+            failure = unusable(arm)
             return busy() if failure is None else failure.message
 
         gate = Gate(self._present, timeout_s, closed)

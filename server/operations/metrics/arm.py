@@ -1,19 +1,21 @@
-"""The arm: what it does, its bus, its loop and its servos."""
+"""The arm: what it does, its bus, its loop and its servos; what an ideal arm does not have is left out."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from robot.faults import FaultCode
-from robot.messages import ArmHealth, Mode, ServoHealth
+from robot.hardware.interface import BusCounters
+from robot.messages import ArmHealth, JointHealth, Mode
 from server.operations.parts import ArmPart
 
 # Of a loop and a bus, by the part of the last second's values that is not above it.
 QUANTILES = ("0.5", "0.99", "1")
 
-_OF_SERVOS: tuple[tuple[str, str, Callable[[ServoHealth], float]], ...] = (
+_OF_SERVOS: tuple[tuple[str, str, Callable[[JointHealth], float]], ...] = (
     ("armbridge_servo_temperature_celsius", "Temperature of a servo.", lambda servo: servo.temperature_c),
     ("armbridge_servo_voltage_volts", "Voltage at a servo.", lambda servo: servo.voltage_v),
     ("armbridge_servo_current_amperes", "Current of a servo's motor, signed.", lambda servo: servo.current_a),
@@ -36,7 +38,33 @@ def arm_metrics(arm: ArmPart) -> Iterator[Metric]:
 
 def condition_metrics(health: ArmHealth) -> Iterator[Metric]:
     """The arm's condition, as it told it last."""
-    bus = health.bus
+    if health.bus is not None:
+        yield from _bus_metrics(health.bus)
+        yield _quantiles("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
+    yield _quantiles(
+        "armbridge_arm_loop_lateness_seconds", "Start of the loop's ticks after their deadlines.", health.lateness_s
+    )
+    yield GaugeMetricFamily("armbridge_arm_real_time", "Whether the loop has real-time priority.", health.real_time)
+    yield GaugeMetricFamily(
+        "armbridge_arm_real_time_factor",
+        "Seconds of the arm's time that pass in one second; below 1 where a busy machine slows a simulated arm down.",
+        health.real_time_factor,
+    )
+    for name, meaning, value_of in _OF_SERVOS:
+        family = GaugeMetricFamily(name, meaning, labels=("joint",))
+        for joint in health.joints:
+            if not math.isnan(value := value_of(joint)):
+                family.add_metric((joint.joint,), value)
+        yield family
+    silent = CounterMetricFamily(
+        "armbridge_servo_silent_cycles", "Cycles in which a servo did not answer.", labels=("joint",)
+    )
+    for joint in health.joints:
+        silent.add_metric((joint.joint,), joint.silent_cycles)
+    yield silent
+
+
+def _bus_metrics(bus: BusCounters) -> Iterator[Metric]:
     for name, meaning, value in (
         ("instructions", "Instructions written to the bus.", bus.sent),
         ("replies", "Valid replies of servos.", bus.replies),
@@ -45,22 +73,6 @@ def condition_metrics(health: ArmHealth) -> Iterator[Metric]:
         ("retries", "Instructions that were repeated.", bus.retries),
     ):
         yield CounterMetricFamily(f"armbridge_bus_{name}", f"{meaning} Since the bus was opened.", value)
-    yield _quantiles(
-        "armbridge_arm_loop_lateness_seconds", "Start of the loop's ticks after their deadlines.", health.lateness_s
-    )
-    yield _quantiles("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
-    yield GaugeMetricFamily("armbridge_arm_real_time", "Whether the loop has real-time priority.", health.real_time)
-    for name, meaning, value_of in _OF_SERVOS:
-        family = GaugeMetricFamily(name, meaning, labels=("joint",))
-        for servo in health.servos:
-            family.add_metric((servo.joint,), value_of(servo))
-        yield family
-    silent = CounterMetricFamily(
-        "armbridge_servo_silent_cycles", "Cycles in which a servo did not answer.", labels=("joint",)
-    )
-    for servo in health.servos:
-        silent.add_metric((servo.joint,), servo.silent_cycles)
-    yield silent
 
 
 def _quantiles(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:

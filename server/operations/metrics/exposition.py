@@ -20,7 +20,7 @@ from server.operations.metrics.goals import goal_metrics, planner_metrics, queue
 from server.operations.metrics.processes import build_metrics, loop_metrics, process_metrics
 from server.operations.parts import Parts
 
-# The arm's condition comes once a second; what is older says nothing of its servos now.
+# The arm's condition comes once a second of the arm's time; what is older says nothing of its servos now.
 CONDITION_STALE_S = 5.0
 
 Part = TypeVar("Part")
@@ -79,7 +79,9 @@ def _of(part: Part | None, metrics: Callable[[Part], Iterator[Metric]]) -> Itera
 
 def _fresh(health: ArmHealth | None) -> ArmHealth | None:
     """The arm's condition, unless it is what it was before the arm was lost."""
-    return None if health is None or time.time() - health.stamp_s > CONDITION_STALE_S else health
+    if health is None or (time.time() - health.stamp_s) * health.real_time_factor > CONDITION_STALE_S:
+        return None
+    return health
 
 
 class Exposition:

@@ -1,4 +1,4 @@
-"""The reasons themselves are shown by the driver's tests; here is what must be accepted."""
+"""The reasons themselves are shown by the controller's tests; here is what must be accepted."""
 
 from __future__ import annotations
 

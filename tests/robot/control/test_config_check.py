@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 
 from robot import model
-from robot.calibration import Calibration
 from robot.control.config_check import CONFIG_RANGES, GUARD_RANGES, checked
 from robot.guard_limits import GuardLimits
+from robot.hardware.config import IdealConfig
 from robot.messages import ArmConfig
 
-CONFIG = ArmConfig(model.builtin(), Calibration.nominal(), port="")
+CONFIG = ArmConfig(model.builtin(), IdealConfig())
 ALL_RANGES = {**CONFIG_RANGES, **GUARD_RANGES}
 
 

@@ -12,10 +12,9 @@ from robot.control.guards import (
     VOLTAGE_BIT_TIME_S,
     Guards,
 )
-from robot.faults import FaultCode
+from robot.faults import Fault, FaultCode
 from robot.guard_limits import GuardLimits
-from robot.servos.registers import StatusBit
-from robot.servos.telemetry import Measured
+from robot.hardware.interface import Measured, StatusFlag
 from tests.helpers.readings import reading
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -47,9 +46,9 @@ def never(position: Any = GOAL, limits: GuardLimits = LIMITS, **told: Any) -> bo
 
 AT_ONCE = {
     FaultCode.OVERHEATED: {"temperature_c": at(2, 65.0, 30.0)},
-    FaultCode.OVERLOAD: {"status": at(2, StatusBit.OVERLOAD)},
-    FaultCode.OVERCURRENT: {"status": at(2, StatusBit.CURRENT)},
-    FaultCode.ENCODER_ERROR: {"status": at(2, StatusBit.ENCODER)},
+    FaultCode.OVERLOAD: {"status": at(2, StatusFlag.OVERLOAD)},
+    FaultCode.OVERCURRENT: {"status": at(2, StatusFlag.CURRENT)},
+    FaultCode.ENCODER_ERROR: {"status": at(2, StatusFlag.ENCODER)},
     FaultCode.SERVO_SILENT: {"age_s": at(2, STALE_AFTER_S * 1.01)},
 }
 
@@ -66,7 +65,7 @@ def test_some_readings_are_a_fault_at_once_and_name_the_joint(code: FaultCode) -
 
 
 def test_the_servos_own_temperature_bit_counts_as_well() -> None:
-    assert seconds_until(FaultCode.OVERHEATED, status=int(StatusBit.TEMPERATURE)) == 0.0
+    assert seconds_until(FaultCode.OVERHEATED, status=int(StatusFlag.TEMPERATURE)) == 0.0
 
 
 def test_a_joint_far_behind_is_lost_after_a_while() -> None:
@@ -109,7 +108,7 @@ def test_a_low_supply_is_borne_for_as_long_as_a_motor_takes_to_start() -> None:
 
 @pytest.mark.parametrize(("volts", "code"), [(12.0, FaultCode.VOLTAGE_HIGH), (5.0, FaultCode.VOLTAGE_LOW)])
 def test_a_servo_that_complains_of_its_supply_is_borne_for_a_while(volts: float, code: FaultCode) -> None:
-    waited_s = seconds_until(code, voltage_v=volts, status=int(StatusBit.VOLTAGE))
+    waited_s = seconds_until(code, voltage_v=volts, status=int(StatusFlag.VOLTAGE))
     assert waited_s == pytest.approx(VOLTAGE_BIT_TIME_S)
 
 
@@ -158,6 +157,54 @@ def test_silence_of_an_arm_that_is_well_names_the_silent_joint_that_is_farthest_
     fault = guards.check(GOAL, reading([0.05, 0.01, 0.0, 0.02, 0.0, 0.0], age_s=silent), FULL, 1.01)
     assert fault is not None
     assert (fault.code, fault.joint) == (FaultCode.SERVO_SILENT, "wrist_flex")
+
+
+def found_in_silence(age_s: list[float], measured: Measured | None = None) -> Fault | None:
+    """What the guards find, in an arm that was well, when joints have readings of these ages."""
+    guards = Guards(NAMES)
+    assert guards.check(GOAL, reading(GOAL), FULL, 1.0) is None
+    measured = (measured or reading(GOAL))._replace(age_s=np.array(age_s))
+    return guards.check(GOAL, measured, FULL, 1.1)
+
+
+@pytest.mark.parametrize("position", [GOAL, at(1, 0.2)], ids=["at its goals", "behind its goals"])
+def test_all_joints_silent_at_once_is_a_silent_bus_and_no_joint_of_it(position: Any) -> None:
+    fault = found_in_silence([0.11, 0.12, 0.11, 0.12, 0.11, 0.12], reading(position))
+    assert fault is not None
+    assert (fault.code, fault.joint) == (FaultCode.BUS_SILENT, "")
+
+
+def test_a_silent_bus_is_told_with_the_time_since_any_servo_has_answered() -> None:
+    fault = found_in_silence([0.31, 0.31, 0.11, 0.31, 0.31, 0.31])
+    assert fault is not None
+    assert fault.message == "no servo has answered for 0.11 s"
+
+
+@pytest.mark.parametrize("position", [GOAL, at(1, 0.2)], ids=["at its goals", "behind its goals"])
+def test_one_silent_joint_is_a_silent_servo_of_that_joint(position: Any) -> None:
+    fault = found_in_silence([0.0, 0.0, 0.0, 0.0, 0.12, 0.0], reading(position))
+    assert fault is not None
+    assert (fault.code, fault.joint) == (FaultCode.SERVO_SILENT, "wrist_roll")
+
+
+def test_all_joints_but_one_silent_are_silent_servos_since_the_bus_works() -> None:
+    fault = found_in_silence([0.12, 0.12, 0.12, 0.0, 0.12, 0.12])
+    assert fault is not None
+    assert fault.code is FaultCode.SERVO_SILENT
+
+
+def test_a_silence_that_spreads_to_all_joints_becomes_that_of_the_bus() -> None:
+    guards, codes = Guards(NAMES), []
+    for ages in ([0.0] * 6, at(2, 0.11), [0.12] * 6):
+        fault = guards.check(GOAL, reading(GOAL, age_s=np.array(ages)), FULL, 1.0)
+        codes.append(None if fault is None else fault.code)
+    assert codes == [None, FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT]
+
+
+def test_an_arm_that_measures_neither_heat_nor_current_nor_supply_is_well() -> None:
+    unmeasured = float("nan")
+    assert never(temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured)
+    assert never(at(1, 0.2), temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured)
 
 
 @pytest.mark.parametrize(

@@ -2,38 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import pytest
 
 from robot.faults import Fault, FaultCode
 from robot.guard_limits import GuardLimits
+from robot.hardware.config import EmulatedConfig
+from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import StatusFlag
 from robot.messages import Mode, Order
-from robot.servos.registers import Register, StatusBit, Telemetry
-from tests.helpers.arm_rig import ArmRig
-from tests.robot.conftest import RunningEmulator
+from tests.helpers.arm_rig import CALIBRATION, ArmRig
+from tests.helpers.stepped_emulator import SteppedEmulator
+
+IDS = [joint.servo_id for joint in CALIBRATION.joints]
 
 
 @pytest.fixture
-def rig(emulator: RunningEmulator) -> Iterator[ArmRig]:
-    made = ArmRig(emulator.port, start_enabled=False)
+def emulator() -> SteppedEmulator:
+    return SteppedEmulator(wire_time=False)
+
+
+def relaxed(emulator: SteppedEmulator, **settings: object) -> ArmRig:
+    made = ArmRig(emulator, start_enabled=False, **settings)
     made.until_mode(Mode.RELAXED)
-    yield made
-    made.close()
+    return made
 
 
-def test_the_guards_bear_what_is_configured(emulator: RunningEmulator) -> None:
-    rig = ArmRig(emulator.port, guard_limits=GuardLimits(min_voltage_v=9.0, torque_limit=0.4))
-    try:
-        rig.until_mode(Mode.FAULT)
-        fault = rig.supervisor.fault
-        assert fault is not None
-        assert "it needs 9 V at least" in fault.message
-        assert rig.bus is not None
-        assert rig.bus.read(1, Register.TORQUE_LIMIT) == 400
-    finally:
-        rig.close()
+@pytest.fixture
+def rig(emulator: SteppedEmulator) -> ArmRig:
+    return relaxed(emulator)
+
+
+def latch(rig: ArmRig, code: FaultCode) -> None:
+    """Have the arm in a fault that it found some time ago."""
+    arm = rig.supervisor.arm
+    assert arm is not None
+    assert arm.controller is not None
+    arm.controller.latch(Fault(code, "it was found"))
+
+
+def test_the_guards_bear_what_is_configured(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator, guard_limits=GuardLimits(min_voltage_v=9.0, torque_limit=0.4))
+    rig.until_mode(Mode.FAULT)
+    fault = rig.supervisor.fault
+    assert fault is not None
+    assert "it needs 9 V at least" in fault.message
+    assert rig.bus.read(1, Register.TORQUE_LIMIT) == 400
 
 
 @pytest.mark.parametrize(
@@ -41,36 +54,52 @@ def test_the_guards_bear_what_is_configured(emulator: RunningEmulator) -> None:
     [(FaultCode.OVERHEATED, 54, True), (FaultCode.OVERHEATED, 57, False), (FaultCode.STALLED, 57, True)],
 )
 def test_a_hot_arm_must_cool_down_before_its_fault_is_reset(
-    rig: ArmRig, monkeypatch: pytest.MonkeyPatch, code: FaultCode, temperature_c: int, resets: bool
+    emulator: SteppedEmulator, rig: ArmRig, code: FaultCode, temperature_c: int, resets: bool
 ) -> None:
-    arm = rig.supervisor.arm
-    assert arm is not None
-    assert arm.driver is not None
-    arm.driver.latch(Fault(code, "it is hot"))
-    real = arm.watch.reading
-
-    def warm(servo_id: int) -> Telemetry:
-        return replace(real(servo_id), temperature_c=temperature_c)
-
-    monkeypatch.setattr(arm.watch, "reading", warm)
+    emulator.command(temperature=dict.fromkeys(map(str, IDS), temperature_c))
+    rig.run(0.05)
+    latch(rig, code)
     answer = rig.order(Order.RESET_FAULT)
     assert answer.done is resets
     assert str(temperature_c) in answer.message or resets
 
 
-def test_a_servo_that_still_complains_keeps_the_fault(rig: ArmRig, monkeypatch: pytest.MonkeyPatch) -> None:
-    arm = rig.supervisor.arm
-    assert arm is not None
-    assert arm.driver is not None
-    arm.driver.latch(Fault(FaultCode.ENCODER_ERROR, "the encoder"))
-    monkeypatch.setattr(arm.watch, "status", lambda _servo: int(StatusBit.ENCODER))
+def test_a_servo_that_still_complains_keeps_the_fault(emulator: SteppedEmulator, rig: ArmRig) -> None:
+    emulator.command(status={"4": int(StatusFlag.ENCODER)})
+    rig.run(0.05)
+    latch(rig, FaultCode.ENCODER_ERROR)
     answer = rig.order(Order.RESET_FAULT)
     assert not answer.done
-    assert "encoder" in answer.message
+    assert "wrist_flex (id 4) still complains of encoder" in answer.message
 
 
-def test_an_emergency_stop_of_an_arm_that_is_silent_is_answered(rig: ArmRig, emulator: RunningEmulator) -> None:
-    emulator.command(offline=list(rig.supervisor.servos.ids))
+def test_an_overload_that_stays_asks_for_a_power_cut(emulator: SteppedEmulator, rig: ArmRig) -> None:
+    emulator.command(status={"4": int(StatusFlag.OVERLOAD)})
+    rig.run(0.05)
+    latch(rig, FaultCode.OVERLOAD)
+    assert rig.order(Order.RESET_FAULT).message.endswith("complains of overload: switch the servos' supply off and on")
+
+
+def test_an_overload_that_stays_asks_nobody_to_cut_the_power_of_a_simulated_arm(emulator: SteppedEmulator) -> None:
+    rig = relaxed(emulator, hardware=EmulatedConfig(CALIBRATION))
+    emulator.command(status={"4": int(StatusFlag.OVERLOAD)})
+    rig.run(0.05)
+    latch(rig, FaultCode.OVERLOAD)
+    assert rig.order(Order.RESET_FAULT).message.endswith("wrist_flex (id 4) still complains of overload")
+
+
+def test_an_overload_that_torque_off_clears_is_cleared_by_the_reset(emulator: SteppedEmulator, rig: ArmRig) -> None:
+    emulator.servo_bus.servos[3].protection._latched = StatusFlag.OVERLOAD
+    rig.run(0.1)
+    assert rig.bus.read(4, Register.STATUS) == StatusFlag.OVERLOAD
+    latch(rig, FaultCode.OVERLOAD)
+    assert rig.order(Order.RESET_FAULT).done
+    assert rig.bus.read(4, Register.STATUS) == 0
+    assert rig.torque() == [0] * 6
+
+
+def test_an_emergency_stop_of_an_arm_that_is_silent_is_answered(rig: ArmRig, emulator: SteppedEmulator) -> None:
+    emulator.command(offline=IDS)
     rig.run(0.2)
     answer = rig.order(Order.EMERGENCY_STOP)
     assert not answer.done

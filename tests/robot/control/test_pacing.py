@@ -34,6 +34,31 @@ def test_lateness_is_kept_for_the_latest_ticks() -> None:
     assert pacer.latest(2) == pytest.approx((0.002, 0.003))
 
 
+def test_a_tick_that_is_skipped_puts_off_the_next_and_none_is_late() -> None:
+    pacer = Pacer(0.0)
+    pacer.skip(1)
+    assert pacer.deadline_s == pytest.approx(2 * PERIOD_S)
+    pacer.start_tick(pacer.deadline_s)
+    assert pacer.latest(1) == pytest.approx((0.0,))
+    assert pacer.deadline_s == pytest.approx(3 * PERIOD_S)
+
+
+def test_a_skipped_tick_that_is_needed_after_all_is_taken_back() -> None:
+    pacer = Pacer(0.0)
+    pacer.skip(1)
+    pacer.hurry(1, 0.004)
+    assert pacer.deadline_s == pytest.approx(PERIOD_S)
+
+
+def test_a_tick_that_is_needed_when_its_time_is_over_is_due_now_and_not_late() -> None:
+    pacer = Pacer(0.0)
+    pacer.skip(1)
+    pacer.hurry(1, 0.013)
+    assert pacer.deadline_s == pytest.approx(0.013)
+    pacer.start_tick(0.013)
+    assert pacer.latest(1) == pytest.approx((0.0,))
+
+
 def test_percentiles_of_nothing_are_zero() -> None:
     assert percentiles([]) == (0.0, 0.0, 0.0)
     assert percentiles([1.0, 2.0, 3.0])[::2] == (2.0, 3.0)

@@ -1,32 +1,31 @@
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 
+from robot.control.pacing import PERIOD_S
 from robot.faults import FaultCode
-from robot.messages import EmergencyPolicy, EndState, Mode, Order, Outcome, Shutdown
-from robot.servos.registers import Register
-from tests.helpers.arm_rig import ArmRig
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
+from robot.hardware.feetech.registers import Register
+from robot.messages import ArmHealth, ArmState, EmergencyPolicy, EndState, Mode, Order, Outcome, Shutdown
+from tests.helpers.arm_rig import CALIBRATION, NAMES, ArmRig
+from tests.helpers.stepped_emulator import SteppedEmulator
 from tests.helpers.trajectories import smooth_move
-from tests.robot.conftest import RunningEmulator
 
 Start = Callable[..., ArmRig]
 PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=1.5)
+SIMULATED = [EmulatedConfig(CALIBRATION), IdealConfig()]
 
 
 @pytest.fixture
-def start_rig(emulator: RunningEmulator) -> Iterator[Start]:
-    rigs = []
+def emulator() -> SteppedEmulator:
+    return SteppedEmulator(wire_time=False)
 
-    def start(**settings: object) -> ArmRig:
-        rigs.append(ArmRig(emulator.port, **settings))
-        return rigs[-1]
 
-    yield start
-    for rig in rigs:
-        rig.close()
+@pytest.fixture
+def start_rig(emulator: SteppedEmulator) -> Start:
+    return lambda **settings: ArmRig(emulator, **settings)
 
 
 @pytest.fixture
@@ -60,7 +59,7 @@ def test_an_arm_that_may_not_be_switched_on_stays_relaxed(start_rig: Start) -> N
 
 
 def test_an_arm_with_a_missing_servo_says_so_and_comes_up_when_it_is_there(
-    emulator: RunningEmulator, start_rig: Start
+    emulator: SteppedEmulator, start_rig: Start
 ) -> None:
     emulator.command(offline=[3])
     rig = start_rig()
@@ -98,7 +97,7 @@ def test_an_emergency_stop_cuts_torque_within_one_tick_and_is_verified(moving: A
     assert answer.done
 
 
-def test_an_emergency_stop_that_cannot_be_verified_names_the_servo(emulator: RunningEmulator, rig: ArmRig) -> None:
+def test_an_emergency_stop_that_cannot_be_verified_names_the_servo(emulator: SteppedEmulator, rig: ArmRig) -> None:
     emulator.command(offline=[2])
     answer = rig.order(Order.EMERGENCY_STOP)
     assert not answer.done
@@ -159,7 +158,7 @@ def test_a_second_order_is_refused_while_one_is_carried_out(start_rig: Start) ->
     assert "enabling" in answer.message
 
 
-def test_a_silent_servo_is_a_fault_that_goes_when_it_answers_again(emulator: RunningEmulator, moving: ArmRig) -> None:
+def test_a_silent_servo_is_a_fault_that_goes_when_it_answers_again(emulator: SteppedEmulator, moving: ArmRig) -> None:
     emulator.command(offline=[3])
     moving.until_mode(Mode.FAULT)
     assert moving.fault_code == "servo_silent"
@@ -171,18 +170,17 @@ def test_a_silent_servo_is_a_fault_that_goes_when_it_answers_again(emulator: Run
     assert moving.mode is Mode.HOLDING
 
 
-def test_a_servo_that_started_anew_is_found_within_a_second(emulator: RunningEmulator, rig: ArmRig) -> None:
+def test_a_servo_that_started_anew_is_found_within_a_second(emulator: SteppedEmulator, rig: ArmRig) -> None:
     emulator.command(power_cycle=[2])
-    started_s = time.monotonic()
+    started_s = rig.clock()
     rig.until_mode(Mode.FAULT)
-    assert time.monotonic() - started_s < 1.2
+    assert rig.clock() - started_s < 1.2
     assert rig.fault_code == "servo_rebooted"
     assert rig.order(Order.RESET_FAULT).done
     assert rig.torque() == [1] * 6
 
 
 def test_torque_switched_off_by_somebody_else_is_found(rig: ArmRig) -> None:
-    assert rig.bus is not None
     rig.bus.write(4, Register.TORQUE_ENABLE, 0)
     rig.until_mode(Mode.FAULT)
     assert rig.fault_code == "torque_lost"
@@ -210,20 +208,180 @@ def test_a_silent_server_leaves_a_relaxed_arm_where_so_configured(start_rig: Sta
     assert rig.torque() == [0] * 6
 
 
+def seconds_until_stopped(rig: ArmRig) -> float:
+    """Time from the last word of the server to the end of a long motion [s]."""
+    rig.until_mode(Mode.HOLDING)
+    rig.execute(smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=30.0))
+    rig.run(0.4)
+    rig.alive = False
+    since_s = rig.clock()
+    rig.until(lambda: rig.mode is Mode.HOLDING, timeout_s=20.0)
+    return rig.clock() - since_s
+
+
+def test_a_real_arm_waits_for_its_server_as_long_as_configured(start_rig: Start) -> None:
+    assert seconds_until_stopped(start_rig(watchdog_s=0.7)) == pytest.approx(0.7, abs=0.3)
+
+
+@pytest.mark.parametrize("hardware", SIMULATED)
+def test_a_simulated_arm_waits_five_seconds_of_its_own_time_for_its_server(
+    start_rig: Start, hardware: HardwareConfig
+) -> None:
+    assert seconds_until_stopped(start_rig(hardware=hardware, watchdog_s=0.5)) == pytest.approx(5.0, abs=0.3)
+
+
+def test_a_simulated_arm_waits_for_longer_where_so_configured(start_rig: Start) -> None:
+    rig = start_rig(hardware=EmulatedConfig(CALIBRATION), watchdog_s=8.0)
+    assert seconds_until_stopped(rig) == pytest.approx(8.0, abs=0.3)
+
+
+def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) -> list[str]:
+    """What is logged when the server falls silent and comes back a number of times."""
+    caplog.clear()
+    for _ in range(times):
+        rig.alive = False
+        rig.run(1.0)
+        rig.alive = True
+        rig.run(0.1)
+    return [record.getMessage() for record in caplog.records if "nothing heard" in record.getMessage()]
+
+
+def test_silences_of_the_server_are_counted_rather_than_told_one_by_one(
+    rig: ArmRig, caplog: pytest.LogCaptureFixture
+) -> None:
+    first, second, fourth = silent_servers(rig, caplog, 5)
+    assert first.endswith("nothing moves")
+    assert second.endswith("nothing moves (2 times so far)")
+    assert fourth.endswith("nothing moves (4 times so far)")
+
+
+def test_a_silence_during_a_motion_is_told_to_stop_it(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    (line,) = silent_servers(moving, caplog, 1)
+    assert line.endswith("s: stopping")
+
+
+def test_a_silence_that_relaxes_the_arm_is_told_so(start_rig: Start, caplog: pytest.LogCaptureFixture) -> None:
+    rig = start_rig(on_server_lost=EndState.RELAX)
+    rig.until_mode(Mode.HOLDING)
+    (line,) = silent_servers(rig, caplog, 1)
+    assert line.endswith("s: relaxing")
+
+
+def test_a_server_that_is_gone_is_told_with_what_becomes_of_the_arm(
+    moving: ArmRig, caplog: pytest.LogCaptureFixture
+) -> None:
+    moving.supervisor.lose_server()
+    assert "the server is gone: stopping" in caplog.text
+    moving.until(lambda: moving.supervisor.finished())
+    assert [ended.outcome for ended in moving.ended] == [Outcome.STOPPED]
+
+
+@pytest.mark.parametrize("hardware", SIMULATED)
+def test_a_simulated_arm_at_rest_can_spare_a_tick(start_rig: Start, hardware: HardwareConfig) -> None:
+    rig = start_rig(hardware=hardware)
+    assert rig.supervisor.spare_ticks == 0
+    rig.until_mode(Mode.HOLDING)
+    rig.tick()
+    assert rig.supervisor.spare_ticks == 1
+    rig.execute(PAN)
+    assert rig.supervisor.spare_ticks == 0
+
+
+def test_an_order_leaves_no_tick_to_spare(start_rig: Start) -> None:
+    rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
+    rig.until_mode(Mode.HOLDING)
+    rig.begin(Order.RELAX)
+    assert rig.supervisor.spare_ticks == 0
+
+
+def test_a_real_arm_has_no_tick_to_spare(rig: ArmRig) -> None:
+    rig.tick()
+    assert rig.supervisor.spare_ticks == 0
+
+
+def test_skipped_ticks_make_states_no_rarer(start_rig: Start) -> None:
+    rig = start_rig(hardware=EmulatedConfig(CALIBRATION), state_rate_hz=50.0)
+    rig.until_mode(Mode.HOLDING)
+    rig.sent.clear()
+    for _ in range(100):
+        rig.clock.advance(2 * PERIOD_S)
+        rig.supervisor.tick(rig.pacer, ticks=2, server_gone=False)
+    assert sum(isinstance(each, ArmState) for each in rig.sent) == 100
+    assert sum(isinstance(each, ArmHealth) for each in rig.sent) == 2
+
+
+def test_states_tell_the_time_of_the_loop_and_whether_the_arm_is_driven(start_rig: Start) -> None:
+    rig = start_rig(start_enabled=False)
+    rig.until_mode(Mode.RELAXED)
+    rig.run(0.1)
+    assert not rig.state.driven
+    assert rig.state.clock_s == pytest.approx(rig.clock(), abs=0.02)
+    rig.order(Order.ENABLE)
+    rig.run(0.1)
+    assert rig.state.driven
+
+
+def test_a_simulated_arm_that_lost_its_bus_is_not_told_to_look_after_cables(start_rig: Start) -> None:
+    rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
+    rig.until_mode(Mode.HOLDING)
+    rig.execute(PAN)
+    rig.run(0.2)
+    rig.supervisor.disconnect("a command to the emulator unplugged it")
+    (ended,) = rig.ended
+    assert "reconnects as soon as it is plugged in" in ended.message
+    assert "cable" not in ended.message
+
+
+@pytest.mark.parametrize("order", [Order.EMERGENCY_STOP, Order.RELAX])
+def test_what_a_simulated_arm_says_of_servos_that_do_not_answer_asks_for_no_hands(
+    emulator: SteppedEmulator, start_rig: Start, order: Order
+) -> None:
+    rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
+    rig.until_mode(Mode.HOLDING)
+    emulator.command(offline=[2])
+    assert not rig.order(order).done
+    assert rig.supervisor.fault is not None
+    assert "online" in rig.supervisor.fault.remedy
+
+
+def test_an_ideal_arm_is_enabled_moves_and_is_relaxed(start_rig: Start) -> None:
+    rig = start_rig(hardware=IdealConfig())
+    rig.until_mode(Mode.HOLDING)
+    rig.execute(PAN)
+    rig.until(lambda: bool(rig.ended))
+    assert rig.ended[0].outcome is Outcome.REACHED
+    assert rig.state.position_rad is not None
+    assert rig.state.position_rad[0] == pytest.approx(1.0, abs=0.01)
+    assert rig.order(Order.RELAX).done
+    assert rig.mode is Mode.RELAXED
+
+
+def test_an_ideal_arm_takes_an_emergency_stop_and_is_enabled_again(start_rig: Start) -> None:
+    rig = start_rig(hardware=IdealConfig())
+    rig.until_mode(Mode.HOLDING)
+    rig.execute(PAN)
+    rig.run(0.7)
+    assert rig.order(Order.EMERGENCY_STOP).done
+    assert [ended.outcome for ended in rig.ended] == [Outcome.FAULT]
+    assert rig.order(Order.RESET_FAULT).done
+    assert rig.mode is Mode.RELAXED
+    assert rig.order(Order.ENABLE).done
+    assert rig.mode is Mode.HOLDING
+
+
 @pytest.mark.parametrize(("end", "torque"), [(EndState.HOLD, [1] * 6), (EndState.RELAX, [0] * 6)])
 def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndState, torque: list[int]) -> None:
     rig = start_rig(on_exit=end)
     rig.until_mode(Mode.HOLDING)
     rig.execute(PAN)
     rig.run(0.3)
-    rig.supervisor.obey(Shutdown(), time.monotonic())
-    rig.until(lambda: rig.supervisor.finished(time.monotonic()))
+    rig.supervisor.obey(Shutdown())
+    rig.until(lambda: rig.supervisor.finished())
     assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
     assert rig.torque() == torque
 
 
 def test_a_lost_bus_ends_the_motion_and_a_new_one_adopts_the_arm(moving: ArmRig) -> None:
-    moving.close()
     moving.supervisor.disconnect("serial port was lost")
     assert moving.mode is Mode.DISCONNECTED
     assert [ended.outcome for ended in moving.ended] == [Outcome.BUS_LOST]
@@ -234,8 +392,7 @@ def test_a_lost_bus_ends_the_motion_and_a_new_one_adopts_the_arm(moving: ArmRig)
     assert moving.torque() == [1] * 6
 
 
-def test_an_arm_found_relaxed_after_a_lost_bus_is_not_switched_on(emulator: RunningEmulator, rig: ArmRig) -> None:
-    rig.close()
+def test_an_arm_found_relaxed_after_a_lost_bus_is_not_switched_on(emulator: SteppedEmulator, rig: ArmRig) -> None:
     rig.supervisor.disconnect("serial port was lost")
     emulator.command(power_cycle=[1, 2, 3, 4, 5, 6])
     rig.connect()
@@ -246,7 +403,6 @@ def test_an_arm_found_relaxed_after_a_lost_bus_is_not_switched_on(emulator: Runn
 
 def test_a_latched_fault_outlives_the_bus(rig: ArmRig) -> None:
     rig.order(Order.EMERGENCY_STOP)
-    rig.close()
     rig.supervisor.disconnect("serial port was lost")
     rig.connect()
     rig.until_mode(Mode.FAULT)
@@ -255,7 +411,6 @@ def test_a_latched_fault_outlives_the_bus(rig: ArmRig) -> None:
 
 
 def test_orders_to_an_arm_that_is_not_connected_are_refused(rig: ArmRig) -> None:
-    rig.close()
     rig.supervisor.disconnect("serial port was lost")
     for order in Order:
         answer = rig.answer(rig.begin(order))
@@ -268,7 +423,6 @@ def test_a_gripper_moves_beside_the_arm(rig: ArmRig) -> None:
     rig.execute(PAN, motion_id=1)
     rig.execute(smooth_move({"gripper": (0.0, 0.6)}, 1.0), motion_id=2, torque_share=0.5)
     rig.run(0.3)
-    assert rig.bus is not None
     assert rig.bus.read(6, Register.TORQUE_LIMIT) == 250
     rig.until(lambda: len(rig.ended) == 2)
     assert {ended.outcome for ended in rig.ended} == {Outcome.REACHED}
@@ -278,16 +432,16 @@ def test_a_gripper_moves_beside_the_arm(rig: ArmRig) -> None:
 def test_health_is_told_once_a_second_with_the_limits_kept(rig: ArmRig) -> None:
     rig.run(1.1)
     health = rig.health
-    assert [servo.joint for servo in health.servos] == list(rig.supervisor.servos.names)
+    assert [joint.joint for joint in health.joints] == list(NAMES)
     assert health.limits_rad is not None
     assert health.limits_rad.shape == (6, 2)
-    assert 0.0 < health.round_trip_s[0] < 0.01
+    assert health.bus is not None
+    assert health.bus.replies > 600
 
 
 def test_an_arm_with_adopted_servos_only_in_part_is_a_fault_after_a_reconnect(
-    emulator: RunningEmulator, rig: ArmRig
+    emulator: SteppedEmulator, rig: ArmRig
 ) -> None:
-    rig.close()
     rig.supervisor.disconnect("serial port was lost")
     emulator.command(power_cycle=[5])
     rig.connect()
@@ -298,7 +452,6 @@ def test_an_arm_with_adopted_servos_only_in_part_is_a_fault_after_a_reconnect(
 
 def test_an_emergency_stop_before_the_arm_is_there_keeps_it_from_being_switched_on(start_rig: Start) -> None:
     rig = start_rig()
-    rig.close()
     rig.supervisor.disconnect("serial port was lost")
     rig.begin(Order.EMERGENCY_STOP)
     rig.connect()

@@ -7,7 +7,7 @@ import pytest
 from robot.calibration import SO101_JOINTS, Calibration
 from robot.emulator.arm import build_servos, weight_of
 from robot.emulator.gravity import holding_duty_permille
-from robot.servos.registers import Register
+from robot.hardware.feetech.registers import Register
 
 
 def test_servos_stand_at_the_pose_asked_for():

@@ -8,7 +8,8 @@ from robot.emulator.arm import build_servos
 from robot.emulator.commands import FOR_SERVOS, NUMBERS, SWITCHES, VALUES, Emulation
 from robot.emulator.faults import PROBABILITIES, Faults
 from robot.emulator.servo_bus import ServoBus
-from robot.servos.registers import Register, StatusBit, encode
+from robot.hardware.feetech.registers import Register, encode
+from robot.hardware.interface import StatusFlag
 
 
 @pytest.fixture
@@ -75,7 +76,7 @@ def test_an_overload_can_be_made_to_last_until_a_power_cycle(emulation, servo):
     run(servo, 2.5)
     FOR_SERVOS["torque_off"](emulation, servo)
     run(servo, 0.1)
-    assert servo.error == StatusBit.OVERLOAD
+    assert servo.error == StatusFlag.OVERLOAD
     FOR_SERVOS["power_cycle"](emulation, servo)
     assert servo.error == 0
 
@@ -109,7 +110,7 @@ def test_the_rest_reaches_the_servo(servo):
     assert servo.present_ticks == before + 400
     assert (servo.motor.temperature_c, servo.voltage_v) == (66.0, 4.2)
     run(servo, 0.02)
-    assert servo.error == StatusBit.ENCODER
+    assert servo.error == StatusFlag.ENCODER
 
 
 def test_switches_reach_bus_and_adapter(emulation):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from robot.emulator.faults import PROBABILITIES, Faults
 from robot.emulator.wire import status_packet
-from robot.servos.packets import HEADER, checksum, parse_status_frames
+from robot.hardware.feetech.packets import HEADER, checksum, parse_status_frames
 
 SENT = status_packet(1, 0, bytes(15))
 OF_REPLIES = sorted(set(PROBABILITIES) - {"delay", "lose_instruction"})

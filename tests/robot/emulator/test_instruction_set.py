@@ -8,8 +8,8 @@ from robot.calibration import Calibration
 from robot.emulator.arm import build_servos
 from robot.emulator.instruction_set import execute
 from robot.emulator.wire import Instruction
-from robot.servos.packets import sync_write_parameters
-from robot.servos.registers import GOAL_ADDRESS, Register, encode, goal_block
+from robot.hardware.feetech.packets import sync_write_parameters
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
 
 PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
 RESTORE, REBOOT, BACKUP, RESET, CALIBRATE = 6, 8, 9, 10, 11

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.memory import FACTORY_EPROM, MEMORY_BYTES, Memory
-from robot.servos.registers import LAYOUT, Area, Register, decode, encode
+from robot.hardware.feetech.registers import LAYOUT, Area, Register, decode, encode
 
 
 def memory():

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from robot.emulator.faults import PROBABILITIES
-from robot.emulator.options import add_options, build
-from robot.servos.registers import Register
+from robot.emulator.options import add_options, build_bus
+from robot.hardware.feetech.registers import Register
 
 
 def parser():
@@ -20,41 +20,47 @@ def parser():
 @contextlib.contextmanager
 def built(*arguments):
     with contextlib.ExitStack() as resources:
-        yield build(parser().parse_args(arguments), resources)
+        yield build_bus(parser().parse_args(arguments), resources, 0.0)
 
 
 def test_without_options_there_is_an_arm_without_faults():
-    with built() as emulation:
-        assert [servo.servo_id for servo in emulation.bus.servos] == [1, 2, 3, 4, 5, 6]
-        assert all(getattr(emulation.bus.faults, name) == 0.0 for name in PROBABILITIES)
-        assert {servo.plant.gravity_permille != 0.0 for servo in emulation.bus.servos[1:4]} == {True}
+    with built() as bus:
+        assert [servo.servo_id for servo in bus.servos] == [1, 2, 3, 4, 5, 6]
+        assert all(getattr(bus.faults, name) == 0.0 for name in PROBABILITIES)
+        assert {servo.plant.gravity_permille != 0.0 for servo in bus.servos[1:4]} == {True}
 
 
 @pytest.mark.parametrize("name", PROBABILITIES)
 def test_every_fault_that_strikes_by_chance_is_an_option(name):
-    with built("--" + name.replace("_", "-"), "0.25") as emulation:
-        assert getattr(emulation.bus.faults, name) == 0.25
+    with built("--" + name.replace("_", "-"), "0.25") as bus:
+        assert getattr(bus.faults, name) == 0.25
 
 
 def test_the_servos_are_of_the_kind_asked_for():
-    with built("--supply", "4.8", "--heat-rate", "9", "--overload-latches", "--powers-up-holding") as emulation:
-        for servo in emulation.bus.servos:
+    with built("--supply", "4.8", "--heat-rate", "9", "--overload-latches", "--powers-up-holding") as bus:
+        for servo in bus.servos:
             assert (servo.voltage_v, servo.motor.rate, servo.protection.latches) == (4.8, 9.0, True)
             assert servo.value(Register.TORQUE_ENABLE) == 1
             assert servo.value(Register.GOAL_POSITION) == servo.present_ticks
 
 
-def test_bus_and_adapter_are_as_asked_for(tmp_path):
-    link, log = tmp_path / "arm", tmp_path / "log"
-    arguments = ["--usb-frame-ms", "1", "--stall-behind-missing", "--delay-s", "0.1", "--link", str(link)]
-    with built(*arguments, "--write-log", str(log)) as emulation:
-        assert emulation.adapter.frame_s == 0.001
-        assert emulation.bus.faults.stall_behind_missing
-        assert emulation.bus.faults.delay_s == 0.1
-        assert str(link.readlink()) == emulation.adapter.port
-        emulation.bus.record_command({})
+def test_the_bus_is_as_asked_for(tmp_path):
+    log = tmp_path / "log"
+    with built("--stall-behind-missing", "--delay-s", "0.1", "--write-log", str(log)) as bus:
+        assert bus.faults.stall_behind_missing
+        assert bus.faults.delay_s == 0.1
+        bus.record_command({})
     assert json.loads(log.read_text())["command"] == {}
-    assert not link.is_symlink()
+
+
+def test_bytes_take_their_time_on_the_wire_unless_that_is_not_wanted():
+    options, ping = parser().parse_args([]), bytes([0xFF, 0xFF, 1, 2, 1, 0xFB])
+    due_s = []
+    with contextlib.ExitStack() as resources:
+        for wire_time in (True, False):
+            (reply,) = build_bus(options, resources, 0.0, wire_time=wire_time).receive(ping, 1.0)
+            due_s.append(reply.due_s)
+    assert due_s[0] > due_s[1] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -11,67 +11,74 @@ import pytest
 
 from robot.emulator.process import LINGER_S, MAX_COMMAND_BYTES, Control
 from robot.errors import NoReply, PortError, PortLost
-from robot.servos.bus import Bus
-from robot.servos.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+
+
+@pytest.fixture
+def line(terminal):
+    with contextlib.closing(Bus.open(terminal.port)) as bus:
+        yield bus
+
 
 IDS = (1, 2, 3, 4, 5, 6)
 
 
-def test_live_commands_are_answered_while_the_bus_runs(emulator, bus):
-    assert emulator.command(drop=1.0) == {"ok": True}
-    assert bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
-    assert "unknown command" in str(emulator.command(nonsense=1)["error"])
-    assert emulator.command(drop=0.0) == {"ok": True}
-    assert len(bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
+def test_live_commands_are_answered_while_the_bus_runs(terminal, line):
+    assert terminal.command(drop=1.0) == {"ok": True}
+    assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
+    assert "unknown command" in str(terminal.command(nonsense=1)["error"])
+    assert terminal.command(drop=0.0) == {"ok": True}
+    assert len(line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
 
 
-def test_an_emulator_let_go_serves_on_until_the_bus_is_silent(emulator, bus):
-    emulator.let_go()
+def test_an_emulator_let_go_serves_on_until_the_bus_is_silent(terminal, line):
+    terminal.let_go()
     let_go_s = time.monotonic()
     while time.monotonic() < let_go_s + 1.2 * LINGER_S:
-        assert bus.ping(1) == 777
+        assert line.ping(1) == 777
     silent_from_s = time.monotonic()
-    assert emulator.process.wait(5.0) == 0
+    assert terminal.process.wait(5.0) == 0
     assert time.monotonic() - silent_from_s > 0.9 * LINGER_S
 
 
-def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(emulator, bus):
-    emulator.process.send_signal(signal.SIGINT)
-    assert bus.ping(1) == 777
-    emulator.process.terminate()
-    assert emulator.process.wait(5.0) == 0
+def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):
+    terminal.process.send_signal(signal.SIGINT)
+    assert line.ping(1) == 777
+    terminal.process.terminate()
+    assert terminal.process.wait(5.0) == 0
 
 
-def test_a_controller_that_sends_no_line_end_is_let_go(emulator):
+def test_a_controller_that_sends_no_line_end_is_let_go(terminal):
     with contextlib.suppress(OSError):
-        emulator._socket.sendall(b"x" * (MAX_COMMAND_BYTES + 4096))
-    assert emulator.process.wait(5.0) == 0
+        terminal._socket.sendall(b"x" * (MAX_COMMAND_BYTES + 4096))
+    assert terminal.process.wait(5.0) == 0
 
 
-def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_emulator, tmp_path):
+def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_terminal, tmp_path):
     link = tmp_path / "arm"
-    emulator = start_emulator("--link", str(link))
+    terminal = start_terminal("--link", str(link))
     with contextlib.closing(Bus.open(str(link))) as bus:
         bus.write(1, Register.TORQUE_LIMIT, 321)
-        emulator.command(plugged=False)
+        terminal.command(plugged=False)
         with pytest.raises(PortLost):
             bus.ping(1)
     with pytest.raises(PortError):
         Bus.open(str(link))
-    assert emulator.command(plugged="renamed")["port"] != emulator.port
+    assert terminal.command(plugged="renamed")["port"] != terminal.port
     with contextlib.closing(Bus.open(str(link))) as bus:
         assert bus.read(1, Register.TORQUE_LIMIT) == 321
 
 
-def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(emulator, bus):
-    emulator.command(frozen=True)
-    assert bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
-    emulator.command(frozen=False)
-    assert bus.ping(1) == 777
+def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(terminal, line):
+    terminal.command(frozen=True)
+    assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
+    terminal.command(frozen=False)
+    assert line.ping(1) == 777
 
 
-def test_nobody_answers_at_a_wrong_baud_rate(emulator):
-    with contextlib.closing(Bus.open(emulator.port, 500_000)) as bus, pytest.raises(NoReply):
+def test_nobody_answers_at_a_wrong_baud_rate(terminal):
+    with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
         bus.ping(1)
 
 

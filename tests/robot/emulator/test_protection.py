@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from robot.emulator.protection import OVERCURRENT_TIME_S, Measured, Protection, Thresholds
-from robot.servos.registers import StatusBit
+from robot.hardware.interface import StatusFlag
 
 LIMITS = Thresholds(
     voltage_v=(4.0, 8.0),
@@ -14,7 +14,7 @@ LIMITS = Thresholds(
     overload_s=2.0,
     protective_permille=200.0,
     current_a=3.25,
-    unloading=StatusBit.TEMPERATURE | StatusBit.CURRENT | StatusBit.OVERLOAD,
+    unloading=StatusFlag.TEMPERATURE | StatusFlag.CURRENT | StatusFlag.OVERLOAD,
 )
 WELL = Measured(duty_permille=100.0, current_a=0.2, temperature_c=30.0, voltage_v=5.0)
 STUCK = replace(WELL, duty_permille=-900.0)
@@ -37,7 +37,7 @@ def test_a_servo_that_is_well_complains_of_nothing_and_gives_all():
 def test_an_overload_is_told_after_its_time_and_leaves_a_fifth_of_the_torque():
     assert after(1.9, STUCK).status == 0
     protection = after(2.1, STUCK)
-    assert protection.status == StatusBit.OVERLOAD
+    assert protection.status == StatusFlag.OVERLOAD
     assert protection.duty_left_permille(LIMITS) == 200.0
 
 
@@ -50,7 +50,7 @@ def test_a_pause_in_the_load_starts_the_timer_anew():
 def test_too_much_current_is_told_after_its_time_and_leaves_nothing():
     assert after(OVERCURRENT_TIME_S - 0.1, SHORTED).status == 0
     protection = after(OVERCURRENT_TIME_S + 0.1, SHORTED)
-    assert protection.status == StatusBit.CURRENT
+    assert protection.status == StatusFlag.CURRENT
     assert protection.duty_left_permille(LIMITS) == 0.0
 
 
@@ -66,7 +66,7 @@ def test_a_servo_may_latch_until_its_power_is_cut():
     protection = after(3.0, STUCK)
     protection.latches = True
     protection.torque_off()
-    assert after(1.0, WELL, protection).status == StatusBit.OVERLOAD
+    assert after(1.0, WELL, protection).status == StatusFlag.OVERLOAD
     protection.power_up()
     assert after(1.0, WELL, protection).status == 0
 
@@ -74,27 +74,27 @@ def test_a_servo_may_latch_until_its_power_is_cut():
 @pytest.mark.parametrize("voltage_v", [3.9, 12.0])
 def test_a_wrong_supply_is_told_as_long_as_it_lasts_and_takes_no_torque(voltage_v):
     protection = after(0.01, replace(WELL, voltage_v=voltage_v))
-    assert protection.status == StatusBit.VOLTAGE
+    assert protection.status == StatusFlag.VOLTAGE
     assert protection.duty_left_permille(LIMITS) == 1000.0
     assert after(0.01, WELL, protection).status == 0
 
 
 def test_a_hot_servo_gives_nothing_until_it_has_cooled():
     protection = after(0.01, replace(WELL, temperature_c=71.0))
-    assert protection.status == StatusBit.TEMPERATURE
+    assert protection.status == StatusFlag.TEMPERATURE
     assert protection.duty_left_permille(LIMITS) == 0.0
     assert after(0.01, WELL, protection).duty_left_permille(LIMITS) == 1000.0
 
 
 def test_a_complaint_that_does_not_unload_takes_no_torque():
     hot = after(0.01, replace(WELL, temperature_c=71.0))
-    assert hot.duty_left_permille(replace(LIMITS, unloading=StatusBit(0))) == 1000.0
+    assert hot.duty_left_permille(replace(LIMITS, unloading=StatusFlag(0))) == 1000.0
 
 
 def test_a_forced_complaint_outlives_everything():
     protection = Protection()
-    protection.forced = StatusBit.ENCODER
+    protection.forced = StatusFlag.ENCODER
     protection.power_up()
-    assert after(0.1, WELL, protection).status == StatusBit.ENCODER
+    assert after(0.1, WELL, protection).status == StatusFlag.ENCODER
     protection.torque_off()
-    assert after(0.1, WELL, protection).status == StatusBit.ENCODER
+    assert after(0.1, WELL, protection).status == StatusFlag.ENCODER

@@ -6,17 +6,17 @@ from hypothesis import strategies as st
 
 from robot.emulator.plant import Plant
 from robot.emulator.servo import Servo
-from robot.servos.registers import (
+from robot.hardware.feetech.registers import (
     LAYOUT,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
-    StatusBit,
     decode,
     encode,
     goal_block,
     parse_telemetry,
 )
+from robot.hardware.interface import StatusFlag
 
 
 def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
@@ -142,7 +142,7 @@ def test_a_joint_that_is_stuck_overloads_and_goes_weak_until_torque_is_off():
     assert servo.error == 0
     assert get(servo, Register.PRESENT_LOAD) == 1000
     run(servo, 0.3)
-    assert servo.error == get(servo, Register.STATUS) == StatusBit.OVERLOAD
+    assert servo.error == get(servo, Register.STATUS) == StatusFlag.OVERLOAD
     assert get(servo, Register.PRESENT_LOAD) == 200
     servo.plant.block(None)
     put(servo, Register.TORQUE_ENABLE, 0)
@@ -165,7 +165,7 @@ def test_a_stuck_joint_draws_more_than_its_protection_current_and_is_cut_off():
     servo.plant.block(2060)
     put(servo, Register.GOAL_POSITION, 2600)
     run(servo, 2.5)
-    assert servo.error == StatusBit.CURRENT
+    assert servo.error == StatusFlag.CURRENT
     assert get(servo, Register.PRESENT_CURRENT) == 0
 
 
@@ -173,7 +173,7 @@ def test_a_hot_servo_tells_it_lets_go_and_holds_again_when_cool():
     servo = holding_servo()
     servo.motor.temperature_c = 75.0
     run(servo, 0.05)
-    assert servo.error == StatusBit.TEMPERATURE
+    assert servo.error == StatusFlag.TEMPERATURE
     assert get(servo, Register.PRESENT_TEMPERATURE) == 75
     put(servo, Register.GOAL_POSITION, 2200)
     run(servo, 0.3)
@@ -188,7 +188,7 @@ def test_a_wrong_supply_is_told_and_does_not_stop_the_motion():
     servo.voltage_v = 12.0
     put(servo, Register.GOAL_POSITION, 2200)
     run(servo, 1.0)
-    assert (servo.error, servo.present_ticks) == (StatusBit.VOLTAGE, 2200)
+    assert (servo.error, servo.present_ticks) == (StatusFlag.VOLTAGE, 2200)
     assert get(servo, Register.PRESENT_VOLTAGE) == 120
 
 

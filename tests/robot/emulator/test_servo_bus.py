@@ -8,29 +8,40 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.calibration import Calibration
+from robot.emulator import servo_bus
 from robot.emulator.arm import build_servos
+from robot.emulator.commands import Emulation
+from robot.emulator.control import answer
 from robot.emulator.faults import Faults
 from robot.emulator.servo_bus import BAUDRATES, ServoBus
 from robot.emulator.wire import status_packet
 from robot.emulator.write_log import WriteLog
-from robot.servos.packets import checksum
-from robot.servos.registers import GOAL_ADDRESS, Register, goal_block
-
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
-ALL = 0xFE
-IDS = [1, 2, 3, 4, 5, 6]
-
-
-def packet(servo_id, code, parameters=()):
-    body = bytes([servo_id, len(parameters) + 2, code, *parameters])
-    return b"\xff\xff" + body + bytes([checksum(body)])
-
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, decode, goal_block
+from robot.hardware.interface import StatusFlag
+from tests.helpers.examples import examples
+from tests.helpers.servo_requests import (
+    ALL,
+    COMMANDS,
+    IDS,
+    PING,
+    QUESTIONS,
+    READ,
+    REQUESTS,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    packet,
+)
 
 BLOCK_READ = packet(ALL, SYNC_READ, [56, 15, *IDS])
 
 
 def bus_with(faults=None, log=None):
     return ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), faults or Faults(), 0.0, log)
+
+
+def bus_without_wire_time(faults=None):
+    return ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), faults or Faults(), 0.0, wire_time=False)
 
 
 @pytest.fixture
@@ -131,13 +142,160 @@ def test_servos_move_while_nobody_speaks(bus):
     assert bus.servos[0].present_ticks == 2500
 
 
-def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves():
+def weighings(*, moving):
+    """How often the weight is put on in a tenth of a second, besides at once."""
     times = []
     bus = ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), Faults(), 0.0, weigh=lambda: times.append(1))
     assert len(times) == 1
+    bus.servos[0].plant.hand_ticks = 1000 if moving else None
     for k in range(1, 101):
         bus.advance(0.001 * k)
-    assert 9 <= len(times) <= 12
+    return len(times) - 1
+
+
+def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves():
+    assert 8 <= weighings(moving=True) <= 11
+
+
+def test_an_arm_at_rest_is_not_weighed_again():
+    assert weighings(moving=False) == 0
+
+
+EVENTS = st.one_of(
+    REQUESTS,
+    st.sampled_from([0.001, 0.01, 0.03, 0.1, 2.5]),
+    st.sampled_from([1_000_000, 500_000]),
+    st.sampled_from(COMMANDS),
+)
+# Few different ones, so that they come again.
+HISTORIES = st.lists(EVENTS, min_size=1, max_size=5).flatmap(lambda few: st.lists(st.sampled_from(few), max_size=20))
+
+
+class NoAdapter:
+    port = ""
+    frozen = False
+    frame_s = 0.0
+
+    def plug_in(self, *, renamed: bool = False) -> None: ...
+
+    def unplug(self) -> None: ...
+
+
+class FreshAndCached:
+    """The same servos twice, of which one may answer out of its cache.
+
+    Between two events both are asked all that they can tell, often enough for most answers to be cached.
+    """
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.baudrate = 1_000_000
+        self.cached, self.fresh = bus_without_wire_time(), bus_without_wire_time()
+
+    def happen(self, event: bytes | float | int | dict[str, object]) -> None:
+        """Let a request, some time, a change of the host's baud rate, or a live command happen to both."""
+        match event:
+            case bytes():
+                self.ask(event)
+            case float():
+                self.now_s += event
+            case int():
+                self.baudrate = event
+            case _:
+                line = json.dumps(event).encode()
+                assert len({answer(line, Emulation(bus, NoAdapter())) for bus in (self.cached, self.fresh)}) == 1
+
+    def ask(self, request: bytes) -> None:
+        """Compare what both say."""
+        self.fresh._answered.clear()
+        wanted = self.fresh.receive(request, self.now_s, self.baudrate)
+        got = self.cached.receive(request, self.now_s, self.baudrate)
+        assert b"".join(reply.data for reply in got) == b"".join(reply.data for reply in wanted)
+        assert [reply.due_s for reply in got[-1:]] == [reply.due_s for reply in wanted[-1:]]
+
+
+@examples(200)
+@given(HISTORIES)
+def test_no_answer_out_of_the_cache_differs_from_a_fresh_one(events):
+    both = FreshAndCached()
+    for event in events:
+        both.happen(event)
+        for question in QUESTIONS:
+            both.ask(question)
+
+
+def test_what_changes_by_itself_is_told_by_the_cache_as_well():
+    """A joint that pushes in vain cuts its torque in the end."""
+    both, statuses = FreshAndCached(), set()
+    blocked = {"obstacle": {"3": 2100}}
+    for event in (
+        blocked,
+        packet(3, WRITE, [Register.TORQUE_ENABLE, 1]),
+        packet(3, WRITE, [GOAL_ADDRESS, *goal_block(2500, 0)]),
+    ):
+        both.happen(event)
+    for _ in range(400):
+        both.happen(0.01)
+        both.ask(QUESTIONS[0])
+        servo = both.cached.servos[2]
+        load = decode(Register.PRESENT_LOAD, servo.read(Register.PRESENT_LOAD, 2))
+        assert load == round(servo.plant.duty_permille)
+        statuses.add(servo.error)
+    assert statuses == {0, StatusFlag.OVERLOAD}
+
+
+def test_the_beginning_of_an_instruction_spoils_what_follows_it_whatever_the_cache_holds():
+    both, torn = FreshAndCached(), packet(3, PING) + packet(1, PING)[:-3]
+    for _ in range(3):
+        both.happen(torn)
+        for _ in range(2):
+            both.happen(QUESTIONS[0])
+        both.happen(1.0)
+        both.happen(QUESTIONS[0])
+
+
+def test_an_arm_at_rest_that_cools_is_told_by_the_cache_as_well():
+    both, temperatures = FreshAndCached(), set()
+    both.happen({"temperature": {"3": 60}, "heat_rate": 60})
+    for _ in range(600):
+        both.happen(0.01)
+        both.ask(QUESTIONS[1])
+        servo = both.cached.servos[2]
+        (told,) = servo.read(Register.PRESENT_TEMPERATURE, 1)
+        assert told == round(servo.motor.temperature_c)
+        temperatures.add(told)
+    assert len(temperatures) > 5
+
+
+def test_an_arm_at_rest_answers_what_it_was_asked_before_without_looking_again(monkeypatch):
+    bus, executed = bus_without_wire_time(), []
+    monkeypatch.setattr(servo_bus, "execute", lambda instruction, *_, **__: executed.append(instruction) or [])
+    for k in range(1, 10):
+        bus.receive(BLOCK_READ, 0.01 * k)
+    assert len(executed) == 1
+
+
+def test_without_wire_time_every_reply_is_there_at_once():
+    bus = bus_without_wire_time()
+    assert [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)] == [5.0] * 6
+    assert said(bus, packet(1, PING), 5.0) == status_packet(1, 0)
+
+
+def test_without_wire_time_a_return_delay_holds_nothing_up():
+    bus = bus_without_wire_time()
+    bus.servos[0].write(Register.RETURN_DELAY, bytes([250]))
+    (reply,) = bus.receive(packet(1, PING), 2.0)
+    assert reply.due_s == 2.0
+
+
+def test_without_wire_time_a_delayed_reply_holds_up_those_behind_it():
+    bus = bus_without_wire_time(Faults(delay=1.0, delay_s=0.05))
+    (late,) = bus.receive(packet(1, PING), 0.0)
+    bus.faults.delay = 0.0
+    (behind,) = bus.receive(packet(2, PING), 0.01)
+    assert behind.due_s == late.due_s == pytest.approx(0.05)
+    (behind_again,) = bus.receive(packet(2, PING), 0.02)
+    assert behind_again.due_s == late.due_s
 
 
 def test_writes_and_commands_are_recorded_and_nothing_else(tmp_path):

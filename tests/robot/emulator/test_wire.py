@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.wire import Instruction, InstructionParser, status_packet
-from robot.servos.packets import checksum, parse_status_frames
+from robot.hardware.feetech.packets import checksum, parse_status_frames
 
 PING, WRITE = 1, 3
 ALL = 0xFE

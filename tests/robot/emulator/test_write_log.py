@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import json
+import time
 
 from robot.calibration import Calibration
 from robot.emulator.arm import build_servos
 from robot.emulator.write_log import WriteLog
-from robot.servos.registers import goal_block
+from robot.hardware.feetech.registers import goal_block
 
 
 def lines_of(path, record):
@@ -19,7 +20,9 @@ def lines_of(path, record):
 def test_a_line_tells_the_write_and_how_every_servo_stood(tmp_path):
     servos = build_servos(Calibration.nominal(), [0.0] * 6)
     servos[1].write(40, b"\x01")
+    before_s = time.monotonic()
     (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(12.5, 3, 40, {2: b"\x01"}, servos))
+    assert before_s <= line.pop("machine_t") <= time.monotonic()
     assert line == {
         "t": 12.5,
         "instruction": "write",

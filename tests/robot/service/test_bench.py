@@ -3,16 +3,15 @@ from __future__ import annotations
 import pytest
 
 from robot.errors import StartupError
-from robot.service import bench as bench_module
-from robot.service.bench import GENTLE_TORQUE, STEP_TICKS, Bench
-from robot.servos.registers import Register
+from robot.hardware.feetech.registers import Register
+from robot.service.bench import GENTLE_TORQUE, POWER_TIMEOUT_S, STEP_S, STEP_TICKS, Bench
 
 GRIPPER = 6
 
 
 @pytest.fixture
-def bench(bus):
-    return Bench(bus, GRIPPER, (1, 2, 3, 4, 5, 6))
+def bench(bus, emulator):
+    return Bench(bus, GRIPPER, (1, 2, 3, 4, 5, 6), emulator.clock, emulator.run)
 
 
 def test_torque_is_on_gently_where_the_servo_stands_and_off_afterwards(bench):
@@ -52,9 +51,19 @@ def test_a_step_goes_towards_the_middle_and_is_followed(bench):
     assert abs(samples[-1][1].position_ticks - goal) <= 3
 
 
-def test_waiting_for_a_servo_ends_when_it_answers_or_in_time(bench, emulator, monkeypatch):
-    monkeypatch.setattr(bench_module, "POWER_TIMEOUT_S", 0.2)
+def test_a_step_is_sampled_for_as_long_as_it_may_take(bench):
+    with bench.holding() as start:
+        times_s = [at_s for at_s, _ in bench.go(bench.one_step_from(start))]
+    assert times_s == sorted(times_s)
+    assert 0.9 * STEP_S < times_s[-1] < STEP_S
+
+
+def test_waiting_for_a_servo_ends_when_it_answers_or_in_time(bench, emulator):
+    started_s = emulator.clock()
     assert bench.await_answers(answering=True)
+    assert emulator.clock() - started_s < 0.01
     assert not bench.await_answers(answering=False)
-    emulator.command(offline=[GRIPPER])
+    assert emulator.clock() - started_s == pytest.approx(POWER_TIMEOUT_S, abs=0.2)
+    emulator.command_later(1.0, offline=[GRIPPER])
     assert bench.await_answers(answering=False)
+    assert emulator.clock() - started_s == pytest.approx(POWER_TIMEOUT_S + 1.0, abs=0.4)

@@ -7,12 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.calibration import SO101_JOINTS, Calibration
-from robot.control.blocking import run_to_end
 from robot.errors import CalibrationError
+from robot.hardware.feetech.registers import Register
+from robot.hardware.steps import run_to_end
 from robot.service.calibrating import MIDDLE_TICK, Sweep, calibrate, differences, write_to_servos
 from robot.service.scan import scan
-from robot.servos.bus import Bus
-from robot.servos.registers import Register
 from tests.helpers.server import read_write_log
 
 IDS = tuple(spec.servo_id for spec in SO101_JOINTS)
@@ -82,8 +81,8 @@ def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator
     nominal = Calibration.nominal()
     elbow = replace(nominal.joints[2], range_min=950, homing_offset=-12)
     wanted = Calibration((*nominal.joints[:2], elbow, *nominal.joints[3:]))
-    bus = Bus.open(emulator.port)
-    run_to_end(write_to_servos(bus, differences(wanted, scan(bus, IDS).servos)))
+    bus = emulator.open_bus()
+    run_to_end(write_to_servos(bus, differences(wanted, scan(bus, IDS).servos)), emulator.run)
     emulator.command(power_cycle=[3])
     assert differences(wanted, scan(bus, IDS).servos) == []
     written = [(entry["address"], *entry["data"]) for entry in read_write_log(write_log) if entry["data"]]

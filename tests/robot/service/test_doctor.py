@@ -5,10 +5,11 @@ from dataclasses import replace
 import pytest
 
 from robot.calibration import SO101_JOINTS, Calibration
+from robot.hardware.feetech.registers import Telemetry
+from robot.hardware.interface import StatusFlag
 from robot.service.doctor import Verdict, judge_cycles, judge_long_reads, judge_scan
 from robot.service.measuring import CycleTimes
 from robot.service.scan import ScanResult, ServoReport
-from robot.servos.registers import StatusBit, Telemetry
 
 NOMINAL = Calibration.nominal()
 TELEMETRY = Telemetry(2048, 0, 0, 5.0, 32, 0, False, 2048, 0.0)
@@ -45,7 +46,7 @@ def test_an_arm_that_is_well_is_good_in_everything():
         ({"voltage_v": 4.55}, "voltage", Verdict.NOTE, "along the chain"),
         ({"temperature_c": 56}, "temperature", Verdict.NOTE, "servo 3 with 56"),
         ({"temperature_c": 66}, "temperature", Verdict.PROBLEM, "servo 3 with 66"),
-        ({"status": StatusBit.OVERLOAD | StatusBit.VOLTAGE}, "error bits", Verdict.PROBLEM, "3: voltage, overload"),
+        ({"status": StatusFlag.OVERLOAD | StatusFlag.VOLTAGE}, "error bits", Verdict.PROBLEM, "3: voltage, overload"),
         ({"phase": 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count"),
         ({"return_delay": 250}, "return delay", Verdict.NOTE, "servo 3: 500 us"),
         ({"homing_offset_ticks": 5}, "calibration", Verdict.PROBLEM, "elbow_flex HOMING_OFFSET 5 instead of 0"),

@@ -4,7 +4,6 @@ import pytest
 
 from robot.calibration import SO101_JOINTS
 from robot.service.scan import ScanResult, explain_missing, scan
-from robot.servos.bus import Bus
 
 IDS = (1, 2, 3, 4, 5, 6)
 
@@ -29,7 +28,7 @@ def test_a_scan_lists_every_servo_with_what_it_measures(bus):
 
 
 def test_a_scan_writes_nothing(start_emulator, write_log):
-    bus = Bus.open(start_emulator("--write-log", str(write_log)).port)
+    bus = start_emulator("--write-log", str(write_log)).open_bus()
     scan(bus, IDS)
     bus.close()
     assert write_log.read_text() == ""

@@ -1,26 +1,86 @@
-"""Commands run as they do for people, on the emulated bus."""
+"""Commands run as they do for people: in the test's process on stepped servos, or on a pseudo terminal."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
-from tests.robot.conftest import RunningEmulator, bus, emulator, start_emulator, write_log  # noqa: F401 - fixtures
+from robot.emulator.servo_bus import BAUDRATE
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.steps import run_to_end
+from server import cli
+from server.commands import arm_options, relax
+from server.commands.terminal import Terminal
+from tests.helpers.stepped_emulator import SteppedEmulator
+from tests.robot.conftest import (  # noqa: F401 - fixtures
+    RunningEmulator,
+    bus,
+    start_emulator,
+    start_terminal,
+    terminal,
+    write_log,
+)
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture
-def armbridge(emulator: RunningEmulator) -> Run:  # noqa: F811 - the fixture
-    """Runs a command on the emulated bus, with lines for its questions."""
+def emulator(start_emulator: Callable[..., SteppedEmulator], write_log: Path) -> SteppedEmulator:  # noqa: F811 - fixtures
+    return start_emulator("--write-log", str(write_log))
 
-    def run(command: str, *options: str, answers: str = "") -> subprocess.CompletedProcess[str]:
+
+@pytest.fixture
+def armbridge(emulator: SteppedEmulator, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command on the emulator's servos, which are there on every port, with lines for its questions."""
+
+    def open_bus(_port: str, baudrate: int = BAUDRATE) -> Bus:
+        emulator.port.baudrate = baudrate
+        return emulator.open_bus()
+
+    monkeypatch.setattr(Bus, "open", open_bus)
+    # Torque is lowered in the servos' time.
+    monkeypatch.setattr(relax, "run_to_end", functools.partial(run_to_end, wait=emulator.run))
+
+    def run(
+        command: str, *options: str, answers: str = "", descriptor: int | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        capsys.readouterr()
+        with typed(answers) as answering:
+            made = functools.partial(Terminal, answering if descriptor is None else descriptor)
+            monkeypatch.setattr(arm_options, "Terminal", made)
+            code = cli.main([command, "--serial", "/dev/stepped", *options])
+        said = capsys.readouterr()
+        return subprocess.CompletedProcess([command], code, said.out, said.err)
+
+    return run
+
+
+@contextlib.contextmanager
+def typed(lines: str) -> Iterator[int]:
+    """The descriptor of an input that has these lines and then ends."""
+    read_end, write_end = os.pipe()
+    os.write(write_end, lines.encode())
+    os.close(write_end)
+    try:
+        yield read_end
+    finally:
+        os.close(read_end)
+
+
+@pytest.fixture
+def armbridge_on_terminal(terminal: RunningEmulator) -> Run:  # noqa: F811 - the fixture
+    """Runs a command as a process on servos behind a pseudo terminal."""
+
+    def run(command: str, *options: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "server.cli", command, "--serial", emulator.port, *options],
-            input=answers,
+            [sys.executable, "-m", "server.cli", command, "--serial", terminal.port, *options],
             capture_output=True,
             text=True,
             timeout=60,

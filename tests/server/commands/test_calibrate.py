@@ -1,16 +1,13 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
+import os
 
 import pytest
 
 from robot.calibration import SO101_JOINTS, Calibration
 from robot.emulator.plant import HAND_TICKS_S
-from robot.servos.bus import Bus
-from robot.servos.registers import Register
-from server import cli
+from robot.hardware.feetech.registers import Register
+from server.commands import calibrate
 from server.commands.terminal import ExitCode
 
 SWEPT = [spec.servo_id for spec in SO101_JOINTS if spec.name != "wrist_roll"]
@@ -20,97 +17,57 @@ MIDDLE = {str(spec.servo_id): 2040 for spec in SO101_JOINTS}
 REACH = 500
 
 
-class Person:
-    """Runs the command, reads what it asks for, and moves the emulated arm by hand."""
-
-    def __init__(self, emulator, *options):
-        self.emulator = emulator
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "server.cli", "calibrate", "--serial", emulator.port, *options],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.said = ""
-
-    def read_until(self, words):
-        for line in self.process.stderr:
-            self.said += line
-            if words in line:
-                return
-        raise AssertionError(self.said)
-
-    def press_enter(self):
-        self.process.stdin.write("\n")
-        self.process.stdin.flush()
-
-    def sweep(self):
-        self.read_until("middle of its range")
-        self.move(MIDDLE, from_afar_ticks=600)
-        self.press_enter()
-        self.read_until("Move every joint")
-        self.move({str(servo): 2040 + REACH for servo in SWEPT}, REACH)
-        self.move({str(servo): 2040 - REACH for servo in SWEPT}, 2 * REACH)
-        self.press_enter()
-
-    def move(self, hand, from_afar_ticks):
-        assert self.emulator.command(hand=hand) == {"ok": True}
-        time.sleep(from_afar_ticks / HAND_TICKS_S + 0.15)
-
-    def finish(self):
-        out, said = self.process.communicate(timeout=20)
-        self.said += said
-        return self.process.returncode, out
-
-
 @pytest.fixture
-def calibrated(emulator, tmp_path):
-    people = []
+def sweeping(emulator, monkeypatch):
+    """The input of a person who sweeps stepped servos while the command sleeps between its readings."""
+    emulator.command(hand=MIDDLE)
+    emulator.run(1.0)
+    moves = iter([+REACH, -REACH])
+    read_end, write_end = os.pipe()
+    os.write(write_end, b"\n")
 
-    def sweep(*options):
-        person = Person(emulator, str(tmp_path / "arm.json"), "--yes", *options)
-        people.append(person)
-        person.sweep()
-        return person.finish()
+    def sleep(_seconds):
+        if (reach := next(moves, None)) is None:
+            os.write(write_end, b"\n")
+        else:
+            emulator.command(hand={str(servo): 2040 + reach for servo in SWEPT})
+            emulator.run(2 * REACH / HAND_TICKS_S + 0.1)
 
-    yield sweep
-    for person in people:
-        person.process.kill()
-        person.process.communicate()
+    monkeypatch.setattr(calibrate.time, "sleep", sleep)
+    yield read_end
+    for descriptor in (read_end, write_end):
+        os.close(descriptor)
 
 
-def held(emulator, servo_id):
-    bus = Bus.open(emulator.port)
+def held(bus, servo_id):
     registers = Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT
-    values = tuple(bus.read(servo_id, register) for register in registers)
-    bus.close()
-    return values
+    return tuple(bus.read(servo_id, register) for register in registers)
 
 
-def test_a_sweep_by_hand_becomes_a_file_and_leaves_the_servos_alone(calibrated, emulator, tmp_path):
-    before = held(emulator, 3)
-    code, out = calibrated()
-    assert code == ExitCode.DONE
+def test_a_sweep_by_hand_becomes_a_file_and_leaves_the_servos_alone(armbridge, sweeping, bus, tmp_path):
+    before = held(bus, 3)
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", descriptor=sweeping)
+    assert answer.returncode == ExitCode.DONE
     elbow = Calibration.load(tmp_path / "arm.json").joints[2]
     assert (elbow.range_min, elbow.range_max) == pytest.approx((2040 - REACH, 2040 + REACH), abs=20)
-    assert str(elbow.range_min) in out
-    assert held(emulator, 3) == before
+    assert str(elbow.range_min) in answer.stdout
+    assert held(bus, 3) == before
 
 
-def test_on_request_the_servos_get_what_the_file_says(calibrated, emulator, tmp_path):
-    code, _ = calibrated("--write-servos")
-    assert code == ExitCode.DONE
+def test_on_request_the_servos_get_what_the_file_says(armbridge, sweeping, bus, tmp_path):
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", "--write-servos", descriptor=sweeping)
+    assert answer.returncode == ExitCode.DONE
     elbow = Calibration.load(tmp_path / "arm.json").joints[2]
     assert elbow.homing_offset == pytest.approx(2040 - 2047, abs=20)
-    assert held(emulator, 3) == (elbow.homing_offset, elbow.range_min, elbow.range_max)
+    assert held(bus, 3) == (elbow.homing_offset, elbow.range_min, elbow.range_max)
 
 
-def test_a_file_that_is_there_is_not_replaced(emulator, tmp_path, capsys):
+def test_a_file_that_is_there_is_not_replaced(armbridge, tmp_path):
     file = tmp_path / "arm.json"
     file.write_text("mine")
-    assert cli.main(["calibrate", str(file), "--serial", emulator.port]) == ExitCode.FAILED
-    assert "--overwrite" in capsys.readouterr().err
+    answer = armbridge("calibrate", str(file))
+    assert answer.returncode == ExitCode.FAILED
+    assert "--overwrite" in answer.stderr
     assert file.read_text() == "mine"
 
 
@@ -127,7 +84,8 @@ def test_an_arm_that_is_not_moved_is_not_calibrated(armbridge, tmp_path):
     assert not (tmp_path / "arm.json").exists()
 
 
-def test_an_arm_that_lacks_a_servo_is_not_calibrated(emulator, tmp_path, capsys):
+def test_an_arm_that_lacks_a_servo_is_not_calibrated(armbridge, emulator, tmp_path):
     emulator.command(offline=[2])
-    assert cli.main(["calibrate", str(tmp_path / "a.json"), "--serial", emulator.port]) == ExitCode.FAILED
-    assert "2 (shoulder_lift)" in capsys.readouterr().err
+    answer = armbridge("calibrate", str(tmp_path / "a.json"))
+    assert answer.returncode == ExitCode.FAILED
+    assert "2 (shoulder_lift)" in answer.stderr

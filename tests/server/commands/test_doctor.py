@@ -16,8 +16,8 @@ def findings(text):
     return {each["check"]: each for each in json.loads(text)}
 
 
-def test_every_check_and_every_question_has_a_finding(armbridge):
-    answer = armbridge("doctor", "--yes", "--json", *QUICK)
+def test_every_check_and_every_question_has_a_finding(armbridge_on_terminal):
+    answer = armbridge_on_terminal("doctor", "--yes", "--json", *QUICK)
     found = findings(answer.stdout)
     assert {experiment.name for experiment in EXPERIMENTS} < set(found)
     assert found["servos"]["verdict"] == found["long reads"]["verdict"] == "good"
@@ -25,7 +25,7 @@ def test_every_check_and_every_question_has_a_finding(armbridge):
     assert "it works" in found["return delay register"]["says"]
 
 
-def test_nothing_is_asked_of_the_arm_without_a_yes(start_emulator, write_log, armbridge, emulator):
+def test_nothing_is_asked_of_the_arm_without_a_yes(armbridge):
     answer = armbridge("doctor", "--json", *QUICK, answers="no\n" * len(EXPERIMENTS))
     found = findings(answer.stdout)
     assert all(found[experiment.name]["says"] == "not asked" for experiment in EXPERIMENTS)
@@ -43,35 +43,35 @@ def test_questions_that_nobody_answers_end_the_command(armbridge):
     assert "the input ended" in answer.stderr
 
 
-def test_a_read_only_visit_writes_nothing(start_emulator, write_log, capsys):
-    port = start_emulator("--write-log", str(write_log)).port
-    cli.main(["doctor", "--serial", port, "--read-only", *QUICK])
+def test_a_read_only_visit_writes_nothing(armbridge, write_log):
+    answer = armbridge("doctor", "--read-only", *QUICK)
     assert write_log.exists()
     assert read_write_log(write_log) == []
-    assert "verdict" in capsys.readouterr().out
+    assert "verdict" in answer.stdout
 
 
-def test_problems_are_listed_with_what_to_do_and_exit_3(emulator, capsys, tmp_path):
+def test_problems_are_listed_with_what_to_do_and_exit_3(emulator, armbridge, tmp_path):
     file = tmp_path / "arm.json"
     save(Calibration.nominal(), file)
     emulator.command(temperature={"2": 70})
-    options = ["--serial", emulator.port, "--calibration", str(file), "--read-only", *QUICK]
-    assert cli.main(["doctor", *options]) == ExitCode.PROBLEMS
-    out = capsys.readouterr().out
-    assert "problem  temperature" in out
-    assert "* temperature: Relax the arm" in out
-    assert "the servos hold what the file says" in out
+    answer = armbridge("doctor", "--calibration", str(file), "--read-only", *QUICK)
+    assert answer.returncode == ExitCode.PROBLEMS
+    assert "problem  temperature" in answer.stdout
+    assert "* temperature: Relax the arm" in answer.stdout
+    assert "the servos hold what the file says" in answer.stdout
 
 
-def test_an_arm_that_does_not_answer_is_a_finding_and_no_failure(emulator, capsys):
+def test_an_arm_that_does_not_answer_is_a_finding_and_no_failure(emulator, armbridge):
     emulator.command(offline=[1, 2, 3, 4, 5, 6])
-    assert cli.main(["doctor", "--serial", emulator.port, "--json"]) == ExitCode.PROBLEMS
-    assert "power supply" in capsys.readouterr().out
+    answer = armbridge("doctor", "--json")
+    assert answer.returncode == ExitCode.PROBLEMS
+    assert "power supply" in answer.stdout
 
 
-def test_a_calibration_that_is_not_there_is_refused(emulator, capsys):
-    assert cli.main(["doctor", "--serial", emulator.port, "--calibration", "nobodys"]) == ExitCode.FAILED
-    assert "lerobot has none of that id" in capsys.readouterr().err
+def test_a_calibration_that_is_not_there_is_refused(armbridge):
+    answer = armbridge("doctor", "--calibration", "nobodys")
+    assert answer.returncode == ExitCode.FAILED
+    assert "lerobot has none of that id" in answer.stderr
 
 
 def test_less_than_one_cycle_is_called_wrongly(capsys):

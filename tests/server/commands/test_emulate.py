@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robot.servos.bus import Bus
+from robot.hardware.feetech.bus import Bus
 from server.commands import emulate
 from server.commands.terminal import ExitCode
 

@@ -18,18 +18,16 @@ from planners.scene import Scene
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
 from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmState, Mode
 from robot.trajectory import Trajectory
-from server.config import EmulatorSettings
-from server.emulated_bus import EmulatedBus
 from server.goal_queue import GoalState, Progress
 from server.moveit.execution import GoalExecutor
 from server.moveit.failed_goals import FailedGoals
 from server.moveit.handing_over import STATE_AGE_S
 from server.moveit.motions import GivenMotion, PlannedMotion, Positions
 from server.moveit.patience import Allowance
-from server.moveit.readiness import STATE_MAX_AGE_S
 from server.moveit.scene.state import SceneState
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
@@ -46,7 +44,7 @@ def to(**positions_rad: float) -> PlannedMotion:
 
 @dataclass
 class Rig:
-    """A motion on the real arm process and real planners, on the emulated bus."""
+    """A motion on the real arm process, with emulated servos, and real planners."""
 
     arm: Arm
     pool: PlannerPool
@@ -55,8 +53,6 @@ class Rig:
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
-        # While other tests' processes start, this one may not have been given its turn to read.
-        await self.until(lambda: self.arm.state_age_s < STATE_MAX_AGE_S)
         return await self.executor.run(to(**positions_rad), self.news.append)
 
     async def until(self, condition: Callable[[], bool]) -> None:
@@ -69,16 +65,14 @@ class Rig:
 async def rig() -> AsyncIterator[Rig]:
     calibration = Calibration.nominal()
     robot = within_calibration(model.builtin(), calibration)
-    bus = EmulatedBus(EmulatorSettings(), None)
     states: list[ArmState] = []
-    arm = Arm(ArmConfig(robot, calibration, await bus.start()), states.append)
+    arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), states.append)
     await arm.start(10.0)
     pool = PlannerPool(robot)
     await pool.start()
     yield Rig(arm, pool, GoalExecutor(arm, robot, pool, SceneState(robot)), states)
     await arm.close()
     await pool.close()
-    await bus.close()
 
 
 async def test_a_motion_is_planned_played_and_told(rig: Rig) -> None:
@@ -116,7 +110,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
 
 async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = model.builtin()
-    arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
+    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
     answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
@@ -125,9 +119,19 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
 
 def test_motions_are_played_with_the_allowance_that_is_set() -> None:
     robot, allowance = model.builtin(), Allowance(scaling=9.0)
-    arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
+    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), allowance=allowance)
     assert executor._player._allowance is allowance
+
+
+@pytest.mark.parametrize(
+    "hardware", [FeetechConfig(Calibration.nominal(), "/dev/nothing"), EmulatedConfig(Calibration.nominal())]
+)
+def test_planners_are_waited_for_as_long_as_the_arm_while_it_moves(hardware: HardwareConfig) -> None:
+    robot = model.builtin()
+    arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
+    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
+    assert executor._watch._patience_s == arm.state_max_age_s
 
 
 ARM = model.builtin().groups["arm"].joints
@@ -373,6 +377,7 @@ async def under_way(stage: Stage) -> None:
     """Let a motion be seen half done, give way, and its answer come."""
     await stage.begin(to(shoulder_pan=0.4))
     await asyncio.sleep(2.0 * STATE_AGE_S)
+    stage.arm.pass_time(2.0 * STATE_AGE_S)
     stage.arm.show(0.5)
     stage.executor.give_way("preempted by a test")
     assert (await stage.answer()).message == "preempted by a test"

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 from typing import Any
 
 from websockets.asyncio.client import connect
 
 from protocol.registry import Registry
-from robot.model import builtin
+from robot.model import RobotModel, builtin, parse
 from server.arm_guard_settings import GuardSettings
 from server.config import ArmSettings, GoalSettings, Settings
 from server.graph import Graph
 from server.moveit.face import MoveItFace
 from server.moveit.parameters import MoveItParameters
 from server.moveit.patience import Allowance
+from tests.helpers import seven_joint_arm
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.played_arm import PlayedArm
 from tests.helpers.server import RunningServer
@@ -97,8 +99,20 @@ def test_what_is_set_reaches_its_place() -> None:
         goals=GoalSettings(max_paused_s=5.0),
     )
     face = MoveItFace(Graph(Registry.load()), builtin(), settings, lambda _name, _value: None)
-    gripper = face._gripper(PlayedArm())  # type: ignore[arg-type]
+    gripper = face._gripper(PlayedArm(), builtin().joints["gripper"])  # type: ignore[arg-type]
     assert face._allowance() == gripper._allowance == Allowance(3.0, 4.0, 5.0)
     assert gripper._torque_limit == 0.3
     assert face._transforms._period_s == 0.1
     assert face._scene_interface._monitored._period_s == 0.5
+
+
+def face_of(robot: RobotModel) -> MoveItFace:
+    return MoveItFace(Graph(Registry.load()), robot, Settings(), lambda _name, _value: None)
+
+
+def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:
+    with_gripper, without = builtin(), parse(seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    stiff = replace(with_gripper.joints["gripper"], type="fixed")
+    assert face_of(with_gripper)._gripper_joint is with_gripper.joints["gripper"]
+    assert face_of(without)._gripper_joint is None
+    assert face_of(replace(with_gripper, joints={**with_gripper.joints, "gripper": stiff}))._gripper_joint is None

@@ -7,14 +7,16 @@ import pytest
 
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.model import builtin
 from robot.trajectory import Trajectory
-from server.moveit.gripper import Gripper, GripperCommand
+from server.moveit import gripper as gripper_module
+from server.moveit.gripper import SQUEEZE_PERIOD_S, Gripper, GripperCommand
 from server.moveit.gripper_actions import GRIPPER_ACTION, PARALLEL_ACTION
 from server.moveit.patience import Allowance
 from tests.helpers.arm_server import ArmClient, ServerOnBus
-from tests.helpers.played_arm import PlayedArm
+from tests.helpers.played_arm import PlayedArm, settle
 from tests.server.conftest import JOINTS
 
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
@@ -108,7 +110,7 @@ async def test_a_stop_ends_the_grippers_motion_as_well(client: ArmClient) -> Non
 
 async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
     robot = builtin()
-    arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
+    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
     gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, Allowance(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     async with gripper._turn:
@@ -119,7 +121,7 @@ async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
 
 async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
     robot = builtin()
-    arm = Arm(ArmConfig(robot, Calibration.nominal(), "/dev/nothing"), lambda _state: None)
+    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
     await arm.launch()
     gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, Allowance(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
@@ -151,3 +153,60 @@ async def test_an_effort_is_a_share_of_what_the_gripper_may_use() -> None:
     for effort in (0.0, 0.1, 0.4, 5.0):
         await gripper.move(gripper.claim(), GripperCommand(0.5, effort), lambda _reading: None)
     assert arm.shares == pytest.approx([1.0, 0.25, 1.0, 1.0])
+
+
+class SlowArm(PlayedArm):
+    """Moves its gripper for as long as a test lets it, and brakes when a test says so."""
+
+    def execute(self, trajectory: Trajectory, **_: Any) -> asyncio.Future[MotionEnded]:  # type: ignore[override]
+        return super().execute(trajectory)
+
+    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
+        self.stops.append(motion)
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> SlowArm:
+    monkeypatch.setattr(gripper_module, "FEEDBACK_PERIOD_S", 0.001)
+    monkeypatch.setattr(gripper_module, "BRAKING_TIMEOUT_S", BRAKING_S)
+    return SlowArm()
+
+
+ALLOWED_S = 0.05
+BRAKING_S = 0.1
+LOOKS_S = 0.2
+
+
+def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
+    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, Allowance(0.0, ALLOWED_S), 0.5)  # type: ignore[arg-type]
+    return asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
+
+
+async def test_a_gripper_that_a_busy_machine_starves_has_all_its_time_by_the_arms_clock(slow: SlowArm) -> None:
+    moving = begin(slow)
+    await asyncio.sleep(LOOKS_S)
+    assert slow.stops == []
+    slow.end()
+    assert (await moving).outcome is Outcome.REACHED
+
+
+async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_waited_for_by_the_same(slow: SlowArm) -> None:
+    moving = begin(slow)
+    await settle()
+    slow.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    assert (len(slow.stops), moving.done()) == (1, False)
+    slow.pass_time(1.1 * BRAKING_S)
+    assert (await asyncio.wait_for(moving, 5.0)).outcome is Outcome.PROCESS_LOST
+
+
+async def test_a_grip_is_told_when_its_goal_rests_by_the_arms_clock(slow: SlowArm) -> None:
+    moving = begin(slow)
+    await settle()
+    for goal_rad in (0.9, 0.6, 0.5):
+        slow.put(gripper=goal_rad)
+        slow.end(Outcome.GRIPPED, "gripped something")
+        await asyncio.sleep(LOOKS_S)
+        assert not moving.done()
+        slow.pass_time(1.1 * SQUEEZE_PERIOD_S)
+    assert (await asyncio.wait_for(moving, 5.0)).outcome is Outcome.GRIPPED

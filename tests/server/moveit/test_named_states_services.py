@@ -10,6 +10,7 @@ from protocol.registry import Registry
 from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, Mode
 from server.calls import Response
 from server.graph import Graph, Subscriber
@@ -31,7 +32,7 @@ class Office:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.states = NamedStates(ROBOT, "arm", {}, keep_nothing)
-        self.arm = Arm(ArmConfig(ROBOT, Calibration.nominal(), ""), lambda _state: None)
+        self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(Calibration.nominal())), lambda _state: None)
         NamedStatesServices(self.graph, ROBOT, self.states).open(CurrentState(self.arm, ROBOT))
         self.told: list[dict[str, Any]] = []
         subscriber = Subscriber(lambda publication: self.told.append(json.loads(publication.msg["data"])))

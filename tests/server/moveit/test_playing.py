@@ -9,7 +9,8 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
-from robot.messages import Course, Outcome, Pace
+from robot import arm as arm_module
+from robot.messages import Course, MotionEnded, Outcome, Pace
 from server.goal_queue import Answer, Progress
 from server.moveit import playing
 from server.moveit.patience import Allowance
@@ -43,12 +44,17 @@ ALLOWANCE = Allowance(scaling=3.0)
 
 
 class Stage:
-    def __init__(self) -> None:
-        self.arm, self.watch = PlayedArm(), Watch()
+    def __init__(self, arm: PlayedArm | None = None) -> None:
+        self.arm, self.watch = arm or PlayedArm(), Watch()
         self.clock = FakeClock()
         self.player = Player(self.arm, self.watch, ALLOWANCE, self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
         self.running: asyncio.Task[Answer] | None = None
+
+    def pass_time(self, seconds: float) -> None:
+        """Let the same time pass on this machine's clock and on the arm's."""
+        self.clock.advance(seconds)
+        self.arm.pass_time(seconds)
 
     async def begin(self) -> None:
         self.running = asyncio.create_task(self.player.play(MOTION, self.news.append))
@@ -96,13 +102,13 @@ async def test_only_the_motion_in_hand_is_stopped(stage: Stage) -> None:
 
 
 async def test_the_question_is_about_what_is_left(stage: Stage) -> None:
-    stage.clock.advance(1.0)
+    stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace())
     assert stage.watch.question().from_s == 0.25
 
 
 async def test_on_the_way_back_all_of_the_path_may_still_come(stage: Stage) -> None:
-    stage.clock.advance(1.0)
+    stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(course=Course.BACK))
     assert stage.watch.question().from_s == 0.0
 
@@ -117,6 +123,78 @@ async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lag
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert answer.message.startswith("the arm did not end the motion; joint ")
     assert "is 0.000 rad behind: stopped half-way" in answer.message
+
+
+class StubbornArm(PlayedArm):
+    """An arm that brakes when a test says so."""
+
+    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
+        self.stops.append(motion)
+
+
+@pytest.fixture
+async def hasty(monkeypatch: pytest.MonkeyPatch) -> Stage:
+    """A motion whose time is looked at again and again, on an arm that does not brake."""
+    monkeypatch.setattr(playing, "PROGRESS_PERIOD_S", 0.001)
+    monkeypatch.setattr(playing, "BRAKING_TIMEOUT_S", BRAKING_S)
+    monkeypatch.setattr(arm_module, "HEARTBEAT_S", 0.001)
+    made = Stage(StubbornArm())
+    await made.begin()
+    return made
+
+
+LOOKS_S = 0.05
+BRAKING_S = 0.1
+ALLOWED_S = ALLOWANCE.of(MOTION.trajectory.duration_s)
+
+
+async def test_an_arm_that_a_busy_machine_starves_has_all_its_time_by_its_own_clock(hasty: Stage) -> None:
+    hasty.clock.advance(1000.0)
+    hasty.arm.pass_time(0.9 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    assert hasty.arm.stops == []
+    hasty.arm.end()
+    assert (await hasty.answer()).code is MoveItErrorCode.SUCCESS
+
+
+async def test_a_motion_that_overruns_by_the_arms_clock_is_given_up(hasty: Stage) -> None:
+    hasty.arm.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    assert len(hasty.arm.stops) == 1
+    hasty.arm.end(Outcome.STOPPED, "stopped half-way")
+    assert (await hasty.answer()).code is MoveItErrorCode.TIMED_OUT
+
+
+async def test_an_arm_that_brakes_within_the_time_of_its_own_clock_is_waited_for(hasty: Stage) -> None:
+    hasty.arm.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    hasty.clock.advance(1000.0)
+    hasty.arm.pass_time(0.9 * BRAKING_S)
+    await asyncio.sleep(LOOKS_S)
+    assert hasty.running is not None
+    assert not hasty.running.done()
+    hasty.arm.pass_time(0.2 * BRAKING_S)
+    answer = await hasty.answer()
+    assert (answer.code, "does not brake either" in answer.message) == (MoveItErrorCode.COMMUNICATION_FAILURE, True)
+
+
+async def test_a_motion_that_was_left_is_waited_for_by_the_arms_clock(hasty: Stage) -> None:
+    hasty.player.leave("preempted by a test")
+    await hasty.answer()
+    resting = asyncio.create_task(hasty.player.rest())
+    await asyncio.sleep(LOOKS_S)
+    hasty.arm.pass_time(0.9 * BRAKING_S)
+    await asyncio.sleep(LOOKS_S)
+    assert not resting.done()
+    hasty.arm.pass_time(0.2 * BRAKING_S)
+    await asyncio.wait_for(resting, 5.0)
+
+
+async def test_an_arm_that_says_nothing_any_more_is_not_waited_for(hasty: Stage) -> None:
+    hasty.arm.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    hasty.arm.state_age_s = 5.1
+    assert (await hasty.answer()).code is MoveItErrorCode.COMMUNICATION_FAILURE
 
 
 def worn(_duration_s: float, allowance: Allowance) -> Worn:
@@ -135,8 +213,18 @@ async def test_right_after_the_beginning_the_state_may_be_of_the_motion_before(s
     assert stage.watch.question().from_s == 0.0
 
 
+@pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])
+async def test_where_arm_or_server_are_starved_the_state_may_be_of_the_motion_before_for_longer(
+    stage: Stage, machine_s: float, arm_s: float
+) -> None:
+    stage.clock.advance(machine_s)
+    stage.arm.pass_time(arm_s)
+    stage.arm.state = replace(stage.arm.state, fraction=0.25)
+    assert stage.watch.question().from_s == 0.0
+
+
 async def test_a_motion_that_is_left_goes_on_until_another_takes_its_place(stage: Stage) -> None:
-    stage.clock.advance(1.0)
+    stage.pass_time(1.0)
     stage.arm.show(0.4)
     stage.player.leave("preempted by a test")
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from robot.messages import ArmState, Mode
 from server.moveit.readiness import unusable
 
 GOAL = np.zeros(6)
+METAL_MAX_AGE_S, SIMULATED_MAX_AGE_S = 1.0, 5.0
 STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex")
 
 UNUSABLE = {
@@ -33,9 +35,18 @@ UNUSABLE = {
 }
 
 
+@dataclass
+class Read:
+    """An arm as it was read last."""
+
+    state: ArmState
+    state_age_s: float = 0.1
+    state_max_age_s: float = METAL_MAX_AGE_S
+
+
 @pytest.mark.parametrize(("state", "code", "words"), UNUSABLE.values(), ids=UNUSABLE.keys())
 def test_an_arm_that_cannot_move_says_why_and_what_to_do(state: ArmState, code: MoveItErrorCode, words: str) -> None:
-    failure = unusable(state, 0.0)
+    failure = unusable(Read(state))
     assert failure is not None
     assert failure.code is code
     assert re.search(words, failure.message)
@@ -43,10 +54,19 @@ def test_an_arm_that_cannot_move_says_why_and_what_to_do(state: ArmState, code: 
 
 @pytest.mark.parametrize("mode", [Mode.HOLDING, Mode.MOVING])
 def test_an_arm_that_holds_or_moves_takes_motions(mode: Mode) -> None:
-    assert unusable(ArmState(0.0, mode, (), goal_rad=GOAL), 0.1) is None
+    assert unusable(Read(ArmState(0.0, mode, (), goal_rad=GOAL))) is None
 
 
-def test_a_state_that_is_old_is_not_relied_on() -> None:
-    failure = unusable(ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL), 1.5)
+HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
+
+
+@pytest.mark.parametrize(("age_s", "max_age_s"), [(1.5, METAL_MAX_AGE_S), (5.5, SIMULATED_MAX_AGE_S)])
+def test_a_state_that_is_old_is_not_relied_on(age_s: float, max_age_s: float) -> None:
+    failure = unusable(Read(HOLDING, age_s, max_age_s))
     assert failure is not None
     assert failure.code is MoveItErrorCode.ROBOT_STATE_STALE
+    assert failure.message == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
+
+
+def test_a_simulated_arm_that_a_busy_machine_starves_is_waited_for() -> None:
+    assert unusable(Read(HOLDING, 4.5, SIMULATED_MAX_AGE_S)) is None

@@ -9,6 +9,7 @@ from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
 from server.moveit.scene_watch import SceneWatch
+from tests.helpers.clock import FakeClock
 from tests.helpers.played_arm import settle
 from tests.helpers.trajectories import smooth_move
 
@@ -102,6 +103,59 @@ async def test_a_scene_that_changed_before_the_motion_began_is_looked_at(place: 
     watching(place)
     await settle()
     assert place.looked == [2]
+
+
+class StarvedPlace(Place):
+    """Planners that answer too late, each time that they are asked, for as long as a test says."""
+
+    def __init__(self, starved_s: float) -> None:
+        super().__init__()
+        self.clock = FakeClock()
+        self._until_s = self.clock() + starved_s
+
+    async def ask(self, question: RecheckQuestion, scene: Scene) -> RecheckAnswer | PlanningFailure:
+        self.clock.advance(2.0)
+        answer = await super().ask(question, scene)
+        return TOO_LATE if self.clock() < self._until_s else answer
+
+
+TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answer within 1 s and was given up")
+
+
+def watching_patiently(place: StarvedPlace) -> None:
+    watch = SceneWatch(place, place, 5.0, place.clock)  # type: ignore[arg-type]
+    watch.begin(1, lambda: QUESTION, place.contacts.append)
+
+
+async def test_planners_that_a_busy_machine_starves_are_asked_again() -> None:
+    place = StarvedPlace(starved_s=4.5)
+    watching_patiently(place)
+    place.change()
+    await settle()
+    assert (place.looked, place.contacts) == ([2, 2, 2], [])
+
+
+@pytest.mark.parametrize(
+    ("answer", "contacts"), [(RecheckAnswer(None), 0), (PlanningFailure(MoveItErrorCode.CRASH, "the planner died"), 1)]
+)
+async def test_what_planners_answer_in_time_is_asked_once(
+    answer: RecheckAnswer | PlanningFailure, contacts: int
+) -> None:
+    place = StarvedPlace(starved_s=0.0)
+    place.answer = answer
+    watching_patiently(place)
+    place.change()
+    await settle()
+    assert (place.looked, len(place.contacts)) == ([2], contacts)
+
+
+async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_it() -> None:
+    place = StarvedPlace(starved_s=60.0)
+    watching_patiently(place)
+    place.change()
+    await settle()
+    assert [contact.code for contact in place.contacts] == [MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE]
+    assert place.looked == [2, 2, 2]
 
 
 async def test_what_cannot_be_told_counts_as_in_the_way(place: Place) -> None:

@@ -37,6 +37,10 @@ NOT_READY: dict[str, tuple[dict[str, Any], str]] = {
         {"arm": WatchedArm(arm_state(), ARM_STALE_S + 0.1)},
         "the last state of the arm is older than 1.5 s",
     ),
+    "stale simulation": (
+        {"arm": WatchedArm(arm_state(), 5.1, state_max_age_s=5.0)},
+        "the last state of the arm is older than 5 s",
+    ),
     "planners load": ({"planners": WatchedPlanners(loaded_count=0)}, "the planners are loading"),
     "planners fail": (
         {"planners": WatchedPlanners(load_failure="no module in /home/me")},
@@ -51,6 +55,10 @@ def test_what_keeps_goals_from_being_carried_out_is_a_reason_not_to_be_ready(
 ) -> None:
     health = health_of(replace(parts, **changes))
     assert (health.live, health.ready, health.reasons) == (True, False, (reason,))
+
+
+def test_a_simulated_arm_that_a_busy_machine_starves_is_ready(parts: Parts) -> None:
+    assert health_of(replace(parts, arm=WatchedArm(arm_state(), 4.9, state_max_age_s=5.0))).ready
 
 
 def test_an_arm_process_that_is_silent_for_long_makes_the_server_dead(parts: Parts) -> None:

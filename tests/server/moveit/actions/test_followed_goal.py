@@ -25,9 +25,9 @@ MOVING = Progress(GoalState.EXECUTING, "", 0.5, 1.0)
 INTERFACES = Interfaces(Registry.load())
 
 
-def at(position_rad: float, goal_rad: float, stamp_s: float = 1.0) -> ArmState:
+def at(position_rad: float, goal_rad: float, clock_s: float = 1.0, stamp_s: float = 1.0) -> ArmState:
     position, goal = np.full(len(JOINTS), position_rad), np.full(len(JOINTS), goal_rad)
-    return replace(PlayedArm().state, stamp_s=stamp_s, position_rad=position, goal_rad=goal)
+    return replace(PlayedArm().state, stamp_s=stamp_s, clock_s=clock_s, position_rad=position, goal_rad=goal)
 
 
 class Followed:
@@ -80,6 +80,15 @@ def test_a_joint_that_stays_away_violates_the_goal_tolerance() -> None:
     followed.goal.take_answer(REACHED, at(0.45, 0.5, 10.0))
     followed.state(at(0.45, 0.5, 11.0))
     assert followed.codes == [(GoalStatus.ABORTED, FollowCode.GOAL_TOLERANCE_VIOLATED)]
+
+
+def test_a_slow_arm_has_all_of_the_goal_time_tolerance_by_its_own_clock() -> None:
+    followed = Followed(goal_rad=0.02, time_s=1.0)
+    followed.goal.take_answer(REACHED, at(0.45, 0.5, clock_s=10.0, stamp_s=100.0))
+    followed.state(at(0.45, 0.5, clock_s=10.9, stamp_s=109.0))
+    assert followed.codes == []
+    followed.state(at(0.49, 0.5, clock_s=10.95, stamp_s=109.5))
+    assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
 
 
 def test_feedback_tells_of_every_joint_while_the_arm_moves() -> None:

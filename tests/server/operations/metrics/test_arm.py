@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 from robot.faults import FaultCode
 from robot.messages import Mode
 from server.operations.metrics.arm import arm_metrics, condition_metrics
@@ -28,3 +30,15 @@ def test_the_condition_is_told_in_base_units_by_joint() -> None:
     assert found["armbridge_servo_temperature_celsius", "shoulder_pan"] == 31
     assert found["armbridge_servo_voltage_volts", "gripper"] == 5.0
     assert found["armbridge_servo_silent_cycles_total", "gripper"] == 4
+    assert found["armbridge_arm_real_time_factor",] == 1.0
+
+
+def test_an_ideal_arm_has_no_metrics_of_what_it_does_not_have() -> None:
+    servos = arm_health()
+    nan = float("nan")
+    joints = [replace(joint, temperature_c=nan, voltage_v=nan, current_a=nan) for joint in servos.joints]
+    found = samples(condition_metrics(replace(servos, bus=None, joints=tuple(joints), real_time_factor=0.5)))
+    assert not [name for name, *_ in found if name.startswith(("armbridge_bus", "armbridge_servo_temperature"))]
+    assert not [name for name, *_ in found if name.endswith(("_volts", "_amperes"))]
+    assert found["armbridge_servo_reply_age_seconds", "gripper"] == 0.002
+    assert found["armbridge_arm_real_time_factor",] == 0.5

@@ -79,6 +79,13 @@ def test_an_old_condition_is_not_told_as_if_it_were_the_present_one(parts: Parts
     assert not [name for name in samples(parts) if name.startswith(("armbridge_servo", "armbridge_bus"))]
 
 
+def test_a_slow_simulated_arm_tells_its_condition_as_seldom_as_its_time_passes(parts: Parts) -> None:
+    assert parts.arm_health is not None
+    stamp_s = time.time() - CONDITION_STALE_S - 1.0
+    parts.arm_health = replace(parts.arm_health, stamp_s=stamp_s, real_time_factor=0.25)
+    assert samples(parts)["armbridge_arm_real_time_factor"] == 0.25
+
+
 def test_both_formats_can_be_read(parts: Parts) -> None:
     text = Exposition(parts, Distribution((0.1,))).expose("application/openmetrics-text").text.decode()
     names = {family.name for family in parse_openmetrics(text)}

@@ -1,0 +1,359 @@
+"""The arm's controller: decides, tick by tick, on the joints' goals. Pure, time passed in, the last line of defence.
+
+It trusts no command. A trajectory is refused when it is malformed, too fast, outside the soft limits or does not
+start where the arm holds; whatever then comes out is clamped to the soft limits and to a bounded step a tick. It
+trusts no reading either: the guards look at each, and what they find ends every motion and stays until it is reset.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from robot.control import succession
+from robot.control.acceptance import names_refusal, refusal
+from robot.control.guards import DROOP_RAD, Guards, Temperatures
+from robot.control.motion import Motion
+from robot.control.streaming import Streaming
+from robot.faults import Fault, FaultCode
+from robot.hardware.clock import MAX_TICK_S
+from robot.hardware.interface import Flags, Measured
+from robot.limits import JointBounds
+from robot.messages import ChangePace, Commanded, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
+from robot.trajectory import Vector
+
+# Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
+STEP_MARGIN = 1.5
+
+# Rate of motions while a servo is hot.
+SLOW_RATE = 0.5
+
+_DIRECTION = {Course.FORWARD: 1.0, Course.PAUSED: 0.0, Course.BACK: -1.0}
+
+# How a gripper goes on holding: its goal so far beyond the object, at a share of its torque that it can give for long.
+SQUEEZE_RAD = 0.05
+GRIP_TORQUE_SHARE = 0.5
+
+# How motions end that a fault ended; any other code is Outcome.FAULT.
+_OUTCOMES = {
+    FaultCode.BUS_LOST: Outcome.BUS_LOST,
+    FaultCode.SERVO_SILENT: Outcome.BUS_LOST,
+    FaultCode.BUS_SILENT: Outcome.BUS_LOST,
+    FaultCode.TRACKING_LOST: Outcome.TRACKING_LOST,
+}
+
+# Pushing on against an obstacle heats the servo: after these the goal goes back to where the joint is.
+_YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
+
+# A servo that goes on holding after one of these is damaged: torque is taken off, gently.
+RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCURRENT})
+
+
+# The actuators that are heard can be braked along the path; a silent one follows its goals unseen.
+_SILENCES = frozenset({FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT})
+
+
+class ArmController:
+    """The arm's motion state.
+
+    A new controller does not drive: the arm is relaxed until :meth:`hold`.
+
+    Args:
+        joint_names: order of every array.
+        bounds: limits of the joints.
+        guards: look at every reading.
+        full_torque: share of full duty that each joint may use at most, shape (joints,).
+        temperatures: when motions slow down.
+        fault: one that was found before and not reset.
+        simulated: whether the arm is a simulated one, whose faults need other advice.
+    """
+
+    def __init__(
+        self,
+        joint_names: tuple[str, ...],
+        bounds: JointBounds,
+        guards: Guards,
+        full_torque: Vector,
+        temperatures: Temperatures,
+        fault: Fault | None = None,
+        *,
+        simulated: bool = False,
+    ) -> None:
+        self._names = joint_names
+        self._simulated = simulated
+        self.bounds = bounds
+        self.guards = guards
+        self._full_torque = full_torque
+        self._slow_c = temperatures.slow_c
+        self._torque_limit = full_torque.copy()
+        self._goal_rad = self._hold_rad = np.zeros(len(joint_names))
+        self._last_step_s: float | None = None
+        self._motions: list[Motion | Streaming] = []
+        self._pending: Fault | None = None
+        self.pace = Pace()
+        self.driven = False
+        self.fault = fault
+
+    @property
+    def mode(self) -> Mode:
+        """RELAXED, HOLDING, MOVING or FAULT."""
+        if self.fault is not None:
+            return Mode.FAULT
+        if not self.driven:
+            return Mode.RELAXED
+        return Mode.MOVING if self._motions else Mode.HOLDING
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is in progress."""
+        return bool(self._motions)
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moves, and nothing is about to."""
+        return not self._motions and (not self.driven or self._hold_rad.tolist() == self._goal_rad.tolist())
+
+    @property
+    def goal_rad(self) -> Vector:
+        """The goals given last, or where the arm is while it is relaxed, shape (joints,) [rad]."""
+        return self._goal_rad
+
+    @property
+    def torque_limit(self) -> Vector:
+        """Share of full duty that each joint may use now, shape (joints,)."""
+        return self._torque_limit
+
+    @property
+    def motion(self) -> Motion | Streaming | None:
+        """The motion in progress; of several the one with most joints."""
+        return max(self._motions, key=lambda motion: len(motion.columns), default=None)
+
+    def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
+        """Take note that the servos have these goals, and hold there, or where they are if that is far away.
+
+        Args:
+            goal_rad: the goals, shape (joints,) [rad].
+            measured: where the joints are; None if they are at their goals.
+        """
+        self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
+        if measured is not None:
+            self._yield_to(measured)
+        self._torque_limit = self._full_torque.copy()
+        self.guards.restart()
+        self.driven = True
+
+    def release(self) -> None:
+        """Take note that torque is off, or going off."""
+        self.driven = False
+
+    def execute(self, command: Execute) -> MotionEnded | None:
+        """Begin a motion; returns the end of the one whose place it takes, if any, or the refusal."""
+        reason = self._refusal(command)
+        if reason:
+            return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
+        self._forget_course()
+        motion = Motion(command, self._names, self.bounds, self.guards.limits)
+        ended = succession.succeed(self._motions, motion)
+        self._motions.append(motion)
+        self._torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
+        return ended
+
+    def _refusal(self, command: Execute) -> str:
+        """Why a motion may not begin, or an empty text."""
+        if reason := self._unready():
+            return reason
+        if not 0.0 < command.torque_share <= 1.0:
+            return f"torque_share is {command.torque_share}; it must be above 0 and at most 1"
+        if command.continues is not None:
+            return succession.refusal(self._motions, command, self._names, self.bounds, self._goal_rad)
+        return self._occupied(command.trajectory.joint_names) or refusal(
+            command.trajectory, self._names, self.bounds, self._goal_rad
+        )
+
+    def _unready(self) -> str:
+        """Why the arm can begin nothing now, or an empty text."""
+        if self.fault is not None or self._pending is not None:
+            return f"the arm has a fault: {self.fault or self._pending}"
+        return "" if self.driven else "the arm is relaxed: enable it first"
+
+    def _occupied(self, names: tuple[str, ...]) -> str:
+        """Which motion moves some of the joints already, or an empty text."""
+        for motion in self._motions:
+            both = set(motion.joint_names) & set(names)
+            if both:
+                return f"motion {motion.motion_id} of joint {min(both)} is in progress"
+        return ""
+
+    def stream(self, command: Stream) -> MotionEnded | None:
+        """Begin a stream; returns the refusal, or None when it began."""
+        names = command.joint_names
+        reason = self._unready() or names_refusal(names, self._names) or self._occupied(names)
+        if reason:
+            return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
+        self._forget_course()
+        self._motions.append(Streaming(command, self._names, self.bounds, self._goal_rad))
+        return None
+
+    def steer(self, setpoint: Setpoint) -> None:
+        """Take new velocities for a stream in progress."""
+        for motion in self._motions:
+            if isinstance(motion, Streaming) and motion.motion_id == setpoint.motion_id:
+                motion.steer(setpoint.velocity_rad_s)
+
+    @property
+    def commanded(self) -> list[Commanded]:
+        """Where the joints of each stream are told to be."""
+        return [motion.commanded for motion in self._motions if isinstance(motion, Streaming)]
+
+    def stop(self, motion_id: int | None = None) -> None:
+        """Brake a motion along its path, or all of them."""
+        for motion in self._motions:
+            if motion_id in (None, motion.motion_id):
+                motion.stop()
+
+    def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
+        """Advance one tick: sets :attr:`goal_rad`, and returns the motions that this tick ends."""
+        elapsed_s = 0.0 if self._last_step_s is None else min(max(now_s - self._last_step_s, 0.0), MAX_TICK_S)
+        self._last_step_s = now_s
+        if not self.driven:
+            self._goal_rad = self._hold_rad = measured.position_rad
+            return []
+        self._forget_course()
+        self._advance(measured, elapsed_s)
+        yielding = self._yielding()
+        found = self.guards.check(self._goal_rad, measured, self.torque_limit, now_s, yielding)
+        ended = self._end_gripped(measured, yielding) if yielding is not None else []
+        if found is not None:
+            ended += self.react(found, measured)
+        return ended + self._end_finished(measured, now_s)
+
+    def change_pace(self, change: ChangePace) -> None:
+        """Play motions so from now on; a factor that is no share of the planned speed changes nothing."""
+        if change.speed_factor is not None and 0.0 <= change.speed_factor <= 1.0:
+            self.pace = replace(self.pace, speed_factor=change.speed_factor)
+        if change.course is not None:
+            self.pace = replace(self.pace, course=change.course)
+
+    def _forget_course(self) -> None:
+        """A pause ends with the motion it paused."""
+        if self.pace.course is not Course.FORWARD and all(motion.gripping for motion in self._motions):
+            self.pace = replace(self.pace, course=Course.FORWARD)
+
+    @property
+    def _rate(self) -> float:
+        """Seconds of a motion to play a second, below 0 to go back."""
+        return self.pace.speed_factor * _DIRECTION[self.pace.course]
+
+    def _advance(self, measured: Measured, elapsed_s: float) -> None:
+        if not self._motions and self._hold_rad.tolist() == self._goal_rad.tolist():
+            return
+        hot = max(measured.temperature_c.tolist()) >= self._slow_c
+        wanted = self._hold_rad.copy()
+        fastest = SLOW_RATE if hot else 1.0
+        for motion in self._motions:
+            wanted[motion.columns] = motion.advance(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
+        self._goal_rad = self._guarded(wanted, elapsed_s)
+        for motion in self._motions:
+            self._hold_rad[motion.columns] = self._goal_rad[motion.columns]
+
+    def _guarded(self, goal_rad: Vector, elapsed_s: float) -> Vector:
+        """The goal within the step bound of the last one, and not further outside the soft limits than that."""
+        bounds, last_rad = self.bounds, self._goal_rad.tolist()
+        limits = zip(bounds.lower_rad.tolist(), bounds.upper_rad.tolist(), bounds.max_velocity.tolist(), strict=True)
+        guarded = []
+        for goal, last, (lower, upper, speed) in zip(goal_rad.tolist(), last_rad, limits, strict=True):
+            step = speed * elapsed_s * STEP_MARGIN
+            lowest, highest = max(min(lower, last), last - step), min(max(upper, last), last + step)
+            guarded.append(min(max(goal, lowest), highest) if math.isfinite(goal) else last)
+        return np.array(guarded)
+
+    def _yielding(self) -> Flags | None:
+        """Joints whose stall means that they have gripped something; None where nothing is being gripped."""
+        gripping = [motion for motion in self._motions if motion.gripping]
+        if not gripping:
+            return None
+        yielding = np.zeros(len(self._names), dtype=bool)
+        for motion in gripping:
+            yielding[motion.columns] = True
+        return yielding
+
+    def _end_gripped(self, measured: Measured, yielding: Flags) -> list[MotionEnded]:
+        caught = self.guards.stalled & yielding
+        ended = []
+        for motion in [motion for motion in self._motions if caught[motion.columns].any()]:
+            joint = int(motion.columns[np.argmax(caught[motion.columns])])
+            message = f"joint {self._names[joint]} holds something at {measured.position_rad[joint]:.3f} rad"
+            ended.append(motion.ended(Outcome.GRIPPED, message))
+            self._drop(motion, measured)
+        return ended
+
+    def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
+        ended = []
+        for motion in list(self._motions):
+            end = motion.end(self._goal_rad, measured.position_rad, now_s)
+            if end is not None and self._pending is None:
+                ended.append(end)
+                self._drop(motion, measured if end.outcome is Outcome.GRIPPED else None)
+        if self._pending is not None and all(motion.finished for motion in self._motions):
+            fault, self._pending = self._pending, None
+            ended += self.latch(fault, measured)
+        return ended
+
+    def _drop(self, motion: Motion | Streaming, gripped: Measured | None) -> None:
+        """Forget a motion; its joints hold their goals, or squeeze what they have gripped."""
+        self._motions.remove(motion)
+        columns = motion.columns
+        if gripped is None:
+            self._torque_limit[columns] = self._full_torque[columns]
+            return
+        grip_torque = self._full_torque[columns] * GRIP_TORQUE_SHARE
+        self._torque_limit[columns] = np.minimum(self._torque_limit[columns], grip_torque)
+        position = gripped.position_rad[columns]
+        squeeze = np.clip(self._goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
+        self._hold_rad[columns] = position + squeeze
+        # The goal takes some ticks to come back, during which the joint goes on pushing.
+        self.guards.restart()
+
+    def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
+        """Do what a fault asks for; one that is latched already gives way only to one that takes torque off."""
+        if self.fault is None:
+            if found.code in _SILENCES and self._motions:
+                self._pending = self._pending or replace(found, simulated=self._simulated)
+                self.stop()
+                return []
+            return self.latch(found, measured)
+        if found.code in RELAXING and self.fault.code not in RELAXING:
+            return self.latch(found, measured)
+        if found.code in _YIELDING:
+            self._yield_to(measured)
+        return []
+
+    def latch(self, fault: Fault, measured: Measured | None = None) -> list[MotionEnded]:
+        """Take note of a fault: every motion ends, and the arm holds where it is until the fault is reset."""
+        self.fault = replace(fault, simulated=self._simulated)
+        self._pending = None
+        ended = self.abandon(_OUTCOMES.get(fault.code, Outcome.FAULT), str(self.fault))
+        self._hold_rad = self._goal_rad.copy()
+        if measured is not None and fault.code in _YIELDING:
+            self._yield_to(measured)
+        return ended
+
+    def _yield_to(self, measured: Measured) -> None:
+        """Give way, step by bounded step, where a joint is far from its goal."""
+        away = np.abs(measured.position_rad - self._goal_rad) > DROOP_RAD
+        inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
+        self._hold_rad = np.where(away, inside, self._hold_rad)
+
+    def reset(self) -> None:
+        """Forget the fault."""
+        self.fault = None
+        self.guards.restart()
+
+    def abandon(self, outcome: Outcome, message: str) -> list[MotionEnded]:
+        """End every motion in progress without moving on."""
+        ended = [motion.ended(outcome, message) for motion in self._motions]
+        self._motions = []
+        self._torque_limit = self._full_torque.copy()
+        return ended

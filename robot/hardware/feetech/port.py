@@ -1,0 +1,270 @@
+"""A serial port that fails in clear words and never waits for ever.
+
+``scservo_sdk`` writes its packets through a ``PortHandler``. Its own never discards stale input, may share
+the device with another process, has no write timeout and stays locked after an exception; ``SerialPort`` is
+one that does better. It is read without the SDK, by ``receive``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import io
+import os
+import select
+import termios
+import time
+from collections.abc import Sequence
+from typing import Protocol
+
+import serial
+from scservo_sdk import PortHandler
+
+from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
+
+# A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
+WRITE_TIMEOUT_S = 0.1
+
+# How long a port without a file descriptor is read at a stretch.
+BLOCKING_READ_S = 0.004
+
+# More than any burst of replies: six telemetry blocks have 126 bytes.
+READ_BYTES = 4096
+
+# Clearing ends even if a device sends faster than it is read.
+MAX_CLEARING_READS = 16
+
+# How late replies may come through the host's own serial port (USB frames, scheduling), through a pseudo terminal,
+# whose bytes a busy machine's kernel carries over when it has nothing better to do, and through a network.
+LOCAL_LATENCY_S = 0.005
+TERMINAL_LATENCY_S = 0.02
+NETWORK_LATENCY_S = 0.05
+
+# A burst of replies that stops for this long has ended: three USB frames of 1 ms; a pseudo terminal may stop in between
+# for as long as its kernel has other work.
+QUIET_S = 0.003
+TERMINAL_QUIET_S = 0.01
+
+# Pseudo terminals: their other end keeps them open, and with that a claim whose owner has died.
+PSEUDO_TERMINALS = "/dev/pts/"
+
+# What an unplugged adapter raises; ``termios.error`` is not an OSError.
+DEVICE_ERRORS = (OSError, termios.error)
+
+_NOT_FOUND = frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV})
+_PERMISSION = frozenset({errno.EACCES, errno.EPERM})
+_BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
+
+
+class BusPort(Protocol):
+    """Port of a servo bus: what :class:`robot.hardware.feetech.bus.Bus` and ``scservo_sdk`` ask of one.
+
+    Attributes:
+        port_name: its name in errors.
+        baudrate: bits per second.
+        is_using: the SDK's lock.
+        latency_s: time that a reply may take beyond its time on the wire [s].
+        quiet_s: pause after which a burst of replies counts as ended [s].
+        discarded_bytes: input thrown away so far because nobody had asked for it.
+    """
+
+    port_name: str
+    baudrate: int
+    is_using: bool
+    latency_s: float
+    quiet_s: float
+    discarded_bytes: int
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
+        """Discard the input that has arrived."""
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
+        """Write a packet; returns the number of bytes written.
+
+        Raises:
+            PortLost: the port is gone.
+        """
+
+    def receive(self, timeout_s: float, /) -> bytes:
+        """Return the bytes that have arrived, as soon as some have; none after ``timeout_s``.
+
+        Raises:
+            PortLost: the port is gone.
+        """
+
+    def closePort(self) -> None:  # noqa: N802 - the SDK's name
+        """Close the port; one that is gone closes as well."""
+
+
+def open_port(port: str, baudrate: int) -> SerialPort:
+    """Open a serial port for this process alone.
+
+    Args:
+        port: device path, or a pyserial URL such as ``socket://host:port``.
+        baudrate: bits per second, one that the servos know.
+
+    Raises:
+        PortNotFound: there is no such device.
+        PortPermission: the user may not open it.
+        PortBusy: another process has it open.
+        PortError: it cannot be opened for another reason, or is no serial port.
+        ValueError: no servo knows the baud rate.
+    """
+    handler = SerialPort(port)
+    if not handler.setBaudRate(baudrate):
+        raise ValueError(f"{baudrate} baud is not a rate of the servos")
+    return handler
+
+
+class SerialPort(PortHandler):
+    """The port that ``scservo_sdk`` writes to and the bus reads from.
+
+    Attributes:
+        latency_s: what a reply may take beyond its time on the wire [s].
+        quiet_s: how long a burst of replies may stop before it counts as ended [s].
+        discarded_bytes: input thrown away so far because nobody had asked for it.
+    """
+
+    def __init__(self, port_name: str) -> None:
+        super().__init__(port_name)
+        self.latency_s = NETWORK_LATENCY_S if "://" in port_name else LOCAL_LATENCY_S
+        self.quiet_s = QUIET_S
+        self.discarded_bytes = 0
+        self._descriptor: int | None = None
+        self._poll = select.poll()
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802 - the SDK's hook for opening the device
+        """Open the device; the SDK calls this once it knows the baud rate."""
+        self.closePort()
+        self.ser = line = _open_line(self.port_name, cflag_baud)
+        self.is_open = True
+        self.is_using = False
+        _ask_for_low_latency(line)
+        with contextlib.suppress(io.UnsupportedOperation):
+            self._descriptor = line.fileno()
+            self._poll.register(self._descriptor, select.POLLIN)
+            if os.path.realpath(self.port_name).startswith(PSEUDO_TERMINALS):
+                self.latency_s, self.quiet_s = TERMINAL_LATENCY_S, TERMINAL_QUIET_S
+            else:
+                _claim(self._descriptor)
+        return True
+
+    def closePort(self) -> None:  # noqa: N802 - the SDK's name
+        """Close the device; a device that is gone closes as well."""
+        self.is_open = False
+        if self._descriptor is not None:
+            self._poll.unregister(self._descriptor)
+            self._descriptor = None
+        if self.ser is not None:
+            with contextlib.suppress(OSError, termios.error):
+                self.ser.close()
+            self.ser = None
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK calls this before it writes
+        """Discard the input that has arrived."""
+        for _ in range(MAX_CLEARING_READS):
+            stale = self.receive(0.0)
+            if not stale:
+                break
+            self.discarded_bytes += len(stale)
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the SDK calls this to write
+        """Write a packet.
+
+        Returns:
+            Number of bytes written.
+
+        Raises:
+            PortLost: the device does not take it.
+        """
+        data = bytes(packet)
+        try:
+            written = self._write_at_once(data)
+            if written < len(data):
+                # pyserial waits until the device takes more, for WRITE_TIMEOUT_S at most.
+                written += self._open_line().write(data[written:]) or 0
+        except DEVICE_ERRORS as error:
+            raise PortLost(self.port_name, str(error)) from error
+        return written
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return what has arrived, as soon as something has; nothing after ``timeout_s``.
+
+        Raises:
+            PortLost: the device is gone.
+        """
+        try:
+            if self._descriptor is None:
+                return self._receive_blocking(timeout_s)
+            if not self._poll.poll(timeout_s * 1000.0):
+                return b""
+            data = os.read(self._descriptor, READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except DEVICE_ERRORS as error:
+            raise PortLost(self.port_name, str(error)) from error
+        if not data:
+            raise PortLost(self.port_name, "the other end closed it")
+        return data
+
+    def _write_at_once(self, data: bytes) -> int:
+        """Write what the device takes now; returns how many bytes."""
+        if self._descriptor is None:
+            return 0
+        try:
+            return os.write(self._descriptor, data)
+        except BlockingIOError:
+            return 0
+
+    def _receive_blocking(self, timeout_s: float) -> bytes:
+        line = self._open_line()
+        deadline = time.monotonic() + timeout_s
+        while True:
+            if waiting := line.in_waiting:
+                return line.read(waiting)
+            if time.monotonic() >= deadline:
+                return b""
+            if first := line.read(1):
+                return first
+
+    def _open_line(self) -> serial.Serial:
+        if self.ser is None:
+            raise PortLost(self.port_name, "it is not open")
+        return self.ser
+
+
+def _open_line(port: str, baudrate: int) -> serial.Serial:
+    try:
+        return serial.serial_for_url(
+            port,
+            baudrate=baudrate,
+            timeout=BLOCKING_READ_S,
+            write_timeout=WRITE_TIMEOUT_S,
+            exclusive=True,
+        )
+    except (OSError, ValueError, termios.error) as error:
+        raise _refusal(port, getattr(error, "errno", None), str(error)) from error
+
+
+def _refusal(port: str, code: int | None, reason: str) -> PortError:
+    """Choose the error for a port that did not open."""
+    if code in _NOT_FOUND:
+        return PortNotFound(port)
+    if code in _PERMISSION:
+        return PortPermission(port)
+    if code in _BUSY:
+        return PortBusy(port)
+    return PortError(port, f"cannot be opened: {reason}")
+
+
+def _claim(descriptor: int) -> None:
+    """Keep out programs that do not look at pyserial's lock, until the device is closed; no terminal, no claim."""
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCEXCL)
+
+
+def _ask_for_low_latency(line: serial.Serial) -> None:
+    """Ask the driver not to collect input for 16 ms, as FTDI's does; most others refuse, and need not."""
+    with contextlib.suppress(ValueError, NotImplementedError, AttributeError):
+        line.set_low_latency_mode(True)

@@ -1,0 +1,286 @@
+"""Switching the servos' torque on without a jump, off without a fall, and off at once.
+
+Torque on with a stale goal register is how gears are stripped: the goal is set to the present position and read back
+before torque comes on, with torque capped and then raised slowly. An arm that is already holding keeps its goals.
+Every function is a sequence of steps (:mod:`robot.hardware.steps`) that may be given up between any two of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from robot.errors import NoReply, StartupError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import (
+    GOAL_ADDRESS,
+    TELEMETRY_ADDRESS,
+    TELEMETRY_BYTES,
+    Register,
+    encode,
+    parse_telemetry,
+)
+from robot.hardware.feetech.servo_map import ServoMap
+from robot.hardware.feetech.survey import read_control
+from robot.hardware.feetech.transactions import ATTEMPTS, read, read_block, write_verified
+from robot.hardware.steps import Steps
+
+# Torque must come on with the arm at its goal; more means the arm moved or the goal was not taken.
+TORQUE_ON_WITHIN_TICKS = 30
+
+# Further outside its soft limits than this (9 deg) an arm is not switched on.
+OUTSIDE_LIMIT_TICKS = 100
+
+# An arm counts as at rest when three readings of each joint lie within this many ticks (0.7 deg).
+REST_READINGS = 3
+REST_WITHIN_TICKS = 8
+REST_INTERVAL_S = 0.02
+REST_ATTEMPTS = 50
+
+# Torque limit in 0.1 % at first touch, and how long it takes from there to its full value.
+FIRST_TORQUE = 300
+RAISE_STEPS = 10
+RAISE_S = 0.5
+
+# An arm that is relaxed sinks for so long instead of falling.
+LOWER_STEPS = 50
+LOWER_S = 1.5
+
+# An emergency stop is said three times, so that it survives a disturbed line.
+BROADCASTS = 3
+BROADCAST_INTERVAL_S = 0.002
+
+# Whoever does not confirm that torque is off is asked again after the others: a line, or a computer, that is busy for a
+# tenth of a second must not leave a servo driven.
+OFF_ROUNDS = 3
+OFF_INTERVAL_S = 0.05
+
+
+@dataclass(frozen=True)
+class TickLimits:
+    """Where servos may be, by id: soft limits, and the servos' own angle limits, of which (0, 0) means none [ticks]."""
+
+    soft: Mapping[int, tuple[int, int]]
+    servo: Mapping[int, tuple[int, int]]
+
+    def check(self, servos: ServoMap, servo_id: int, present_ticks: int) -> None:
+        """Raise StartupError for a servo that may not be switched on where it is."""
+        soft, own = self.soft[servo_id], self.servo[servo_id]
+        inside = soft[0] - OUTSIDE_LIMIT_TICKS <= present_ticks <= soft[1] + OUTSIDE_LIMIT_TICKS
+        # The servo clamps its goal to its own limits: torque would move it there at once.
+        jump = abs(self.reachable(servo_id, present_ticks) - present_ticks)
+        if not inside or jump > TORQUE_ON_WITHIN_TICKS // 2:
+            lowest, highest = soft if jump == 0 else own
+            raise StartupError(
+                f"joint {servos.by_id[servo_id].joint} stands at {present_ticks} ticks, outside {lowest} to {highest}: "
+                "bring it inside by hand, or check the calibration"
+            )
+
+    def reachable(self, servo_id: int, ticks: int) -> int:
+        """The goal nearest to ``ticks`` that the servo does not clamp."""
+        lowest, highest = self.servo[servo_id]
+        return ticks if (lowest, highest) == (0, 0) else max(lowest, min(highest, ticks))
+
+
+def enable(bus: Bus, servos: ServoMap, limits: TickLimits, ids: Sequence[int]) -> Steps[dict[int, int]]:
+    """Bring servos to hold where they are.
+
+    Args:
+        bus: the open bus.
+        servos: the arm's servos.
+        limits: where they may be.
+        ids: those to bring to hold; the others are only looked at.
+
+    Returns:
+        The goals of all servos, by id; where it is for a servo that does not hold [ticks].
+
+    Raises:
+        StartupError: the arm moves, stands outside its limits, or does not do as it is told; what was relaxed before
+            is relaxed again.
+        NoReply: a servo gave no valid reply; as above.
+        PortLost: the port is gone.
+    """
+    controls, goals = {}, {}
+    for servo in servos.ids:
+        controls[servo] = yield from read_control(bus, servo)
+        present = yield from _present_ticks(bus, servo)
+        goals[servo] = controls[servo].goal_ticks if controls[servo].torque_on else present
+        if servo in ids:
+            limits.check(servos, servo, present)
+    relaxed = [servo for servo in ids if not controls[servo].torque_on]
+    try:
+        yield from _await_rest(bus, servos, relaxed)
+        for servo in relaxed:
+            goals[servo] = yield from _switch_on(bus, servos, servo, limits)
+        start = {servo: controls[servo].torque_limit_permille for servo in ids}
+        start |= {servo: _first_torque(servos, servo) for servo in relaxed}
+        yield from _raise_torque(bus, servos, start)
+    except (StartupError, NoReply) as error:
+        left = yield from switch_off(bus, relaxed)
+        if left:
+            names = ", ".join(servos.label(servo) for servo in left)
+            raise StartupError(f"{error}; torque off could not be verified at {names}") from error
+        raise
+    return goals
+
+
+def _present_ticks(bus: Bus, servo_id: int) -> Steps[int]:
+    frame = yield from read_block(bus, servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+    return parse_telemetry(frame.data).position_ticks
+
+
+def _await_rest(bus: Bus, servos: ServoMap, ids: list[int]) -> Steps[None]:
+    """Wait until nobody moves the arm."""
+    moving = -1
+    for _ in range(REST_ATTEMPTS if ids else 0):
+        readings: dict[int, list[int]] = {servo: [] for servo in ids}
+        for _ in range(REST_READINGS):
+            yield REST_INTERVAL_S
+            for servo, frame in bus.sync_read(ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES).items():
+                readings[servo].append(parse_telemetry(frame.data).position_ticks)
+        moving = next((servo for servo, ticks in readings.items() if not _at_rest(ticks)), -1)
+        if moving < 0:
+            return
+    if moving >= 0:
+        raise StartupError(f"joint {servos.by_id[moving].joint} does not come to rest: let go of the arm")
+
+
+def _at_rest(ticks: list[int]) -> bool:
+    return len(ticks) > 1 and max(ticks) - min(ticks) <= REST_WITHIN_TICKS
+
+
+def _switch_on(bus: Bus, servos: ServoMap, servo_id: int, limits: TickLimits) -> Steps[int]:
+    """Torque on with the goal where the joint is, and at reduced torque; returns the goal."""
+    yield from write_verified(bus, servo_id, Register.TORQUE_LIMIT, _first_torque(servos, servo_id))
+    goal = limits.reachable(servo_id, (yield from _present_ticks(bus, servo_id)))
+    yield from _set_goal(bus, servos, servo_id, goal)
+    now = yield from _present_ticks(bus, servo_id)
+    _check_still(servos, servo_id, now - goal, "before")
+    yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 1)
+    now = yield from _present_ticks(bus, servo_id)
+    _check_still(servos, servo_id, now - goal, "while")
+    return goal
+
+
+def _set_goal(bus: Bus, servos: ServoMap, servo_id: int, goal_ticks: int) -> Steps[None]:
+    block = servos.goal_block(servo_id, goal_ticks)
+    for _ in range(ATTEMPTS):
+        yield 0.0
+        bus.sync_write(GOAL_ADDRESS, {servo_id: block})
+        if (yield from read(bus, servo_id, Register.GOAL_POSITION)) == goal_ticks:
+            return
+    raise StartupError(f"servo {servos.label(servo_id)} does not take the goal {goal_ticks}")
+
+
+def _check_still(servos: ServoMap, servo_id: int, moved_ticks: int, when: str) -> None:
+    if abs(moved_ticks) > TORQUE_ON_WITHIN_TICKS:
+        joint = servos.by_id[servo_id].joint
+        raise StartupError(f"joint {joint} moved by {moved_ticks} ticks {when} torque came on; torque is off")
+
+
+def _raise_torque(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) -> Steps[None]:
+    """Bring the torque limits from what they are to their full values."""
+    full = full_torque(servos)
+    start = {servo: limit for servo, limit in start_permille.items() if limit != full[servo]}
+    for step in range(1, RAISE_STEPS + 1 if start else 0):
+        yield RAISE_S / RAISE_STEPS
+        _write_torque_limits(
+            bus, {servo: limit + (full[servo] - limit) * step // RAISE_STEPS for servo, limit in start.items()}
+        )
+    for servo in start:
+        yield from write_verified(bus, servo, Register.TORQUE_LIMIT, full[servo])
+
+
+def _first_torque(servos: ServoMap, servo_id: int) -> int:
+    return min(FIRST_TORQUE, full_torque(servos)[servo_id])
+
+
+def full_torque(servos: ServoMap) -> dict[int, int]:
+    """Register TORQUE_LIMIT of each servo that holds [0.1 %]."""
+    return dict(zip(servos.ids, servos.full_torque.tolist(), strict=True))
+
+
+def _write_torque_limits(bus: Bus, permille: dict[int, int]) -> None:
+    bus.sync_write(
+        Register.TORQUE_LIMIT, {servo: encode(Register.TORQUE_LIMIT, value) for servo, value in permille.items()}
+    )
+
+
+def relax(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) -> Steps[list[int]]:
+    """Lower the torque limits, then switch torque off and see that it is.
+
+    Args:
+        bus: the open bus.
+        servos: the arm's servos.
+        start_permille: torque limits to begin with, by servo id [0.1 %].
+
+    Returns:
+        The servos that may still be driven: torque off could not be verified.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    for step in range(1, LOWER_STEPS + 1):
+        yield LOWER_S / LOWER_STEPS
+        left = LOWER_STEPS - step
+        _write_torque_limits(bus, {servo: limit * left // LOWER_STEPS for servo, limit in start_permille.items()})
+    driven = yield from switch_off(bus, list(servos.ids))
+    if not driven:
+        # Whoever switches torque on next, also another program, finds an arm that can hold itself.
+        _write_torque_limits(bus, full_torque(servos))
+    return driven
+
+
+def emergency_stop(bus: Bus, servos: ServoMap) -> Steps[list[int]]:
+    """Switch torque off everywhere at once, then servo by servo see that it is.
+
+    The first broadcast goes out with the first step, before which nothing is waited for.
+
+    Returns:
+        The servos that may still be driven.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    for _ in range(BROADCASTS):
+        bus.broadcast_torque_off()
+        yield BROADCAST_INTERVAL_S
+    return (yield from switch_off(bus, list(servos.ids)))
+
+
+def switch_off(bus: Bus, ids: list[int]) -> Steps[list[int]]:
+    """Switch torque off servo by servo; returns those that may still be driven.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    driven = yield from _switch_off_once(bus, ids)
+    for _ in range(OFF_ROUNDS - 1):
+        if not driven:
+            break
+        yield OFF_INTERVAL_S
+        driven = yield from _switch_off_once(bus, driven)
+    return driven
+
+
+def _switch_off_once(bus: Bus, ids: list[int]) -> Steps[list[int]]:
+    driven = []
+    for servo in ids:
+        try:
+            if (yield from read(bus, servo, Register.TORQUE_ENABLE)) != 0:
+                yield from write_verified(bus, servo, Register.TORQUE_ENABLE, 0)
+        except (StartupError, NoReply):
+            driven.append(servo)
+    return driven
+
+
+def clear_overload(bus: Bus, servos: ServoMap, limits: TickLimits, servo_id: int) -> Steps[None]:
+    """Bring a servo whose overload protection has latched back to holding where it is.
+
+    Raises:
+        StartupError: it does not do as it is told.
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
+    yield from _switch_on(bus, servos, servo_id, limits)

@@ -1,0 +1,151 @@
+"""The ideal arm: any number of joints, revolute or prismatic, that follow their goals; no servos, no bus, no weight.
+
+Not modelled: inertia, load, gravity, contact, heat, supply. Those are NaN or zero in its readings, and the guards that
+look at them are at rest. The emulated servos (:mod:`robot.emulator`) have them, for the SO-101.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from robot.faults import Fault
+from robot.hardware.clock import LoopClock
+from robot.hardware.config import IdealConfig
+from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Survey
+from robot.hardware.steps import Steps
+from robot.limits import JointBounds
+from robot.trajectory import Vector
+
+# A relaxed arm that takes this long to be relaxed behaves as one with servos does to whoever watches it [s].
+RELAX_S = 0.5
+
+
+class IdealArm(HardwareInterface):
+    """Joints that follow their goals with a lag, within their velocity limits; its own source.
+
+    Each follows as a first-order lag does: in a time dt it covers the share 1 - exp(-dt / lag) of the way to its goal,
+    and no more than its velocity limit allows.
+
+    Args:
+        config: lag and start.
+        joint_names: order of every array.
+        bounds: limits of the joints.
+        clock: time of the control loop [s].
+    """
+
+    def __init__(
+        self, config: IdealConfig, joint_names: tuple[str, ...], bounds: JointBounds, clock: LoopClock
+    ) -> None:
+        joints = len(joint_names)
+        super().__init__(joint_names, np.ones(joints))
+        self._bounds = bounds
+        self._clock = clock
+        self._lag_s = config.lag_s
+        start_rad = np.array([config.start_rad.get(name, 0.0) for name in joint_names])
+        self._position_rad = np.clip(start_rad, bounds.lower_rad, bounds.upper_rad)
+        self._velocity_rad_s = np.zeros(joints)
+        self._goal_rad = self._position_rad.copy()
+        self._on = np.full(joints, config.driven)
+        self._at_s = clock()
+        self._zeros = np.zeros(joints)
+        self._unmeasured = np.full(joints, np.nan)
+        self._no_status = np.zeros(joints, dtype=int)
+
+    def open(self) -> HardwareInterface:
+        """Open the arm, which is always there."""
+        return self
+
+    def survey(self) -> Steps[Survey]:
+        """Find every joint as it is."""
+        yield 0.0
+        goal_rad = np.where(self._on, self._goal_rad, np.nan)
+        return Survey(self._bounds, self._on.copy(), goal_rad, np.full(len(self._on), np.inf))
+
+    def read(self) -> Measured | None:
+        """Let the joints move until now, and read them."""
+        self._advance(self._clock())
+        return Measured(
+            position_rad=self._position_rad,
+            velocity_rad_s=self._velocity_rad_s,
+            load=self._zeros,
+            current_a=self._unmeasured,
+            voltage_v=self._unmeasured,
+            temperature_c=self._unmeasured,
+            status=self._no_status,
+            age_s=self._zeros,
+            stamp_s=time.time(),
+        )
+
+    def write_goals(self, goal_rad: Vector) -> None:
+        """Give the joints their goals."""
+        self._goal_rad = goal_rad
+
+    def write_torque_shares(self, torque_share: Vector) -> None:
+        """Do nothing: an ideal joint needs no torque."""
+
+    def check(self, stamp_s: float) -> Fault | None:  # noqa: ARG002 - the interface's signature
+        """Find nothing: nobody else can change an ideal joint."""
+        return None
+
+    def driven(self) -> Steps[Flags]:
+        """Tell which joints follow their goals."""
+        yield 0.0
+        return self._on.copy()
+
+    def enable(self, joints: Sequence[int]) -> Steps[Vector]:
+        """Let joints follow their goals, from where they are."""
+        yield 0.0
+        for joint in joints:
+            if not self._on[joint]:
+                self._on[joint] = True
+                self._goal_rad = self._goal_rad.copy()
+                self._goal_rad[joint] = self._position_rad[joint]
+        return np.where(self._on, self._goal_rad, self._position_rad)
+
+    def relax(self, torque_share: Vector) -> Steps[list[str]]:  # noqa: ARG002 - the interface's signature
+        """Take the joints' torque away after a while; nothing pulls them anywhere."""
+        yield RELAX_S
+        return (yield from self.switch_off())
+
+    def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
+        """Take joints' torque away; that always works."""
+        yield 0.0
+        self._on[slice(None) if joints is None else list(joints)] = False
+        return []
+
+    def cut_torque(self) -> Steps[list[str]]:
+        """Take all torque away with the first step."""
+        self._on[:] = False
+        yield 0.0
+        return []
+
+    def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:  # noqa: ARG002 - likewise
+        """Find nothing to clear."""
+        yield 0.0
+        return self._goal_rad if hold else None
+
+    def condition(self, joint: int) -> Condition:
+        """Condition of an ideal joint, which is well."""
+        return Condition("ideal joint", bool(self._on[joint]), 0.0, 0)
+
+    def label(self, joint: int) -> str:
+        """Name a joint."""
+        return self.joint_names[joint]
+
+    def close(self) -> None:
+        """Let go of the joints, which stay as they are."""
+
+    def _advance(self, now_s: float) -> None:
+        elapsed_s, self._at_s = now_s - self._at_s, now_s
+        if elapsed_s <= 0.0:
+            return
+        share = 1.0 if self._lag_s == 0.0 else -math.expm1(-elapsed_s / self._lag_s)
+        most_rad = self._bounds.max_velocity * elapsed_s
+        way_rad = np.clip((self._goal_rad - self._position_rad) * share, -most_rad, most_rad)
+        way_rad[~self._on] = 0.0
+        self._velocity_rad_s = way_rad / elapsed_s
+        self._position_rad = self._position_rad + way_rad

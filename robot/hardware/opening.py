@@ -1,0 +1,49 @@
+"""Opening an arm's hardware by its description."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from robot.hardware.clock import LoopClock
+from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from robot.hardware.interface import HardwareInterface
+from robot.limits import JointBounds
+from robot.messages import ArmConfig
+
+
+class HardwareSource(Protocol):
+    """Hardware that can be opened, and again when it was lost."""
+
+    def open(self) -> HardwareInterface:
+        """Open the hardware.
+
+        Raises:
+            RobotError: it is not there, or cannot be used.
+        """
+
+
+def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
+    """Make the source of an arm's hardware; a back end's libraries are imported only where it is used.
+
+    Args:
+        config: the arm.
+        clock: time of the control loop.
+
+    Raises:
+        OSError: the log or the control socket of emulated servos cannot be made.
+    """
+    joint_names = config.hardware.joint_names(config.robot)
+    bounds = JointBounds.of(config.robot, joint_names)
+    match config.hardware:
+        case FeetechConfig():
+            from robot.hardware.feetech.hardware import SerialServos
+
+            return SerialServos(config.hardware, bounds, config.guard_limits, clock)
+        case EmulatedConfig():
+            from robot.emulator.in_process import EmulatedServos
+
+            return EmulatedServos(config.hardware, bounds, config.guard_limits, clock)
+        case IdealConfig():
+            from robot.hardware.ideal import IdealArm
+
+            return IdealArm(config.hardware, joint_names, bounds, clock)

@@ -1,1 +1,0 @@
-"""The servo bus: a serial port, packets, registers, and what the servos report."""

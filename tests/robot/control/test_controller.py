@@ -1,0 +1,622 @@
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot import model
+from robot.control.acceptance import START_TOLERANCE_RAD
+from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
+from robot.control.guards import DROOP_RAD, STALE_AFTER_S, Guards, Temperatures
+from robot.faults import Fault, FaultCode
+from robot.guard_limits import GuardLimits
+from robot.hardware.interface import StatusFlag
+from robot.limits import JointBounds
+from robot.messages import ChangePace, Continuation, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
+from robot.trajectory import Trajectory
+from tests.helpers.readings import reading
+from tests.helpers.trajectories import smooth_move
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+BOUNDS = JointBounds.of(model.builtin(), NAMES)
+PERIOD_S = 0.01
+LIMITS = GuardLimits()
+
+
+class Rig:
+    """A controller, its clock, and an arm that is wherever it is told to be."""
+
+    def __init__(self, hold_rad: list[float] | None = None, *, simulated: bool = False) -> None:
+        self.now_s = 100.0
+        full_torque = np.array([0.8] * 5 + [0.5])
+        self.controller = ArmController(NAMES, BOUNDS, Guards(NAMES), full_torque, Temperatures(), simulated=simulated)
+        self.controller.hold(np.array(hold_rad or [0.0] * 6))
+        self.controller.step(reading(self.controller.goal_rad), self.now_s)
+        self.goals = [self.controller.goal_rad]
+
+    def tick(
+        self,
+        lag: np.ndarray | None = None,
+        age_s: float = 0.0,
+        gap_s: float = PERIOD_S,
+        others_age_s: float = 0.0,
+        **told: object,
+    ) -> MotionEnded | None:
+        self.now_s += gap_s
+        position = self.controller.goal_rad + (0.0 if lag is None else lag)
+        ages = np.full(6, others_age_s)
+        ages[2] = age_s
+        ended = self.controller.step(reading(position, age_s=ages, **told), self.now_s)
+        self.goals.append(self.controller.goal_rad)
+        assert len(ended) <= 1
+        return ended[0] if ended else None
+
+    def until_end(self, **tick: object) -> tuple[MotionEnded, float]:
+        """The end of the motion, and the time it took [s]."""
+        started_s = self.now_s
+        for _ in range(2000):
+            ended = self.tick(**tick)  # type: ignore[arg-type]
+            if ended is not None:
+                return ended, self.now_s - started_s
+        raise AssertionError("the motion never ended")
+
+    def largest_step(self) -> np.ndarray:
+        return np.abs(np.diff(np.array(self.goals), axis=0)).max(axis=0)
+
+
+def move(**joints: tuple[float, float]) -> Trajectory:
+    return smooth_move(joints, duration_s=2.0)
+
+
+def test_a_motion_that_arrives_ends_as_reached_and_is_held() -> None:
+    rig = Rig()
+    assert rig.controller.execute(Execute(7, move(shoulder_pan=(0.0, 1.0)))) is None
+    assert rig.controller.mode is Mode.MOVING
+    ended, seconds = rig.until_end()
+    assert ended == MotionEnded(7, Outcome.REACHED, "the arm is there")
+    assert seconds == pytest.approx(2.0, abs=0.1)
+    assert rig.controller.mode is Mode.HOLDING
+    rig.tick()
+    assert rig.controller.goal_rad == pytest.approx([1.0, 0, 0, 0, 0, 0])
+
+
+def test_a_goal_found_far_from_the_arm_comes_back_to_it_within_the_step_bound() -> None:
+    rig = Rig()
+    rig.controller.hold(np.array([0.5, 0.02, 0, 0, 0, 0]), reading(np.zeros(6)))
+    rig.goals = [rig.controller.goal_rad]
+    for _ in range(200):
+        rig.tick(lag=-rig.controller.goal_rad)
+    assert rig.controller.goal_rad == pytest.approx([0.0, 0.02, 0, 0, 0, 0])
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-9).all()
+
+
+def test_joints_outside_the_motion_keep_their_goals() -> None:
+    rig = Rig([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    rig.until_end()
+    assert np.array(rig.goals)[:, 1:] == pytest.approx(np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (len(rig.goals), 1)))
+
+
+@given(st.floats(min_value=0.0, max_value=1.9))
+def test_a_stop_ends_the_motion_at_rest_short_of_its_goal(stop_after_s: float) -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    while rig.now_s - 100.0 < stop_after_s:
+        rig.tick()
+    rig.controller.stop()
+    ended, seconds = rig.until_end()
+    assert ended.outcome is Outcome.STOPPED
+    assert seconds < 0.6
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN).all()
+
+
+def test_an_arm_that_stays_behind_ends_the_motion_and_is_held_where_it_is() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
+    blocked = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
+    ended = None
+    for _ in itertools.repeat(None, 300):
+        ended = rig.tick(lag=blocked - rig.controller.goal_rad)
+        if ended:
+            break
+    assert ended is not None
+    assert ended.outcome is Outcome.TRACKING_LOST
+    assert "elbow_flex" in ended.message
+    for _ in range(200):
+        rig.tick()
+    assert rig.controller.goal_rad == pytest.approx(blocked)
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-12).all()
+
+
+def test_a_short_lag_does_not_end_the_motion() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
+    behind = np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
+    for _ in range(round(LIMITS.tracking_time_s / PERIOD_S) - 1):
+        assert rig.tick(lag=behind) is None
+    assert rig.until_end()[0].outcome is Outcome.REACHED
+
+
+def test_an_arm_that_does_not_settle_is_told_with_joint_and_distance() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
+    ended, seconds = rig.until_end(lag=np.array([0.0, 0.0, -1.5 * LIMITS.goal_tolerance_rad, 0.0, 0.0, 0.0]))
+    assert ended.outcome is Outcome.NOT_SETTLED
+    assert "elbow_flex" in ended.message
+    assert seconds == pytest.approx(2.0 + LIMITS.settle_timeout_s, abs=0.05)
+
+
+def test_a_servo_that_falls_silent_brakes_the_motion() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(50):
+        rig.tick()
+    ended, seconds = rig.until_end(age_s=STALE_AFTER_S * 1.1)
+    assert ended.outcome is Outcome.BUS_LOST
+    assert "elbow_flex" in ended.message
+    assert seconds < 0.5
+
+
+def test_a_bus_that_falls_silent_brakes_the_motion() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(50):
+        rig.tick()
+    ended, seconds = rig.until_end(age_s=STALE_AFTER_S * 1.1, others_age_s=STALE_AFTER_S * 1.1)
+    assert ended.outcome is Outcome.BUS_LOST
+    assert "no servo has answered" in ended.message
+    assert 0.1 < seconds < 0.5
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN).all()
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_faults_of_a_simulated_arm_are_marked_as_such(simulated: bool) -> None:
+    rig = Rig(simulated=simulated)
+    rig.tick(age_s=STALE_AFTER_S * 1.1)
+    assert rig.controller.fault is not None
+    assert rig.controller.fault.simulated is simulated
+
+
+def test_a_simulated_arm_that_brakes_for_a_silent_servo_refuses_motions_without_advice_on_cables() -> None:
+    rig = Rig(simulated=True)
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(50):
+        rig.tick()
+    rig.tick(age_s=STALE_AFTER_S * 1.1)
+    assert rig.controller.mode is Mode.MOVING
+    refused = rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5))))
+    assert refused is not None
+    assert "bring it online" in refused.message
+
+
+def test_an_arm_rests_when_nothing_moves_and_nothing_is_about_to() -> None:
+    rig = Rig()
+    assert rig.controller.resting
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    assert not rig.controller.resting
+    rig.until_end()
+    assert rig.controller.resting
+
+
+def test_an_arm_whose_goal_comes_back_to_it_does_not_rest() -> None:
+    rig = Rig()
+    rig.controller.hold(np.array([0.5, 0, 0, 0, 0, 0]), reading(np.zeros(6)))
+    assert not rig.controller.resting
+    rig.controller.release()
+    assert rig.controller.resting
+
+
+def test_a_late_tick_is_not_made_up_for() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for tick in range(150):
+        rig.tick(gap_s=0.5 if tick % 10 == 0 else PERIOD_S)
+    assert (rig.largest_step() <= BOUNDS.max_velocity * 2 * PERIOD_S * STEP_MARGIN).all()
+
+
+def test_a_second_motion_is_refused_while_one_is_in_progress() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    refused = rig.controller.execute(Execute(2, move(shoulder_pan=(0.0, -1.0))))
+    assert refused is not None
+    assert (refused.motion_id, refused.outcome) == (2, Outcome.REFUSED)
+    assert rig.until_end()[0] == MotionEnded(1, Outcome.REACHED, "the arm is there")
+
+
+GOOD = move(shoulder_pan=(0.0, 1.0))
+NAN = GOOD.positions_rad.copy()
+NAN[50, 0] = np.nan
+REFUSED = {
+    "not a number": replace(GOOD, positions_rad=NAN),
+    "unknown joint": replace(GOOD, joint_names=("knee",)),
+    "no joint": replace(GOOD, joint_names=()),
+    "joint twice": move(shoulder_pan=(0.0, 1.0), elbow_flex=(0.0, 1.0)),
+    "wrong shape": replace(GOOD, velocities_rad_s=GOOD.velocities_rad_s[:-1]),
+    "time standing still": replace(GOOD, time_s=np.zeros_like(GOOD.time_s)),
+    "time not from 0": replace(GOOD, time_s=GOOD.time_s + 1.0),
+    "too fast": smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=0.5),
+    "beyond a limit": move(shoulder_pan=(0.0, 2.2)),
+    "far from where the arm holds": move(shoulder_pan=(START_TOLERANCE_RAD * 1.2, 1.0)),
+}
+REFUSED["joint twice"] = replace(REFUSED["joint twice"], joint_names=("elbow_flex", "elbow_flex"))
+
+
+@pytest.mark.parametrize("trajectory", REFUSED.values(), ids=REFUSED.keys())
+def test_a_trajectory_that_cannot_be_trusted_is_refused_and_nothing_moves(trajectory: Trajectory) -> None:
+    rig = Rig()
+    refused = rig.controller.execute(Execute(3, trajectory))
+    assert refused is not None
+    assert refused.outcome is Outcome.REFUSED
+    assert refused.message
+    rig.tick()
+    assert rig.controller.goal_rad == pytest.approx(np.zeros(6))
+
+
+def test_a_start_within_the_tolerance_is_reached_by_bounded_steps() -> None:
+    rig = Rig()
+    assert rig.controller.execute(Execute(1, move(shoulder_pan=(START_TOLERANCE_RAD * 0.9, 1.0)))) is None
+    rig.until_end()
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-12).all()
+
+
+def test_an_arm_found_outside_its_soft_limits_may_be_brought_back_inside() -> None:
+    outside = float(BOUNDS.upper_rad[0]) + 0.1
+    rig = Rig([outside, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert rig.controller.execute(Execute(1, move(shoulder_pan=(outside, 1.0)))) is None
+    assert rig.until_end()[0].outcome is Outcome.REACHED
+    assert np.array(rig.goals)[:, 0].max() <= outside
+
+
+def test_a_curve_that_swings_beyond_a_limit_between_its_samples_is_cut_off_there() -> None:
+    limit = float(BOUNDS.upper_rad[0])
+    rig = Rig([limit - 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
+    samples = np.full((2, 1), limit - 0.02)
+    fast_out_and_in = np.array([[1.5], [-1.5]])
+    swinging = Trajectory(("shoulder_pan",), np.array([0.0, 0.4]), samples, fast_out_and_in, np.zeros((2, 1)))
+    assert swinging.sample(0.2)[0][0] > limit
+    assert rig.controller.execute(Execute(1, swinging)) is None
+    rig.until_end()
+    assert np.array(rig.goals)[:, 0].max() == pytest.approx(limit)
+
+
+def test_progress_is_told_while_moving() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(9, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        rig.tick()
+    motion = rig.controller.motion
+    assert motion is not None
+    assert motion.motion_id == 9
+    assert motion.playback.fraction == pytest.approx(0.5, abs=0.02)
+    assert motion.playback.remaining_s == pytest.approx(1.0, abs=0.02)
+
+
+def test_an_abandoned_motion_is_answered_once() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(4, move(shoulder_pan=(0.0, 1.0))))
+    assert rig.controller.abandon(Outcome.BUS_LOST, "unplugged") == [MotionEnded(4, Outcome.BUS_LOST, "unplugged")]
+    assert rig.controller.abandon(Outcome.BUS_LOST, "unplugged") == []
+
+
+BLOCKED_RAD = 0.4
+
+
+def blocked(rig: Rig, ticks: int, joint: int = 0, load: float = 0.8) -> MotionEnded | None:
+    """Let a joint run against something; returns the end of its motion."""
+    for _ in range(ticks):
+        goal = rig.controller.goal_rad[joint]
+        lag = np.zeros(6)
+        lag[joint] = min(0.0, BLOCKED_RAD - goal) if goal > 0 else max(0.0, -BLOCKED_RAD - goal)
+        loads = np.zeros(6)
+        loads[joint] = load if abs(lag[joint]) > 0.05 else 0.1
+        ended = rig.tick(lag=lag, load=loads)
+        if ended is not None:
+            return ended
+    return None
+
+
+def test_a_relaxed_arm_refuses_to_move_and_says_what_to_do() -> None:
+    rig = Rig()
+    rig.controller.release()
+    refused = rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    assert refused is not None
+    assert refused.outcome is Outcome.REFUSED
+    assert "enable it first" in refused.message
+    assert rig.controller.mode is Mode.RELAXED
+
+
+def test_a_stall_is_a_fault_that_stays_until_it_is_reset() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
+    ended = blocked(rig, 400)
+    assert ended is not None
+    assert ended.outcome is Outcome.FAULT
+    assert "then reset the fault" in ended.message
+    assert rig.controller.mode is Mode.FAULT
+    refused = rig.controller.execute(Execute(2, move(shoulder_pan=(BLOCKED_RAD, 0.0))))
+    assert refused is not None
+    assert "has a fault" in refused.message
+    rig.controller.reset()
+    assert rig.controller.mode is Mode.HOLDING
+
+
+def test_after_a_stall_the_goal_goes_back_to_where_the_joint_is() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
+    blocked(rig, 400)
+    blocked(rig, 100)
+    assert rig.controller.goal_rad[0] == pytest.approx(BLOCKED_RAD, abs=DROOP_RAD)
+
+
+def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque() -> None:
+    rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
+    closing = smooth_move({"gripper": (1.5, 0.0)}, duration_s=2.0)
+    rig.controller.execute(Execute(1, closing, gripping=True, torque_share=0.8))
+    object_rad = 0.8
+    ended = None
+    for _ in range(300):
+        lag = np.zeros(6)
+        lag[5] = max(0.0, object_rad - rig.controller.goal_rad[5])
+        ended = rig.tick(lag=lag, load=[0, 0, 0, 0, 0, -0.45 if lag[5] > 0.05 else 0.0]) or ended
+    assert ended is not None
+    assert ended.outcome is Outcome.GRIPPED
+    assert rig.controller.fault is None
+    assert rig.controller.goal_rad[5] == pytest.approx(object_rad - SQUEEZE_RAD)
+    assert rig.controller.torque_limit[5] == pytest.approx(0.5 * GRIP_TORQUE_SHARE)
+
+
+def test_motions_of_different_joints_run_side_by_side() -> None:
+    rig = Rig()
+    assert rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0)))) is None
+    assert rig.controller.execute(Execute(2, smooth_move({"gripper": (0.0, 0.5)}, duration_s=1.0))) is None
+    assert rig.until_end()[0].motion_id == 2
+    assert rig.until_end()[0].motion_id == 1
+    assert rig.controller.goal_rad[[0, 5]] == pytest.approx([1.0, 0.5])
+
+
+def test_one_motion_of_two_can_be_stopped() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5))))
+    rig.tick()
+    rig.controller.stop(2)
+    assert rig.until_end()[0].outcome is Outcome.STOPPED
+    assert rig.until_end()[0] == MotionEnded(1, Outcome.REACHED, "the arm is there")
+
+
+def test_a_hot_servo_slows_the_motion_down() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    ended, seconds = rig.until_end(temperature_c=61.0)
+    assert ended.outcome is Outcome.REACHED
+    assert seconds == pytest.approx(2.0 / SLOW_RATE, abs=0.2)
+
+
+def test_heat_takes_the_place_of_a_lesser_fault() -> None:
+    rig = Rig()
+    rig.controller.latch(Fault(FaultCode.STALLED, "joint shoulder_pan pushes in vain"))
+    rig.tick(temperature_c=66.0)
+    assert rig.controller.fault is not None
+    assert rig.controller.fault.code is FaultCode.OVERHEATED
+
+
+def test_a_lesser_fault_does_not_take_the_place_of_an_emergency_stop() -> None:
+    rig = Rig()
+    rig.controller.latch(Fault(FaultCode.EMERGENCY_STOP, "emergency stop"))
+    rig.tick(age_s=STALE_AFTER_S * 2)
+    assert rig.controller.fault is not None
+    assert rig.controller.fault.code is FaultCode.EMERGENCY_STOP
+
+
+def test_an_overloaded_servo_ends_the_motion_at_once() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    ended = rig.tick(status=[0, int(StatusFlag.OVERLOAD), 0, 0, 0, 0])
+    assert ended is not None
+    assert ended.outcome is Outcome.FAULT
+    assert "shoulder_lift" in ended.message
+
+
+def test_pushing_for_less_than_the_stall_time_is_no_stall() -> None:
+    rig = Rig()
+    behind = np.array([-0.2, 0, 0, 0, 0, 0])
+    for _ in range(round(LIMITS.stall_time_s / PERIOD_S) - 1):
+        rig.tick(lag=behind, load=0.8)
+    rig.tick()
+    for _ in range(round(LIMITS.stall_time_s / PERIOD_S) - 1):
+        rig.tick(lag=behind, load=0.8)
+    assert rig.controller.fault is None
+
+
+POSITIONS = st.lists(st.floats(min_value=-2.0, max_value=2.0), min_size=6, max_size=6)
+
+
+@given(
+    start=POSITIONS,
+    ends=st.lists(st.floats(min_value=-1.0, max_value=1.0), min_size=3, max_size=3),
+    gaps=st.lists(st.sampled_from([0.0, 0.005, 0.01, 0.013, 0.05, 1.0]), min_size=40, max_size=40),
+    errors=st.lists(st.floats(min_value=-0.6, max_value=0.6), min_size=40, max_size=40),
+)
+def test_whatever_happens_goals_move_by_bounded_steps_inside_the_limits(
+    start: list[float], ends: list[float], gaps: list[float], errors: list[float]
+) -> None:
+    inside = np.clip(start, BOUNDS.lower_rad, BOUNDS.upper_rad)
+    rig = Rig(inside.tolist())
+    for tick, (gap_s, error) in enumerate(zip(gaps, errors, strict=True)):
+        if tick % 13 == 0:
+            goal = float(np.clip(inside[0] + ends[tick // 13 % 3], BOUNDS.lower_rad[0], BOUNDS.upper_rad[0]))
+            rig.controller.execute(Execute(tick, move(shoulder_pan=(float(rig.controller.goal_rad[0]), goal))))
+        if tick % 17 == 16:
+            rig.controller.stop()
+        rig.tick(lag=np.array([error, 0, 0, 0, 0, -error]), gap_s=gap_s, load=0.9)
+        step = np.abs(rig.goals[-1] - rig.goals[-2])
+        assert (step <= BOUNDS.max_velocity * min(gap_s, 0.02) * STEP_MARGIN + 1e-9).all()
+        assert (rig.goals[-1] >= BOUNDS.lower_rad - 1e-9).all()
+        assert (rig.goals[-1] <= BOUNDS.upper_rad + 1e-9).all()
+
+
+def test_a_paused_motion_waits_and_goes_back_and_on_as_it_is_told() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        assert rig.tick() is None
+    rig.controller.change_pace(ChangePace(course=Course.PAUSED))
+    for _ in range(200):
+        assert rig.tick() is None
+    paused_at = rig.goals[-1][0]
+    assert rig.goals[-50][0] == paused_at
+    assert rig.controller.mode is Mode.MOVING
+    rig.controller.change_pace(ChangePace(course=Course.BACK))
+    for _ in range(30):
+        rig.tick()
+    assert rig.goals[-1][0] < paused_at
+    rig.controller.change_pace(ChangePace(course=Course.FORWARD))
+    assert rig.until_end()[0].outcome is Outcome.REACHED
+    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-9).all()
+
+
+def test_a_stop_ends_a_paused_motion_at_once() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(50):
+        rig.tick()
+    rig.controller.change_pace(ChangePace(course=Course.PAUSED))
+    for _ in range(100):
+        rig.tick()
+    rig.controller.stop()
+    ended = rig.tick()
+    assert ended is not None
+    assert ended.outcome is Outcome.STOPPED
+
+
+def test_a_speed_factor_holds_for_motions_to_come_and_a_pause_ends_with_its_motion() -> None:
+    rig = Rig()
+    rig.controller.change_pace(ChangePace(speed_factor=0.5, course=Course.PAUSED))
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    ended, seconds = rig.until_end()
+    assert ended.outcome is Outcome.REACHED
+    assert seconds == pytest.approx(4.0, abs=0.1)
+    assert rig.controller.pace == Pace(0.5, Course.FORWARD)
+
+
+def test_a_pause_does_not_keep_the_gripper_from_gripping() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(50):
+        rig.tick()
+    rig.controller.change_pace(ChangePace(course=Course.PAUSED))
+    rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5)), gripping=True))
+    ended, seconds = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (2, Outcome.REACHED)
+    assert seconds == pytest.approx(2.0, abs=0.1)
+    assert rig.controller.pace.course is Course.PAUSED
+
+
+@pytest.mark.parametrize("factor", [-0.1, 1.1, float("nan")])
+def test_a_speed_factor_that_is_no_share_changes_nothing(factor: float) -> None:
+    rig = Rig()
+    rig.controller.change_pace(ChangePace(speed_factor=factor))
+    assert rig.controller.pace == Pace()
+
+
+def steer(rig: Rig, velocity: float, ticks: int) -> MotionEnded | None:
+    """Steer the pan for some ticks; the last thing that ended."""
+    last = None
+    for _ in range(ticks):
+        rig.controller.steer(Setpoint(7, np.array([velocity])))
+        last = rig.tick() or last
+    return last
+
+
+def test_a_stream_moves_its_joints_and_ends_at_rest_when_it_is_no_longer_steered() -> None:
+    rig = Rig()
+    assert rig.controller.stream(Stream(7, ("shoulder_pan",))) is None
+    assert rig.controller.mode is Mode.MOVING
+    assert steer(rig, 0.5, 50) is None
+    assert rig.controller.commanded[0].velocity_rad_s == pytest.approx([0.5])
+    ended, _ = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
+    assert rig.controller.mode is Mode.HOLDING
+    assert (np.abs(np.diff(np.array(rig.goals)[:, 0], n=2)) / PERIOD_S**2 <= BOUNDS.max_acceleration[0] + 1e-3).all()
+    assert np.array(rig.goals)[:, 1:] == pytest.approx(np.zeros((len(rig.goals), 5)))
+
+
+def test_a_setpoint_after_its_stream_has_ended_moves_nothing() -> None:
+    rig = Rig()
+    rig.controller.stream(Stream(7, ("shoulder_pan",)))
+    steer(rig, 0.5, 20)
+    rig.controller.stop()
+    steer(rig, 0.5, 100)
+    held = rig.controller.goal_rad
+    assert rig.controller.mode is Mode.HOLDING
+    steer(rig, 0.5, 20)
+    assert rig.controller.goal_rad == pytest.approx(held)
+
+
+def test_a_stream_and_a_motion_of_the_same_joint_exclude_each_other() -> None:
+    rig = Rig()
+    rig.controller.stream(Stream(7, ("shoulder_pan",)))
+    refused = rig.controller.execute(Execute(8, move(shoulder_pan=(0.0, 1.0))))
+    assert refused is not None
+    assert "motion 7 of joint shoulder_pan" in refused.message
+    assert rig.controller.execute(Execute(9, move(gripper=(0.0, 0.5)), gripping=True)) is None
+    again = rig.controller.stream(Stream(10, ("shoulder_pan", "elbow_flex")))
+    assert again is not None
+    assert again.outcome is Outcome.REFUSED
+
+
+@pytest.mark.parametrize("names", [(), ("knee",), ("shoulder_pan", "shoulder_pan")])
+def test_a_stream_of_joints_that_are_none_is_refused(names: tuple[str, ...]) -> None:
+    refused = Rig().controller.stream(Stream(7, names))
+    assert refused is not None
+    assert refused.outcome is Outcome.REFUSED
+
+
+def test_a_fault_ends_a_stream() -> None:
+    rig = Rig()
+    rig.controller.stream(Stream(7, ("shoulder_pan",)))
+    steer(rig, 0.5, 20)
+    rig.controller.steer(Setpoint(7, np.array([0.5])))
+    ended = rig.tick(temperature_c=90.0)
+    assert ended is not None
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.FAULT)
+
+
+def test_a_hot_arm_is_steered_at_half_the_speed() -> None:
+    rig = Rig()
+    rig.controller.stream(Stream(7, ("shoulder_pan",)))
+    for _ in range(50):
+        rig.controller.steer(Setpoint(7, np.array([0.5])))
+        rig.tick(temperature_c=61.0)
+    assert rig.controller.commanded[0].velocity_rad_s == pytest.approx([0.5 * SLOW_RATE])
+
+
+def test_a_motion_takes_the_place_of_another_without_a_stop() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(7, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        rig.tick()
+    ended = rig.controller.execute(Execute(8, move(shoulder_pan=(0.0, 1.0)), continues=Continuation(7, 0.0)))
+    assert ended is not None
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
+    before = rig.goals[-1] - rig.goals[-2]
+    rig.tick()
+    np.testing.assert_allclose(rig.goals[-1] - rig.goals[-2], before, atol=1e-4)
+    ended, _ = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (8, Outcome.REACHED)
+
+
+def test_a_motion_that_cannot_take_anothers_place_leaves_it_alone() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(7, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        rig.tick()
+    ended = rig.controller.execute(Execute(8, move(shoulder_pan=(0.0, -1.0)), continues=Continuation(7, 0.0)))
+    assert ended is not None
+    assert (ended.motion_id, ended.outcome) == (8, Outcome.REFUSED)
+    ended, _ = rig.until_end()
+    assert (ended.motion_id, ended.outcome) == (7, Outcome.REACHED)

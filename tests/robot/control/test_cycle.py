@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot.control.controller import ArmController
+from robot.control.cycle import ControlCycle
+from robot.control.guards import Guards, Temperatures
+from robot.control.pacing import PERIOD_S
+from robot.faults import Fault, FaultCode
+from robot.hardware.config import IdealConfig
+from robot.hardware.ideal import IdealArm
+from robot.hardware.interface import Measured
+from robot.messages import Execute, MotionEnded, Outcome
+from robot.trajectory import Vector
+from tests.helpers.arm_rig import BOUNDS, NAMES
+from tests.helpers.stepped_emulator import SteppedClock
+from tests.helpers.trajectories import smooth_move
+
+PAN = smooth_move({"shoulder_pan": (0.0, 0.5)}, duration_s=1.0)
+
+
+class RecordedArm(IdealArm):
+    """An ideal arm that keeps what was asked of it, and finds the fault that a test gives it."""
+
+    def __init__(self, clock: SteppedClock) -> None:
+        super().__init__(IdealConfig(lag_s=0.0, driven=True), NAMES, BOUNDS, clock)
+        self.calls: list[str] = []
+        self.goals: list[Vector] = []
+        self.heard = True
+        self.found: Fault | None = None
+
+    def read(self) -> Measured | None:
+        self.calls.append("read")
+        return super().read() if self.heard else None
+
+    def write_goals(self, goal_rad: Vector) -> None:
+        self.calls.append("goals")
+        self.goals.append(goal_rad)
+        super().write_goals(goal_rad)
+
+    def write_torque_shares(self, torque_share: Vector) -> None:
+        self.calls.append("shares")
+
+    def check(self, stamp_s: float) -> Fault | None:
+        self.calls.append("check")
+        return self.found
+
+
+class CycleRig:
+    """A cycle on that arm, and its clock."""
+
+    def __init__(self) -> None:
+        self.clock = SteppedClock()
+        self.hardware = RecordedArm(self.clock)
+        self.cycle = ControlCycle(self.hardware, self.clock)
+
+    def control(self) -> ArmController:
+        """Let a controller decide, which does not drive yet."""
+        self.cycle.controller = ArmController(NAMES, BOUNDS, Guards(NAMES), np.ones(6), Temperatures())
+        return self.cycle.controller
+
+    def tick(self) -> list[MotionEnded]:
+        self.hardware.calls.clear()
+        self.clock.advance(PERIOD_S)
+        return self.cycle.tick()
+
+
+@pytest.fixture
+def rig() -> CycleRig:
+    return CycleRig()
+
+
+@pytest.fixture
+def holding(rig: CycleRig) -> CycleRig:
+    rig.control()
+    rig.tick()
+    rig.cycle.hold(np.zeros(6))
+    return rig
+
+
+def test_a_cycle_reads_then_writes_then_checks(holding: CycleRig) -> None:
+    holding.tick()
+    assert holding.hardware.calls == ["read", "goals", "shares", "check"]
+
+
+def test_before_every_joint_was_heard_nothing_is_decided(rig: CycleRig) -> None:
+    rig.control().hold(np.zeros(6))
+    rig.hardware.heard = False
+    assert rig.tick() == []
+    assert rig.cycle.measured is None
+    assert rig.hardware.calls == ["read"]
+
+
+def test_without_a_controller_the_joints_are_only_read(rig: CycleRig) -> None:
+    assert rig.tick() == []
+    assert rig.cycle.measured is not None
+    assert rig.hardware.calls == ["read"]
+
+
+def test_a_relaxed_arm_is_told_no_goals(rig: CycleRig) -> None:
+    rig.control()
+    rig.tick()
+    assert rig.hardware.calls == ["read", "check"]
+
+
+def test_an_arm_at_rest_is_told_its_goals_at_every_cycle(holding: CycleRig) -> None:
+    for _ in range(3):
+        holding.tick()
+    assert len(holding.hardware.goals) == 3
+
+
+def test_a_motion_moves_the_joints_and_its_end_is_returned(holding: CycleRig) -> None:
+    assert holding.cycle.controller is not None
+    holding.cycle.controller.execute(Execute(7, PAN))
+    ended = [each for _ in range(150) for each in holding.tick()]
+    assert [(each.motion_id, each.outcome) for each in ended] == [(7, Outcome.REACHED)]
+    assert holding.cycle.measured is not None
+    assert holding.cycle.measured.position_rad[0] == pytest.approx(0.5)
+
+
+def test_goals_that_were_told_far_from_the_arm_come_back_to_it(rig: CycleRig) -> None:
+    controller = rig.control()
+    rig.tick()
+    rig.cycle.hold(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert controller.goal_rad[0] == 0.5
+    assert not controller.resting
+
+
+def test_a_sequence_that_tells_goals_itself_is_not_contradicted(holding: CycleRig) -> None:
+    with holding.cycle.writing_paused():
+        holding.tick()
+        assert holding.hardware.calls == ["read", "check"]
+    holding.tick()
+    assert holding.hardware.calls == ["read", "goals", "shares", "check"]
+
+
+def test_goals_are_told_again_after_a_sequence_that_failed(holding: CycleRig) -> None:
+    with pytest.raises(LookupError), holding.cycle.writing_paused():
+        raise LookupError
+    holding.tick()
+    assert "goals" in holding.hardware.calls
+
+
+def test_what_the_check_finds_ends_the_motion_as_a_fault(holding: CycleRig) -> None:
+    assert holding.cycle.controller is not None
+    holding.cycle.controller.execute(Execute(7, PAN))
+    holding.hardware.found = Fault(FaultCode.TORQUE_LOST, "it was found relaxed")
+    assert [each.outcome for each in holding.tick()] == [Outcome.FAULT]
+    assert holding.cycle.controller.fault is not None
+    assert holding.cycle.controller.fault.code is FaultCode.TORQUE_LOST
+
+
+def test_what_the_check_finds_of_a_relaxed_arm_is_no_fault(rig: CycleRig) -> None:
+    controller = rig.control()
+    rig.hardware.found = Fault(FaultCode.TORQUE_LOST, "it was found relaxed")
+    rig.tick()
+    assert controller.fault is None

@@ -1,0 +1,346 @@
+from __future__ import annotations
+
+import contextlib
+import json
+import random
+import time
+
+import pytest
+from scservo_sdk import INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
+
+from robot.calibration import Calibration
+from robot.emulator.wire import status_packet
+from robot.errors import NoReply, PortLost
+from robot.hardware.feetech.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, SYNC_READ_PADDINGS, Bus
+from robot.hardware.feetech.port import LOCAL_LATENCY_S
+from robot.hardware.feetech.registers import (
+    CONTROL_ADDRESS,
+    CONTROL_BYTES,
+    GOAL_ADDRESS,
+    LAYOUT,
+    TELEMETRY_ADDRESS,
+    TELEMETRY_BYTES,
+    Register,
+    decode,
+    encode,
+    goal_block,
+    parse_telemetry,
+)
+
+IDS = (1, 2, 3, 4, 5, 6)
+
+
+def read_block(bus):
+    return bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+
+
+# On the emulated arm.
+
+
+def test_every_servo_tells_its_model(bus):
+    assert [bus.ping(servo_id) for servo_id in IDS] == [777] * 6
+
+
+def test_what_is_written_reads_back(bus):
+    bus.write(3, Register.TORQUE_LIMIT, 300)
+    assert bus.read(3, Register.TORQUE_LIMIT) == 300
+    assert bus.read(4, Register.TORQUE_LIMIT) == 1000
+
+
+def test_a_sync_write_reaches_each_servo_with_its_own_data(bus):
+    bus.sync_write(GOAL_ADDRESS, {i: goal_block(2000 + i, 500) for i in IDS})
+    assert [bus.read(i, Register.GOAL_POSITION) for i in IDS] == [2000 + i for i in IDS]
+
+
+def test_a_sync_read_returns_exactly_the_block_of_every_servo(bus):
+    frames = read_block(bus)
+    assert list(frames) == list(IDS)
+    assert all(parse_telemetry(frame.data).voltage_v == pytest.approx(5.0) for frame in frames.values())
+    assert parse_telemetry(frames[2].data).position_ticks == bus.read(2, Register.PRESENT_POSITION)
+
+
+def test_broadcast_torque_off_reaches_every_servo(bus):
+    for servo_id in IDS:
+        bus.write(servo_id, Register.GOAL_POSITION, bus.read(servo_id, Register.PRESENT_POSITION))
+        bus.write(servo_id, Register.TORQUE_ENABLE, 1)
+    bus.broadcast_torque_off()
+    assert [bus.read(servo_id, Register.TORQUE_ENABLE) for servo_id in IDS] == [0] * 6
+
+
+def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(bus, emulator):
+    assert emulator.command(offline=[3]) == {"ok": True}
+    with pytest.raises(NoReply, match="servo 3 ") as caught:
+        bus.ping(3)
+    assert caught.value.servo_id == 3
+    assert isinstance(caught.value, TimeoutError)
+    assert sorted(read_block(bus)) == [1, 2, 4, 5, 6]
+    assert emulator.command(online=[3]) == {"ok": True}
+    assert bus.ping(3) == 777
+
+
+def test_readings_stay_right_while_replies_are_dropped_and_corrupted(start_emulator):
+    emulator = start_emulator("--drop", "0.05", "--corrupt", "0.05", "--seed", "7")
+    lost = 0
+    with contextlib.closing(emulator.open_bus()) as bus:
+        for _ in range(150):
+            frames = read_block(bus)
+            lost += len(IDS) - len(frames)
+            for frame in frames.values():
+                telemetry = parse_telemetry(frame.data)
+                assert (telemetry.voltage_v, telemetry.temperature_c) == (5.0, 32)
+            with contextlib.suppress(NoReply):
+                assert bus.read(2, Register.MAX_TEMPERATURE) == 70
+    assert 20 < lost < 200
+    assert bus.counters.timeouts > lost
+    assert bus.counters.retries > 0
+    assert bus.counters.discarded_bytes > 0
+
+
+def test_no_reply_comes_sooner_than_the_wire_could_carry_it(bus, emulator):
+    wire_s = (14 + 6 * (TELEMETRY_BYTES + 6)) * 10e-6
+    for _ in range(20):
+        start_s = emulator.clock()
+        assert len(read_block(bus)) == 6
+        assert emulator.clock() - start_s >= wire_s
+
+
+def test_the_process_serves_a_second_client_after_the_first(terminal):
+    for _ in range(2):
+        with contextlib.closing(Bus.open(terminal.port)) as bus:
+            assert len(read_block(bus)) == 6
+
+
+def test_a_broadcast_ping_finds_those_who_are_there(bus, emulator):
+    emulator.command(offline=[2])
+    assert bus.broadcast_ping() == dict.fromkeys([1, 3, 4, 5, 6], 0)
+    assert bus.read(3, Register.MODEL_NUMBER) == 777
+
+
+def test_no_reading_is_wrong_under_any_fault_of_the_emulated_bus(bus, emulator):
+    at_rest = {i: bus.read(i, Register.PRESENT_POSITION) for i in IDS}
+    faults = ("drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise", "delay")
+    assert emulator.command(**dict.fromkeys(faults, 0.03), delay_s=0.004) == {"ok": True}
+    limits = {joint.servo_id: joint.range_min for joint in Calibration.nominal().joints}
+    good = 0
+    for round_number in range(60):
+        for servo_id, frame in read_block(bus).items():
+            telemetry = parse_telemetry(frame.data)
+            assert (telemetry.voltage_v, telemetry.temperature_c) == (5.0, 32)
+            assert abs(telemetry.position_ticks - at_rest[servo_id]) < 300
+            good += 1
+        servo_id = IDS[round_number % 6]
+        with contextlib.suppress(NoReply):
+            assert bus.read(servo_id, Register.MIN_ANGLE_LIMIT) == limits[servo_id]
+            good += 1
+    assert good > 150
+
+
+# On a line where every byte is scripted.
+
+
+def value_of(servo_id, register):
+    """A value that no other servo and no other register has."""
+    return (servo_id * 37 + register * 5) % 256 if LAYOUT[register].size == 1 else servo_id * 150 + register
+
+
+def memory_of(servo_id, address, length):
+    """What a servo of the scripted line holds; bytes that no test looks at follow the register."""
+    return encode(Register(address), value_of(servo_id, Register(address))).ljust(length, b"\x55")
+
+
+def honest(instruction):
+    """The reply of a servo that is well."""
+    code, parameters = instruction.code, instruction.parameters
+    if code == INST_READ:
+        data = memory_of(instruction.servo_id, *parameters)
+        return [(0.0, status_packet(instruction.servo_id, 0, data))]
+    if code in (INST_PING, INST_WRITE):
+        return [(0.0, status_packet(instruction.servo_id, 0))]
+    return []
+
+
+def test_the_error_byte_of_a_reply_is_kept_and_its_data_believed(scripted_peer):
+    def overloaded(instruction):
+        return [(0.0, status_packet(i, 32, bytes(instruction.parameters[1]))) for i in instruction.parameters[2:]]
+
+    with contextlib.closing(Bus.open(scripted_peer(overloaded).port)) as bus:
+        assert [frame.error for frame in read_block(bus).values()] == [32] * 6
+
+
+def test_a_burst_that_a_pseudo_terminal_carries_over_in_two_parts_is_whole(scripted_peer):
+    def halting(instruction):
+        length, *ids = instruction.parameters[1:]
+        return [(0.005 * (i > 1), status_packet(i, 0, bytes(length))) for i in ids]
+
+    with contextlib.closing(Bus.open(scripted_peer(halting).port)) as bus:
+        assert len(read_block(bus)) == 6
+
+
+def test_a_silent_line_is_asked_three_times_and_then_reported(scripted_peer):
+    peer = scripted_peer(lambda _instruction: [])
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        start = time.monotonic()
+        with pytest.raises(NoReply, match=r"servo 4 .* 3 instructions"):
+            bus.read(4, Register.PRESENT_POSITION)
+        assert time.monotonic() - start < 0.2
+        assert (bus.counters.sent, bus.counters.timeouts, bus.counters.retries) == (ATTEMPTS, ATTEMPTS, 2)
+        assert len(peer.instructions) == ATTEMPTS
+
+
+def test_no_two_single_reads_in_a_row_ask_for_the_same_length(scripted_peer):
+    peer = scripted_peer(honest)
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        for _ in range(len(READ_LENGTHS)):
+            bus.read(1, Register.PRESENT_TEMPERATURE)
+    lengths = [instruction.parameters[1] for instruction in peer.instructions]
+    assert len(set(lengths)) == len(READ_LENGTHS)
+    assert max(lengths) < SYNC_READ_MIN_LENGTH
+
+
+def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question(scripted_peer):
+    def late_once(instruction):
+        first = len(peer.instructions) == 1
+        return [(0.06 if first else 0.0, data) for _, data in honest(instruction)]
+
+    peer = scripted_peer(late_once)
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        readings = []
+        for register in (Register.PRESENT_TEMPERATURE, Register.PRESENT_VOLTAGE, Register.STATUS) * 4:
+            with contextlib.suppress(NoReply):
+                readings.append(bus.read(1, register) == value_of(1, register))
+    assert readings
+    assert all(readings)
+
+
+def test_a_sync_read_after_a_late_one_asks_for_another_length(scripted_peer):
+    def stale_block(instruction):
+        late = len(peer.instructions) == 1
+        data = bytes([len(peer.instructions)] * instruction.parameters[1])
+        return [(0.012 * late, status_packet(i, 0, data)) for i in instruction.parameters[2:]]
+
+    peer = scripted_peer(stale_block)
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        bus._port.latency_s = LOCAL_LATENCY_S
+        assert read_block(bus) == {}
+        for expected in (2, 3):
+            for frame in read_block(bus).values():
+                assert frame.data == bytes([expected] * TELEMETRY_BYTES)
+
+
+def test_blocks_of_different_length_never_ask_for_the_same_number_of_bytes(scripted_peer):
+    peer = scripted_peer(lambda _instruction: [])
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        for _ in range(SYNC_READ_PADDINGS):
+            bus.sync_read((1,), CONTROL_ADDRESS, CONTROL_BYTES)
+            read_block(bus)
+    asked = [(instruction.parameters[0], instruction.parameters[1]) for instruction in peer.instructions]
+    control = {length for address, length in asked if address == CONTROL_ADDRESS}
+    telemetry = {length for address, length in asked if address == TELEMETRY_ADDRESS}
+    assert not control & telemetry
+
+
+def test_after_a_failure_nothing_is_sent_until_the_line_is_quiet(scripted_peer):
+    heard = []
+
+    def talkative(instruction):
+        heard.append(time.monotonic())
+        if len(heard) > 1:
+            return honest(instruction)
+        return [(0.002 * k, b"\x00noise") for k in range(8)]
+
+    with contextlib.closing(Bus.open(scripted_peer(talkative).port)) as bus:
+        assert bus.read(1, Register.PRESENT_VOLTAGE) == value_of(1, Register.PRESENT_VOLTAGE)
+    assert heard[1] - heard[0] >= 0.014
+
+
+def test_endless_noise_ends_in_no_reply_and_not_in_a_hang(scripted_peer):
+    def noisy(_instruction):
+        return [(0.0005 * k, bytes(64)) for k in range(4000)]
+
+    with contextlib.closing(Bus.open(scripted_peer(noisy).port)) as bus:
+        start = time.monotonic()
+        with pytest.raises(NoReply):
+            bus.read(1, Register.PRESENT_VOLTAGE)
+        assert time.monotonic() - start < 0.5
+
+
+def test_an_unplugged_adapter_is_lost_and_the_bus_can_still_be_closed(scripted_peer):
+    peer = scripted_peer(honest)
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        bus.ping(1)
+        peer.unplug()
+        for _ in range(2):
+            with pytest.raises(PortLost):
+                read_block(bus)
+
+
+def test_the_emergency_stop_does_not_wait_for_a_noisy_line(scripted_peer):
+    peer = scripted_peer(lambda _instruction: [(0.0005 * k, bytes(64)) for k in range(40)])
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        read_block(bus)
+        start = time.monotonic()
+        bus.broadcast_torque_off()
+        assert time.monotonic() - start < 0.003
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_reading_marked_good_is_wrong_whatever_the_line_does(scripted_peer, seed):
+    """Every reply may be lost, late, cut, corrupted, repeated, of another servo, or in noise."""
+    questions, chance = random.Random(seed), random.Random(seed + 100)
+
+    def damaged(packet):
+        delay = chance.choice([0.0, 0.0, 0.0, 0.001, 0.006, 0.04])
+        at = chance.randrange(len(packet))
+        match chance.randrange(28):
+            case 0:
+                return []
+            case 1:
+                return [(delay, packet[:at])]
+            case 2:
+                return [(delay, packet[:at] + bytes([packet[at] ^ chance.randrange(1, 256)]) + packet[at + 1 :])]
+            case 3:
+                return [(delay, packet + packet)]
+            case 4:
+                return [(0.0, packet), (delay, packet)]
+            case 5:
+                return [(delay, status_packet(9, 0, packet[5:-1]) + packet)]
+            case 6:
+                return [(delay, chance.randbytes(chance.randrange(20)) + packet)]
+            case 7:
+                return [(delay, packet)]
+        return [(0.0, packet)]
+
+    def peer_of(instruction):
+        if instruction.code == INST_SYNC_READ:
+            stamp = len(peer.instructions) % 250
+            replies = [status_packet(i, 0, bytes([stamp, i] * 12)[: instruction.parameters[1]]) for i in IDS]
+        else:
+            replies = [data for _, data in honest(instruction)]
+        return [scripted for packet in replies for scripted in damaged(packet)]
+
+    peer = scripted_peer(peer_of)
+    good = 0
+    with contextlib.closing(Bus.open(peer.port)) as bus:
+        for _ in range(40):
+            servo_id = questions.choice(IDS)
+            register = questions.choice(list(Register))
+            with contextlib.suppress(NoReply):
+                assert bus.read(servo_id, register) == value_of(servo_id, register)
+                good += 1
+            for sync_id, frame in read_block(bus).items():
+                stamp = len(peer.instructions) % 250
+                assert frame.data == bytes([stamp, sync_id] * 8)[:TELEMETRY_BYTES]
+                good += 1
+    assert good > 50
+
+
+def test_every_write_is_on_the_servos_record(start_emulator, write_log):
+    emulator = start_emulator("--write-log", str(write_log))
+    with contextlib.closing(emulator.open_bus()) as bus:
+        bus.write(2, Register.TORQUE_LIMIT, 300)
+        bus.sync_write(GOAL_ADDRESS, {1: goal_block(2000, 500), 2: goal_block(2100, 500)})
+        bus.ping(1)
+    first, second = (json.loads(line) for line in write_log.read_text().splitlines())
+    assert (first["instruction"], first["address"], first["data"]) == ("write", 48, {"2": [0x2C, 1]})
+    assert (second["instruction"], second["address"]) == ("sync_write", 41)
+    assert decode(Register.GOAL_POSITION, bytes(second["data"]["2"][1:3])) == 2100

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from robot.errors import StartupError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import Register
+from robot.hardware.feetech.servo_map import ServoMap
+from robot.hardware.feetech.survey import PHASE_MULTI_TURN, survey
+from robot.limits import JointBounds
+from tests.helpers.arm_rig import CALIBRATION, ROBOT
+from tests.helpers.sequences import run
+from tests.helpers.server import read_write_log
+from tests.helpers.stepped_emulator import SteppedEmulator
+
+SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints)))
+
+Start = Callable[..., SteppedEmulator]
+
+
+def test_a_survey_tells_what_every_servo_holds_and_allows(bus: Bus) -> None:
+    found = run(survey(bus, SERVOS))
+    assert set(found) == set(SERVOS.ids)
+    for joint in CALIBRATION.joints:
+        servo = found[joint.servo_id]
+        assert not servo.control.torque_on
+        assert servo.angle_limits_ticks == (joint.range_min, joint.range_max)
+        assert servo.warnings == ()
+
+
+def test_a_survey_writes_nothing(start_emulator: Start, tmp_path: Path) -> None:
+    log = tmp_path / "writes.jsonl"
+    bus = start_emulator("--write-log", str(log)).open_bus()
+    run(survey(bus, SERVOS))
+    bus.close()
+    assert read_write_log(log) == []
+
+
+@pytest.mark.parametrize(
+    ("offline", "words"),
+    [([3], r"no answer from elbow_flex \(id 3\)"), (list(SERVOS.ids), "no servo answers: is the arm powered")],
+)
+def test_missing_servos_are_named_with_the_likely_cause(
+    emulator: SteppedEmulator, bus: Bus, offline: list[int], words: str
+) -> None:
+    emulator.command(offline=offline)
+    with pytest.raises(StartupError, match=words):
+        run(survey(bus, SERVOS))
+
+
+def test_a_servo_in_another_operating_mode_is_refused(bus: Bus) -> None:
+    bus.write(2, Register.OPERATING_MODE, 1)
+    with pytest.raises(StartupError, match=r"servo 2 \(shoulder_lift\) is in operating mode 1"):
+        run(survey(bus, SERVOS))
+
+
+def test_angle_limits_that_differ_from_the_calibration_are_told(bus: Bus) -> None:
+    bus.write(1, Register.MIN_ANGLE_LIMIT, 1500)
+    (warning,) = run(survey(bus, SERVOS))[1].warnings
+    assert "1500" in warning
+
+
+def test_a_servo_that_counts_several_turns_is_told(bus: Bus) -> None:
+    bus.write(1, Register.PHASE, 12 | PHASE_MULTI_TURN)
+    (warning,) = run(survey(bus, SERVOS))[1].warnings
+    assert "PHASE" in warning
+
+
+def test_lost_replies_do_not_hinder_a_survey(start_emulator: Start) -> None:
+    bus = start_emulator("--drop", "0.03", "--corrupt", "0.03", "--seed", "3").open_bus()
+    assert len(run(survey(bus, SERVOS))) == len(SERVOS.ids)
+    assert bus.counters.timeouts > 0
+    bus.close()

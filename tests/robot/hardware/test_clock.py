@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot.control.pacing import PERIOD_S
+from robot.hardware.clock import FACTOR_TICKS, MAX_TICK_S, MachineClock, SimulationClock
+
+GAPS = st.lists(st.floats(min_value=0.0, max_value=2.0), max_size=30)
+
+
+def ticked(*gaps_s: float) -> SimulationClock:
+    """A clock whose ticks came so long after one another."""
+    machine_s = 50.0
+    clock = SimulationClock(machine_s)
+    for gap_s in gaps_s:
+        machine_s += gap_s
+        clock.start_tick(machine_s)
+    return clock
+
+
+def test_the_machines_time_is_monotonic_and_passes_by_itself() -> None:
+    clock = MachineClock()
+    before_s = time.monotonic()
+    clock.start_tick(0.0)
+    assert before_s <= clock() <= time.monotonic()
+    assert clock.real_time_factor == 1.0
+
+
+def test_simulated_time_begins_at_the_machines() -> None:
+    assert SimulationClock(12.5)() == 12.5
+
+
+def test_simulated_time_stands_still_between_ticks() -> None:
+    clock = ticked(PERIOD_S)
+    assert clock() == clock() == pytest.approx(50.0 + PERIOD_S)
+
+
+def test_punctual_ticks_let_simulated_time_pass_as_the_machines() -> None:
+    assert ticked(*[PERIOD_S] * 100)() == pytest.approx(51.0)
+
+
+def test_a_tick_that_starts_one_period_late_is_made_up_for() -> None:
+    assert ticked(2 * PERIOD_S)() == pytest.approx(50.0 + 2 * PERIOD_S)
+
+
+@given(GAPS)
+def test_no_tick_lets_more_simulated_time_pass_than_its_bound(gaps_s: list[float]) -> None:
+    machine_s = before_s = 50.0
+    clock = SimulationClock(machine_s)
+    for gap_s in gaps_s:
+        machine_s += gap_s
+        clock.start_tick(machine_s)
+        assert -1e-9 <= clock() - before_s <= min(gap_s, MAX_TICK_S) + 1e-9
+        before_s = clock()
+
+
+def test_time_that_was_lost_to_a_starved_loop_does_not_come_back() -> None:
+    assert ticked(3.0, PERIOD_S)() == pytest.approx(50.0 + MAX_TICK_S + PERIOD_S)
+
+
+def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
+    clock = ticked(PERIOD_S)
+    clock.start_tick(20.0)
+    assert clock() == pytest.approx(50.0 + PERIOD_S)
+
+
+def test_the_real_time_factor_before_the_first_tick_is_one() -> None:
+    assert ticked().real_time_factor == 1.0
+
+
+def test_the_real_time_factor_of_punctual_ticks_is_one() -> None:
+    assert ticked(*[PERIOD_S] * 30).real_time_factor == pytest.approx(1.0)
+
+
+def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed() -> None:
+    assert ticked(*[4 * MAX_TICK_S] * 10).real_time_factor == pytest.approx(0.25)
+
+
+def test_the_real_time_factor_recovers_once_the_loop_is_no_longer_starved() -> None:
+    assert ticked(5.0, *[PERIOD_S] * FACTOR_TICKS).real_time_factor == pytest.approx(1.0)
+
+
+@given(GAPS)
+def test_the_real_time_factor_is_a_share(gaps_s: list[float]) -> None:
+    assert 0.0 < ticked(*gaps_s).real_time_factor <= 1.0

@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+from robot import model
+from robot.calibration import Calibration
+from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+
+CALIBRATION = Calibration.nominal()
+SERVOS = tuple(joint.joint for joint in CALIBRATION.joints)
+POSE = {"elbow_flex": 0.4}
+
+
+def test_an_arm_with_servos_has_the_joints_of_its_calibration_and_an_ideal_one_all_that_move() -> None:
+    robot = model.builtin()
+    assert FeetechConfig(CALIBRATION, "/dev/arm").joint_names(robot) == SERVOS
+    assert EmulatedConfig(CALIBRATION).joint_names(robot) == SERVOS
+    assert IdealConfig().joint_names(robot) == tuple(joint.name for joint in robot.movable_joints)
+
+
+def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_themselves() -> None:
+    emulated, ideal, real = (
+        EmulatedConfig(CALIBRATION, drop=0.1),
+        IdealConfig(0.2),
+        FeetechConfig(CALIBRATION, "/dev/arm"),
+    )
+    assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True, resumes=True)
+    assert ideal.resumed(POSE, driven=False) == IdealConfig(0.2, POSE, driven=False)
+    assert real.resumed(POSE, driven=True) == real

@@ -1,0 +1,262 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot import model
+from robot.control.pacing import PERIOD_S
+from robot.hardware.config import IdealConfig
+from robot.hardware.ideal import RELAX_S, IdealArm
+from robot.hardware.interface import Measured
+from robot.hardware.steps import run_to_end
+from robot.limits import JointBounds
+from tests.helpers.stepped_emulator import SteppedClock
+
+# A rail, whose positions are metres, and a joint whose range excludes 0.
+URDF = """
+<robot name="gantry">
+  <link name="base"/><link name="carriage"/><link name="arm"/><link name="hand"/>
+  <joint name="rail" type="prismatic">
+    <parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
+    <limit lower="-0.2" upper="0.6" velocity="0.25" effort="1"/>
+  </joint>
+  <joint name="shoulder" type="revolute">
+    <parent link="carriage"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower="-1.5" upper="1.5" velocity="2" effort="1"/>
+  </joint>
+  <joint name="elbow" type="revolute">
+    <parent link="arm"/><child link="hand"/><axis xyz="0 0 1"/>
+    <limit lower="0.4" upper="2.5" velocity="2" effort="1"/>
+  </joint>
+</robot>
+"""
+SRDF = '<robot name="gantry"><group name="arm"><chain base_link="base" tip_link="hand"/></group></robot>'
+ROBOT = model.parse(URDF, SRDF)
+NAMES = IdealConfig().joint_names(ROBOT)
+BOUNDS = JointBounds.of(ROBOT, NAMES)
+RAIL, SHOULDER, ELBOW = 0, 1, 2
+REST = np.array([0.0, 0.0, 0.4])
+
+
+class IdealRig:
+    """An ideal arm that holds, and its clock."""
+
+    def __init__(self, **settings: object) -> None:
+        self.clock = SteppedClock()
+        self.arm = IdealArm(IdealConfig(**{"driven": True, **settings}), NAMES, BOUNDS, self.clock)  # type: ignore[arg-type]
+
+    def read(self, after_s: float = 0.0) -> Measured:
+        """The reading after so long a tick."""
+        self.clock.advance(after_s)
+        measured = self.arm.read()
+        assert measured is not None
+        return measured
+
+    def run(self, seconds: float) -> Measured:
+        """The reading after ticks of the usual length."""
+        for _ in range(round(seconds / PERIOD_S)):
+            self.read(PERIOD_S)
+        return self.read()
+
+
+def goals(**joints: float) -> np.ndarray:
+    return np.array([joints.get(name, rest) for name, rest in zip(NAMES, REST, strict=True)])
+
+
+def test_every_movable_joint_of_the_robot_is_a_joint_of_the_arm() -> None:
+    assert NAMES == ("rail", "shoulder", "elbow")
+
+
+def test_a_joint_starts_where_it_is_put() -> None:
+    start_rad = {"rail": 0.3, "elbow": 1.0}
+    assert IdealRig(start_rad=start_rad).read().position_rad == pytest.approx([0.3, 0.0, 1.0])
+
+
+def test_a_joint_whose_range_excludes_zero_starts_at_its_nearer_limit() -> None:
+    assert IdealRig().read().position_rad == pytest.approx(REST)
+
+
+def test_a_start_outside_the_limits_is_brought_inside() -> None:
+    start_rad = {"rail": -3.0, "shoulder": 9.0, "elbow": 0.0}
+    assert IdealRig(start_rad=start_rad).read().position_rad == pytest.approx([-0.2, 1.5, 0.4])
+
+
+def test_a_joint_covers_the_share_of_its_way_that_its_lag_allows() -> None:
+    rig = IdealRig(lag_s=0.05)
+    rig.arm.write_goals(goals(shoulder=0.01))
+    assert rig.read(0.05).position_rad[SHOULDER] == pytest.approx(0.01 * (1.0 - math.exp(-1.0)))
+
+
+@given(st.lists(st.floats(min_value=1e-4, max_value=0.05), min_size=1, max_size=20))
+def test_the_lag_does_not_depend_on_the_length_of_the_ticks(ticks_s: list[float]) -> None:
+    rig = IdealRig(lag_s=0.05)
+    rig.arm.write_goals(goals(shoulder=1e-3))
+    for tick_s in ticks_s:
+        rig.read(tick_s)
+    assert rig.read().position_rad[SHOULDER] == pytest.approx(1e-3 * -math.expm1(-sum(ticks_s) / 0.05))
+
+
+def test_without_lag_a_joint_is_at_its_goal_within_one_tick() -> None:
+    rig = IdealRig(lag_s=0.0)
+    rig.arm.write_goals(goals(shoulder=0.015))
+    assert rig.read(PERIOD_S).position_rad[SHOULDER] == pytest.approx(0.015)
+
+
+@pytest.mark.parametrize(("joint", "goal", "most"), [("rail", 0.6, 0.25), ("shoulder", 1.5, 2.0)])
+def test_no_joint_is_faster_than_its_velocity_limit(joint: str, goal: float, most: float) -> None:
+    rig = IdealRig(lag_s=0.0)
+    rig.arm.write_goals(goals(**{joint: goal}))
+    measured = rig.read(PERIOD_S)
+    assert measured.position_rad[NAMES.index(joint)] == pytest.approx(most * PERIOD_S)
+    assert measured.velocity_rad_s[NAMES.index(joint)] == pytest.approx(most)
+
+
+def test_a_prismatic_joint_follows_in_metres_as_others_do_in_radians() -> None:
+    rig = IdealRig()
+    rig.arm.write_goals(goals(rail=0.4))
+    assert rig.run(3.0).position_rad == pytest.approx([0.4, 0.0, 0.4])
+
+
+def test_an_arm_at_its_goals_stands_still() -> None:
+    rig = IdealRig()
+    rig.arm.write_goals(goals(shoulder=0.1))
+    assert rig.run(2.0).velocity_rad_s == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_a_second_reading_in_the_same_tick_is_the_same() -> None:
+    rig = IdealRig()
+    rig.arm.write_goals(goals(shoulder=0.5))
+    first, second = rig.read(PERIOD_S), rig.read()
+    assert second.position_rad.tolist() == first.position_rad.tolist()
+    assert second.velocity_rad_s.tolist() == first.velocity_rad_s.tolist() != [0.0] * 3
+
+
+def test_an_earlier_reading_is_not_changed_by_a_later_one() -> None:
+    rig = IdealRig()
+    rig.arm.write_goals(goals(shoulder=0.5))
+    first = rig.read(PERIOD_S)
+    kept = first.position_rad.tolist()
+    rig.read(PERIOD_S)
+    assert first.position_rad.tolist() == kept
+
+
+def test_readings_are_fresh_and_complain_of_nothing() -> None:
+    measured = IdealRig().read()
+    assert measured.age_s.tolist() == [0.0] * 3
+    assert measured.status.tolist() == [0] * 3
+
+
+def test_what_the_arm_does_not_have_is_not_a_number() -> None:
+    measured = IdealRig().read()
+    for column in (measured.current_a, measured.voltage_v, measured.temperature_c):
+        assert np.isnan(column).all()
+
+
+def test_a_survey_finds_an_arm_that_holds_at_its_goals() -> None:
+    found = run_to_end(IdealRig(start_rad={"shoulder": 0.3}).arm.survey())
+    assert found.driven.tolist() == [True] * 3
+    assert found.goal_rad == pytest.approx([0.0, 0.3, 0.4])
+    assert found.bounds is BOUNDS
+
+
+def test_a_survey_finds_a_relaxed_arm_without_goals() -> None:
+    found = run_to_end(IdealRig(driven=False).arm.survey())
+    assert found.driven.tolist() == [False] * 3
+    assert np.isnan(found.goal_rad).all()
+
+
+def test_a_relaxed_arm_does_not_follow_and_does_not_fall() -> None:
+    rig = IdealRig(driven=False)
+    rig.arm.write_goals(goals(shoulder=0.5))
+    assert rig.run(0.5).position_rad == pytest.approx(REST)
+
+
+def test_an_enabled_arm_holds_where_it_is() -> None:
+    rig = IdealRig(driven=False, start_rad={"shoulder": 0.3})
+    rig.arm.write_goals(goals(shoulder=1.0))
+    held_rad = run_to_end(rig.arm.enable(range(3)), rig.clock.advance)
+    assert held_rad == pytest.approx([0.0, 0.3, 0.4])
+    assert rig.run(0.5).position_rad == pytest.approx([0.0, 0.3, 0.4])
+    assert run_to_end(rig.arm.driven()).tolist() == [True] * 3
+
+
+def test_a_joint_that_holds_keeps_its_goal_when_others_are_enabled() -> None:
+    rig = IdealRig()
+    run_to_end(rig.arm.switch_off([RAIL]))
+    rig.arm.write_goals(goals(rail=0.5, shoulder=0.2))
+    assert run_to_end(rig.arm.enable(range(3))) == pytest.approx([0.0, 0.2, 0.4])
+
+
+def test_a_joint_that_is_not_enabled_is_told_where_it_is() -> None:
+    rig = IdealRig(driven=False)
+    rig.arm.write_goals(goals(rail=0.5, shoulder=0.2))
+    assert run_to_end(rig.arm.enable([SHOULDER])) == pytest.approx(REST)
+    assert run_to_end(rig.arm.driven()).tolist() == [False, True, False]
+
+
+def test_goals_that_were_written_are_not_changed_by_enabling() -> None:
+    rig = IdealRig(driven=False)
+    written = goals(shoulder=1.0)
+    rig.arm.write_goals(written)
+    run_to_end(rig.arm.enable(range(3)))
+    assert written[SHOULDER] == 1.0
+
+
+def test_relaxing_takes_a_while_and_leaves_no_torque() -> None:
+    rig = IdealRig()
+    started_s = rig.clock()
+    assert run_to_end(rig.arm.relax(np.ones(3)), rig.clock.advance) == []
+    assert rig.clock() - started_s == pytest.approx(RELAX_S)
+    assert run_to_end(rig.arm.driven()).tolist() == [False] * 3
+
+
+def test_a_relaxing_that_is_given_up_leaves_the_arm_holding() -> None:
+    rig = IdealRig()
+    steps = rig.arm.relax(np.ones(3))
+    next(steps)
+    steps.close()
+    assert run_to_end(rig.arm.driven()).tolist() == [True] * 3
+
+
+def test_torque_is_cut_with_the_first_step() -> None:
+    rig = IdealRig()
+    rig.arm.write_goals(goals(shoulder=1.0))
+    rig.read(PERIOD_S)
+    next(rig.arm.cut_torque())
+    before = rig.read().position_rad.tolist()
+    assert rig.run(0.2).position_rad.tolist() == before
+
+
+def test_single_joints_can_be_switched_off() -> None:
+    rig = IdealRig()
+    assert run_to_end(rig.arm.switch_off([ELBOW])) == []
+    assert run_to_end(rig.arm.driven()).tolist() == [True, True, False]
+    assert not rig.arm.condition(ELBOW).torque_enabled
+    assert rig.arm.condition(RAIL).torque_enabled
+
+
+def test_flags_that_were_told_do_not_change_later() -> None:
+    rig = IdealRig()
+    told, found = run_to_end(rig.arm.driven()), run_to_end(rig.arm.survey()).driven
+    run_to_end(rig.arm.switch_off())
+    assert told.tolist() == found.tolist() == [True] * 3
+
+
+def test_an_ideal_arm_has_no_bus_and_no_faults_of_its_own() -> None:
+    arm = IdealRig().arm
+    assert arm.counters is None
+    assert arm.check(0.0) is None
+    assert arm.label(RAIL) == "rail"
+
+
+def test_it_is_still_there_when_it_is_opened_again() -> None:
+    rig = IdealRig()
+    rig.arm.write_goals(goals(shoulder=0.1))
+    rig.run(1.0)
+    rig.arm.close()
+    assert rig.arm.open() is rig.arm
+    assert rig.read().position_rad[SHOULDER] == pytest.approx(0.1)

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from robot import model
+from robot.calibration import Calibration
+from robot.errors import PortError, PortNotFound
+from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.hardware.opening import hardware_source
+from robot.limits import within_calibration
+from robot.messages import ArmConfig
+from tests.helpers.stepped_emulator import SteppedClock
+
+CALIBRATION = Calibration.nominal()
+ROBOT = within_calibration(model.builtin(), CALIBRATION)
+NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
+
+
+@pytest.mark.parametrize("hardware", [EmulatedConfig(CALIBRATION), IdealConfig()])
+def test_simulated_hardware_opens_and_can_be_read_at_once(hardware: HardwareConfig) -> None:
+    opened = hardware_source(ArmConfig(ROBOT, hardware), SteppedClock()).open()
+    assert opened.joint_names == NAMES
+    measured = opened.read()
+    assert measured is not None
+    assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
+
+
+def test_simulated_joints_are_where_they_were_when_they_are_opened_again() -> None:
+    source = hardware_source(
+        ArmConfig(ROBOT, EmulatedConfig(CALIBRATION, start_rad={"elbow_flex": 0.4})), SteppedClock()
+    )
+    first = source.open().read()
+    again = source.open().read()
+    assert first is not None
+    assert again is not None
+    assert first.position_rad[2] == again.position_rad[2] == pytest.approx(0.4, abs=0.002)
+
+
+def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened() -> None:
+    source = hardware_source(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "/dev/does-not-exist")), SteppedClock())
+    with pytest.raises(PortNotFound):
+        source.open()
+
+
+def test_an_unknown_adapter_is_an_error_when_it_is_opened() -> None:
+    source = hardware_source(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "usb:0000:0001")), SteppedClock())
+    with pytest.raises(PortError, match="0000:0001"):
+        source.open()
+
+
+def test_the_ideal_arm_loads_no_serial_library() -> None:
+    program = (
+        "import sys; from robot import model; from robot.messages import ArmConfig; "
+        "from robot.hardware.config import IdealConfig; from robot.hardware.clock import MachineClock; "
+        "from robot.hardware.opening import hardware_source; "
+        "hardware_source(ArmConfig(model.builtin(), IdealConfig()), MachineClock()).open(); "
+        "print(sorted({'serial', 'scservo_sdk'} & set(sys.modules)))"
+    )
+    printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert printed.stdout.strip() == "[]"

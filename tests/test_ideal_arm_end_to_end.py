@@ -1,0 +1,114 @@
+"""An arm of anybody's, by its URDF and SRDF alone: served, told of, and moved over a real socket."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot import model
+from robot.forward import ForwardPlacements
+from robot.model import RobotModel
+from tests.helpers.arm_server import arm_client, values_of
+from tests.helpers.client import FrameClient, frame_client
+from tests.helpers.server import RunningServer
+from tests.helpers.seven_joint_arm import SRDF, URDF
+
+pytestmark = pytest.mark.real_time
+
+# The last joint moves the hand along its axis instead of about it.
+TURNS = '<axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="4" effort="9"/>'
+SLIDES = '<axis xyz="0 0 1"/><limit lower="-0.02" upper="0.2" velocity="0.3" effort="9"/>'
+SLIDING = URDF.replace('name="a7" type="revolute"', 'name="a7" type="prismatic"').replace(TURNS, SLIDES)
+
+# What the lag of an ideal joint leaves over [rad, m].
+ARRIVED = 0.005
+
+# moveit.position_tolerance, and what the lag leaves over.
+POSITION_M = 0.012
+
+
+@pytest.fixture(scope="module", params=[URDF, SLIDING], ids=["seven joints turn", "the last one slides"])
+def described(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The files of the robot's description."""
+    folder = tmp_path_factory.mktemp("robot")
+    for name, text in (("arm.urdf", request.param), ("arm.srdf", SRDF)):
+        (folder / name).write_text(text)
+    return [folder / "arm.urdf", folder / "arm.srdf"]
+
+
+@pytest.fixture(scope="module")
+def server(described: list[Path]) -> Iterator[RunningServer]:
+    urdf, srdf = described
+    with RunningServer(f"--port 0 --urdf {urdf} --srdf {srdf}") as running:
+        yield running
+
+
+@pytest.fixture
+def robot(described: list[Path]) -> RobotModel:
+    return model.load(*described)
+
+
+@pytest.fixture
+async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
+    async with frame_client(server.url) as connected:
+        await connected.open_goals()
+        await connected.subscribe("/joint_states", "sensor_msgs/JointState")
+        yield connected
+
+
+async def present(client: FrameClient) -> dict[str, float]:
+    """Where every joint is, by a state that came after this was asked for."""
+    seen = len(client.messages("/joint_states"))
+    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
+    return dict(zip(state["name"], state["position"], strict=True))
+
+
+async def arrive(client: FrameClient, topic: str, msg: dict[str, Any]) -> dict[str, float]:
+    """Send a goal; returns where the joints are when it is reached."""
+    result = await client.goal(topic, msg)
+    assert (result["val"], result["message"]) == (1, "the arm is there")
+    return await present(client)
+
+
+async def test_a_named_goal_is_reached(client: FrameClient, robot: RobotModel) -> None:
+    joints = await arrive(client, "/moveit_goal_named", {"data": "bent"})
+    assert joints == pytest.approx(dict(robot.named_states["arm"]["bent"]), abs=ARRIVED)
+
+
+async def test_a_goal_of_joints_is_reached(client: FrameClient) -> None:
+    goal = {"a1": 0.4, "a4": 0.9, "a7": 0.1}
+    joints = await arrive(client, "/moveit_goal_joints", {"name": list(goal), "position": list(goal.values())})
+    assert {name: joints[name] for name in goal} == pytest.approx(goal, abs=ARRIVED)
+
+
+async def test_a_goal_of_a_position_is_reached(client: FrameClient, robot: RobotModel) -> None:
+    placements = ForwardPlacements(robot)
+    reachable = {"a1": 0.3, "a2": 0.6, "a3": 0.2, "a4": 1.0, "a5": 0.1, "a6": 0.7, "a7": 0.05}
+    wanted_m = placements.transforms(reachable)["tool"][:3, 3]
+    pose = {"position": dict(zip("xyz", wanted_m.tolist(), strict=True)), "orientation": {"w": 1.0}}
+    joints = await arrive(client, "/moveit_goal_pose", {"header": {"frame_id": "pedestal"}, "pose": pose})
+    np.testing.assert_allclose(placements.transforms(joints)["tool"][:3, 3], wanted_m, atol=POSITION_M)
+
+
+async def test_its_joints_have_no_servos_to_tell_of(client: FrameClient) -> None:
+    await client.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+    arrays = await client.wait_for("/diagnostics", lambda all_: bool(all_) and len(all_[-1]["status"]) > 1)
+    arm, *joints = arrays[-1]["status"]
+    assert [joint["name"] for joint in joints] == [f"arm: a{number}" for number in range(1, 8)]
+    assert (values_of(arm)["port"], {joint["hardware_id"] for joint in joints}) == ("ideal", {"ideal joint"})
+    assert "temperature_c" not in values_of(joints[0])
+
+
+async def test_it_can_be_stopped_in_an_emergency_and_goes_on(server: RunningServer) -> None:
+    async with arm_client(server.url) as client:
+        await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "bent"})
+        assert (await client.call("/arm/emergency_stop"))["success"]
+        assert values_of(await client.until_mode("fault"))["fault"] == "emergency_stop"
+        for service in ("/arm/reset_fault", "/arm/enable"):
+            answer = await client.call(service)
+            assert answer["success"], answer
+        await client.until_mode("holding")

@@ -28,6 +28,9 @@ RECOVERY_S = 2.0
 
 # Longer than any limit that a real arm has, and shorter than what counts as a process's death [s].
 STARVED_S = 3.5
+
+# Motions may take little longer than planned: one that stands still for so long would be given up by the wall clock.
+HASTE = {"MOVEIT__ALLOWED_EXECUTION_DURATION_SCALING": "1", "MOVEIT__ALLOWED_GOAL_DURATION_MARGIN": "1.5"}
 ARRIVAL_S = 10.0
 
 HALF_WAY_RAD = 0.5
@@ -35,7 +38,7 @@ HALF_WAY_RAD = 0.5
 
 @pytest.fixture(scope="module")
 def on_bus() -> Iterator[ServerOnBus]:
-    with server_on_bus(ACCESS__CONTROL="shared") as running:
+    with server_on_bus(ACCESS__CONTROL="shared", **HASTE) as running:
         yield running
 
 

@@ -112,7 +112,7 @@ class ArmController:
 
     @property
     def resting(self) -> bool:
-        """Whether nothing moves, and nothing is about to."""
+        """True while nothing moves, and nothing is about to."""
         return not self._motions and (not self.driven or self._hold_rad.tolist() == self._goal_rad.tolist())
 
     @property

@@ -60,7 +60,7 @@ class Faults:
 
     @property
     def by_chance(self) -> bool:
-        """Whether chance has a say in any packet."""
+        """True while any fault may strike by chance."""
         return any(getattr(self, name) > 0.0 for name in PROBABILITIES)
 
     def loses_instruction(self) -> bool:

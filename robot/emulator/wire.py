@@ -44,7 +44,7 @@ class InstructionParser:
 
     @property
     def begun(self) -> bool:
-        """Whether the bytes left over may be the beginning of an instruction."""
+        """True while the bytes left over may be the beginning of an instruction."""
         return self._buffer.startswith(HEADER[:1])
 
     def feed(self, data: bytes, now_s: float) -> list[Instruction]:

@@ -68,8 +68,13 @@ class EmulatedConfig:
         return tuple(joint.joint for joint in self.calibration.joints)
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> EmulatedConfig:
-        """Servos as an arm process that has ended left them: real ones would have stayed."""
-        return replace(self, start_rad=position_rad, driven=driven, resumes=True)
+        """Servos as an arm process that has ended left them: real ones would have stayed.
+
+        Args:
+            position_rad: joint -> position that the process told last [rad]; those it did not tell stay.
+            driven: whether their torque was on.
+        """
+        return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven, resumes=True)
 
 
 @dataclass(frozen=True)
@@ -94,8 +99,8 @@ class IdealConfig:
         return tuple(joint.name for joint in robot.movable_joints)
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> IdealConfig:
-        """Joints as an arm process that has ended left them."""
-        return replace(self, start_rad=position_rad, driven=driven)
+        """Joints as an arm process that has ended left them; see :meth:`EmulatedConfig.resumed`."""
+        return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
 
 
 HardwareConfig: TypeAlias = FeetechConfig | EmulatedConfig | IdealConfig

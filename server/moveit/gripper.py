@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ from robot.arm import Arm
 from robot.messages import MotionEnded, Outcome
 from robot.model import Joint
 from robot.trapezoid import rest_to_rest
-from server.moveit.patience import Allowance
+from server.moveit.patience import Allowance, ArmTime
 from server.moveit.playing import BRAKING_TIMEOUT_S
 from server.moveit.readiness import ARM_START_TIMEOUT_S, unusable
 
@@ -57,6 +58,7 @@ class Gripper:
         acceleration_scaling: share of its acceleration limit.
         allowance: what motions may take.
         torque_limit: share of full motor duty that the gripper may use.
+        clock: monotonic time of this machine [s].
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Gripper:
         acceleration_scaling: float,
         allowance: Allowance,
         torque_limit: float,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
         self._joint = joint
@@ -74,6 +77,7 @@ class Gripper:
         self._max_acceleration = acceleration_scaling * joint.max_acceleration
         self._allowance = allowance
         self._torque_limit = torque_limit
+        self._clock = clock
         self._newest = 0
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None
@@ -127,18 +131,19 @@ class Gripper:
             self._joint.name, self._goal_rad(), command.position_rad, velocity, self._max_acceleration
         )
         share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
-        until_s = self._arm.clock_s + self._allowance.of(trajectory.duration_s)
         self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share)
-        ended = await self._until_ended(self._motion, until_s, tell)
+        ended = await self._until_ended(self._motion, self._allowance.of(trajectory.duration_s), tell)
         if ended.outcome is Outcome.GRIPPED:
             await self._until_squeezed()
         return ended
 
     async def _until_ended(
-        self, motion: asyncio.Future[MotionEnded], until_s: float, tell: Callable[[GripperReading], None]
+        self, motion: asyncio.Future[MotionEnded], left_s: float, tell: Callable[[GripperReading], None]
     ) -> MotionEnded:
-        while not motion.done() and self._arm.clock_s < until_s:
+        arm_time = ArmTime(self._arm, self._clock)
+        while not motion.done() and left_s > 0.0:
             await asyncio.wait([motion], timeout=FEEDBACK_PERIOD_S)
+            left_s -= arm_time.passed_s()
             reading = self.reading()
             if not motion.done() and reading is not None:
                 tell(reading)

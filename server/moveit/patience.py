@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from robot.messages import Course, Pace
 
@@ -27,6 +30,38 @@ class Allowance:
     def of(self, duration_s: float) -> float:
         """What a motion may take that takes ``duration_s`` as planned [s]."""
         return duration_s * self.scaling + self.margin_s
+
+
+class TimedArm(Protocol):
+    """The arm, as `robot.arm.Arm`."""
+
+    @property
+    def clock_s(self) -> float:
+        """Time of the arm's control loop, as its latest state tells it [s]."""
+
+
+class ArmTime:
+    """Time that passes for an arm while something is waited for: that of its clock, and no more than passes here.
+
+    A busy machine slows a simulated arm's clock down. A server that stood still itself hears of all the arm's time at
+    once, also of what passed before the arm was told to do something.
+
+    Args:
+        arm: the arm.
+        clock: monotonic time of this machine [s].
+    """
+
+    def __init__(self, arm: TimedArm, clock: Callable[[], float] = time.monotonic) -> None:
+        self._arm = arm
+        self._clock = clock
+        self._looked_at_s, self._looked_at_by_arm_s = clock(), arm.clock_s
+
+    def passed_s(self) -> float:
+        """Return what has passed since this was last asked [s]."""
+        now_s, by_arm_s = self._clock(), self._arm.clock_s
+        passed_s = min(now_s - self._looked_at_s, by_arm_s - self._looked_at_by_arm_s)
+        self._looked_at_s, self._looked_at_by_arm_s = now_s, by_arm_s
+        return max(passed_s, 0.0)
 
 
 class Patience:

@@ -20,7 +20,7 @@ from robot.messages import ArmState, Course, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.goal_queue import Answer, GoalState, Progress
 from server.moveit.handing_over import HORIZON_S, SENDING_S, STATE_AGE_S, Branch, branch_of
-from server.moveit.patience import Allowance, Patience
+from server.moveit.patience import Allowance, ArmTime, Patience
 from server.moveit.scene_watch import SceneWatch
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
@@ -172,15 +172,15 @@ class Player:
         motion: Certified,
         report: Callable[[Progress], None],
     ) -> Answer:
-        patience, before_s = Patience(motion.trajectory.duration_s, self._allowance), self._arm.clock_s
+        patience = Patience(motion.trajectory.duration_s, self._allowance)
+        arm_time = ArmTime(self._arm, self._clock)
         ends: tuple[asyncio.Future[Any], ...] = (ended, leaving)
         while not ended.done() and patience.end is None:
             await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
             if leaving.done() and not ended.done():
                 return self._left_behind(motion, ended)
-            now_s, state = self._arm.clock_s, self._arm.state
-            patience.pass_time(now_s - before_s, state.pace)
-            before_s = now_s
+            state = self._arm.state
+            patience.pass_time(arm_time.passed_s(), state.pace)
             if not ended.done() and state.mode is Mode.MOVING:
                 report(Progress(GoalState.EXECUTING, motion.summary, state.fraction, state.remaining_s))
         if not ended.done():

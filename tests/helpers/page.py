@@ -38,8 +38,8 @@ FLAGS = (
 DESKTOP = (1280, 800)
 PHONE = (390, 844)
 
-# Software rendering on two shared cores: what takes 0.1 s on a quiet machine takes seconds on a busy one.
-PATIENCE_MS = 10_000
+# Software rendering on two shared cores: what takes 0.1 s on a quiet machine takes many seconds on a busy one.
+PATIENCE_MS = 60_000
 
 # How often the page is asked whether something is so.
 LOOK_MS = 20

@@ -251,7 +251,7 @@ def parse_telemetry(data: bytes) -> Telemetry:
 
 @dataclass(frozen=True)
 class Control:
-    """What a servo was told.
+    """Commands that a servo holds, from one read of its registers 40 to 55.
 
     Attributes:
         torque_on: whether its motor is driven.

@@ -160,7 +160,7 @@ def test_silence_of_an_arm_that_is_well_names_the_silent_joint_that_is_farthest_
 
 
 def found_in_silence(age_s: list[float], measured: Measured | None = None) -> Fault | None:
-    """What the guards find, in an arm that was well, when joints have readings of these ages."""
+    """The fault of an arm that was well whose joints then have readings of these ages."""
     guards = Guards(NAMES)
     assert guards.check(GOAL, reading(GOAL), FULL, 1.0) is None
     measured = (measured or reading(GOAL))._replace(age_s=np.array(age_s))

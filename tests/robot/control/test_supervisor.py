@@ -236,7 +236,7 @@ def test_a_simulated_arm_waits_for_longer_where_so_configured(start_rig: Start) 
 
 
 def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) -> list[str]:
-    """What is logged when the server falls silent and comes back a number of times."""
+    """Lines of the log about a server that falls silent and comes back a number of times."""
     caplog.clear()
     for _ in range(times):
         rig.alive = False

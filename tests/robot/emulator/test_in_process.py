@@ -5,13 +5,14 @@ import json
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.in_process import MAX_COMMAND_BYTES, MAX_CONTROLLERS, CommandedPort, EmulatedServos
+from robot.emulator.in_process import MAX_COMMAND_BYTES, MAX_CONTROLLERS, CommandedPort, ControlSocket, EmulatedServos
 from robot.errors import NoReply, PortError, PortLost
 from robot.guard_limits import GuardLimits
 from robot.hardware.config import EmulatedConfig
@@ -51,7 +52,7 @@ def at_once() -> SteppedEmulator:
         max_size=15,
     )
 )
-def test_the_packets_are_those_of_a_bus_whose_bytes_take_their_time(events):
+def test_the_packets_are_those_of_a_bus_whose_bytes_take_their_time(events: list[Any]) -> None:
     with_wire, without = SteppedEmulator(wire_time=True), SteppedEmulator(wire_time=False)
     for event in events:
         heard = []
@@ -215,6 +216,13 @@ def clock() -> SteppedClock:
     return SteppedClock()
 
 
+def close(control: ControlSocket) -> None:
+    control._selector.close()
+    control._listener.close()
+    for controller in control._buffers:
+        controller.close()
+
+
 @pytest.fixture
 def make(clock: SteppedClock) -> Iterator[Callable[..., EmulatedServos]]:
     """Makes emulated servos; what a process would close at its end is closed here."""
@@ -226,10 +234,7 @@ def make(clock: SteppedClock) -> Iterator[Callable[..., EmulatedServos]]:
             if one.bus._log is not None:
                 made.callback(one.bus._log.close)
             if isinstance(one._port, CommandedPort):
-                control = one._port._control
-                for descriptor in (control._selector, control._listener):
-                    made.callback(descriptor.close)
-                made.callback(lambda: [controller.close() for controller in control._buffers])
+                made.callback(close, one._port._control)
             return one
 
         yield servos
@@ -350,7 +355,7 @@ class Controller:
 
     @property
     def let_go(self) -> bool:
-        """Whether the emulator has closed the line."""
+        """True once the emulator has closed the line."""
         with contextlib.suppress(ConnectionError):
             return self._lines.readline() == b""
         return True

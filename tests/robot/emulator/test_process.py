@@ -70,6 +70,21 @@ def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_
         assert bus.read(1, Register.TORQUE_LIMIT) == 321
 
 
+def test_it_serves_a_second_client_after_the_first(terminal):
+    for _ in range(2):
+        with contextlib.closing(Bus.open(terminal.port)) as bus:
+            assert len(bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
+
+
+def test_replies_come_with_the_usb_frames_that_are_asked_for(start_terminal):
+    with contextlib.closing(Bus.open(start_terminal("--usb-frame-ms", "10").port)) as bus:
+        start_s = time.monotonic()
+        for _ in range(3):
+            bus.ping(1)
+        # Two questions each, every one of them answered at the end of another frame.
+        assert time.monotonic() - start_s >= 0.05
+
+
 def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(terminal, line):
     terminal.command(frozen=True)
     assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}

@@ -143,7 +143,7 @@ def test_servos_move_while_nobody_speaks(bus):
 
 
 def weighings(*, moving):
-    """How often the weight is put on in a tenth of a second, besides at once."""
+    """Number of times that the weight is put on in a tenth of a second, besides at once."""
     times = []
     bus = ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), Faults(), 0.0, weigh=lambda: times.append(1))
     assert len(times) == 1

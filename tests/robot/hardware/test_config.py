@@ -2,6 +2,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from robot import model
 from robot.calibration import Calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
@@ -27,3 +29,11 @@ def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_them
     assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True, resumes=True)
     assert ideal.resumed(POSE, driven=False) == IdealConfig(0.2, POSE, driven=False)
     assert real.resumed(POSE, driven=True) == real
+
+
+@pytest.mark.parametrize("config", [EmulatedConfig(CALIBRATION, start_rad=POSE), IdealConfig(start_rad=POSE)])
+def test_simulated_joints_that_were_never_told_of_resume_where_they_are_put(
+    config: EmulatedConfig | IdealConfig,
+) -> None:
+    assert config.resumed({}, driven=False).start_rad == POSE
+    assert config.resumed({"gripper": 0.1}, driven=False).start_rad == {**POSE, "gripper": 0.1}

@@ -38,6 +38,7 @@ def test_every_lost_reply_is_counted(bus, emulator):
 def test_reads_of_one_servo_are_timed_shortest_first(bus, emulator):
     taken = measure_reads(bus, 3, 56, 15, 8, emulator.clock)
     assert taken == sorted(taken)
+    assert wire_time_s(status_bytes(15), 1_000_000) < taken[0] <= taken[-1] < 0.005
     assert len(taken) > 4
     emulator.command(offline=[3])
     assert measure_reads(bus, 3, 56, 15, 2, emulator.clock) == []

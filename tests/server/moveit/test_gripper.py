@@ -11,10 +11,10 @@ from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.model import builtin
 from robot.trajectory import Trajectory
-from server.moveit import gripper as gripper_module
 from server.moveit.gripper import SQUEEZE_PERIOD_S, Gripper, GripperCommand
 from server.moveit.gripper_actions import GRIPPER_ACTION, PARALLEL_ACTION
 from server.moveit.patience import Allowance
+from server.moveit.playing import BRAKING_TIMEOUT_S
 from tests.helpers.arm_server import ArmClient, ServerOnBus
 from tests.helpers.played_arm import PlayedArm, settle
 from tests.server.conftest import JOINTS
@@ -165,48 +165,51 @@ class SlowArm(PlayedArm):
         self.stops.append(motion)
 
 
-@pytest.fixture
-def slow(monkeypatch: pytest.MonkeyPatch) -> SlowArm:
-    monkeypatch.setattr(gripper_module, "FEEDBACK_PERIOD_S", 0.001)
-    monkeypatch.setattr(gripper_module, "BRAKING_TIMEOUT_S", BRAKING_S)
-    return SlowArm()
-
-
-ALLOWED_S = 0.05
-BRAKING_S = 0.1
-LOOKS_S = 0.2
+ALLOWED_S = 5.0
 
 
 def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
-    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, Allowance(0.0, ALLOWED_S), 0.5)  # type: ignore[arg-type]
+    clock = asyncio.get_running_loop().time
+    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, Allowance(0.0, ALLOWED_S), 0.5, clock)  # type: ignore[arg-type]
     return asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
 
 
-async def test_a_gripper_that_a_busy_machine_starves_has_all_its_time_by_the_arms_clock(slow: SlowArm) -> None:
-    moving = begin(slow)
-    await asyncio.sleep(LOOKS_S)
+async def together(arm: SlowArm, seconds: float) -> None:
+    """Let the same time pass here and on the arm's clock."""
+    for _ in range(round(seconds / SQUEEZE_PERIOD_S)):
+        await asyncio.sleep(SQUEEZE_PERIOD_S)
+        arm.pass_time(SQUEEZE_PERIOD_S)
+
+
+@pytest.mark.stepped_time
+async def test_a_gripper_that_a_busy_machine_starves_has_all_its_time_by_the_arms_clock() -> None:
+    moving = begin(slow := SlowArm())
+    await asyncio.sleep(100.0 * ALLOWED_S)
+    await together(slow, 0.9 * ALLOWED_S)
     assert slow.stops == []
     slow.end()
     assert (await moving).outcome is Outcome.REACHED
 
 
-async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_waited_for_by_the_same(slow: SlowArm) -> None:
-    moving = begin(slow)
-    await settle()
-    slow.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(LOOKS_S)
+@pytest.mark.stepped_time
+async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_waited_for_by_the_same() -> None:
+    moving = begin(slow := SlowArm())
+    await together(slow, 1.1 * ALLOWED_S)
     assert (len(slow.stops), moving.done()) == (1, False)
-    slow.pass_time(1.1 * BRAKING_S)
-    assert (await asyncio.wait_for(moving, 5.0)).outcome is Outcome.PROCESS_LOST
+    await asyncio.sleep(100.0)
+    assert not moving.done()
+    await together(slow, BRAKING_TIMEOUT_S)
+    assert (await moving).outcome is Outcome.PROCESS_LOST
 
 
-async def test_a_grip_is_told_when_its_goal_rests_by_the_arms_clock(slow: SlowArm) -> None:
-    moving = begin(slow)
+@pytest.mark.stepped_time
+async def test_a_grip_is_told_when_its_goal_rests_by_the_arms_clock() -> None:
+    moving = begin(slow := SlowArm())
     await settle()
     for goal_rad in (0.9, 0.6, 0.5):
         slow.put(gripper=goal_rad)
         slow.end(Outcome.GRIPPED, "gripped something")
-        await asyncio.sleep(LOOKS_S)
+        await asyncio.sleep(10.0)
         assert not moving.done()
         slow.pass_time(1.1 * SQUEEZE_PERIOD_S)
-    assert (await asyncio.wait_for(moving, 5.0)).outcome is Outcome.GRIPPED
+    assert (await moving).outcome is Outcome.GRIPPED

@@ -3,7 +3,9 @@ from __future__ import annotations
 import pytest
 
 from robot.messages import Course, Pace
-from server.moveit.patience import LEAST_SPEED_FACTOR, Allowance, Patience
+from server.moveit.patience import LEAST_SPEED_FACTOR, Allowance, ArmTime, Patience
+from tests.helpers.clock import FakeClock
+from tests.helpers.played_arm import PlayedArm
 
 DURATION_S = 3.0
 ALLOWANCE = Allowance(scaling=3.0, margin_s=4.0, paused_s=50.0)
@@ -41,3 +43,25 @@ def test_no_motion_stands_or_goes_back_for_ever(pace: Pace) -> None:
     assert patience.end is None
     patience.pass_time(1.0, pace)
     assert "limit 50 s" in str(patience.end)
+
+
+LAPS = {
+    "arm and machine": (0.5, 0.5, 0.5),
+    "an arm that is starved": (0.5, 0.1, 0.1),
+    "a server that stood still before": (0.1, 3.0, 0.1),
+    "an arm that says nothing": (0.5, 0.0, 0.0),
+    "another arm process": (0.5, -7.0, 0.0),
+}
+
+
+@pytest.mark.parametrize(("here_s", "by_arm_s", "passed_s"), LAPS.values(), ids=LAPS.keys())
+def test_an_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
+    here_s: float, by_arm_s: float, passed_s: float
+) -> None:
+    arm, clock = PlayedArm(), FakeClock()
+    time = ArmTime(arm, clock)
+    for _ in range(2):
+        clock.advance(here_s)
+        arm.pass_time(by_arm_s)
+        assert time.passed_s() == pytest.approx(passed_s)
+    assert time.passed_s() == 0.0

@@ -9,7 +9,6 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
-from robot import arm as arm_module
 from robot.messages import Course, MotionEnded, Outcome, Pace
 from server.goal_queue import Answer, Progress
 from server.moveit import playing
@@ -18,6 +17,8 @@ from server.moveit.playing import CODE_OF_OUTCOME, Certified, Player
 from tests.helpers.clock import FakeClock
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
+
+pytestmark = pytest.mark.stepped_time
 
 MOTION = Certified("arm", smooth_move(dict.fromkeys(JOINTS, (0.0, 0.5)), 1.0), {}, EMPTY_SCENE.version, "as planned")
 CONTACT = PlanningFailure(
@@ -133,68 +134,81 @@ class StubbornArm(PlayedArm):
 
 
 @pytest.fixture
-async def hasty(monkeypatch: pytest.MonkeyPatch) -> Stage:
-    """A motion whose time is looked at again and again, on an arm that does not brake."""
-    monkeypatch.setattr(playing, "PROGRESS_PERIOD_S", 0.001)
-    monkeypatch.setattr(playing, "BRAKING_TIMEOUT_S", BRAKING_S)
-    monkeypatch.setattr(arm_module, "HEARTBEAT_S", 0.001)
+async def stubborn() -> Stage:
+    """A motion of an arm that does not brake by itself."""
     made = Stage(StubbornArm())
     await made.begin()
     return made
 
 
-LOOKS_S = 0.05
-BRAKING_S = 0.1
+LOOKS_S = 10.0 * playing.PROGRESS_PERIOD_S
+BRAKING_S = playing.BRAKING_TIMEOUT_S
 ALLOWED_S = ALLOWANCE.of(MOTION.trajectory.duration_s)
 
 
-async def test_an_arm_that_a_busy_machine_starves_has_all_its_time_by_its_own_clock(hasty: Stage) -> None:
-    hasty.clock.advance(1000.0)
-    hasty.arm.pass_time(0.9 * ALLOWED_S)
+async def test_an_arm_that_a_busy_machine_starves_has_all_its_time_by_its_own_clock(stubborn: Stage) -> None:
+    stubborn.clock.advance(1000.0)
+    stubborn.arm.pass_time(0.9 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
-    assert hasty.arm.stops == []
-    hasty.arm.end()
-    assert (await hasty.answer()).code is MoveItErrorCode.SUCCESS
+    assert stubborn.arm.stops == []
+    stubborn.arm.end()
+    assert (await stubborn.answer()).code is MoveItErrorCode.SUCCESS
 
 
-async def test_a_motion_that_overruns_by_the_arms_clock_is_given_up(hasty: Stage) -> None:
-    hasty.arm.pass_time(1.1 * ALLOWED_S)
+async def test_a_motion_that_overruns_by_the_arms_clock_is_given_up(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
-    assert len(hasty.arm.stops) == 1
-    hasty.arm.end(Outcome.STOPPED, "stopped half-way")
-    assert (await hasty.answer()).code is MoveItErrorCode.TIMED_OUT
+    assert len(stubborn.arm.stops) == 1
+    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
+    assert (await stubborn.answer()).code is MoveItErrorCode.TIMED_OUT
 
 
-async def test_an_arm_that_brakes_within_the_time_of_its_own_clock_is_waited_for(hasty: Stage) -> None:
-    hasty.arm.pass_time(1.1 * ALLOWED_S)
+async def test_an_arm_that_brakes_within_the_time_of_its_own_clock_is_waited_for(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
-    hasty.clock.advance(1000.0)
-    hasty.arm.pass_time(0.9 * BRAKING_S)
+    stubborn.clock.advance(1000.0)
+    stubborn.arm.pass_time(0.9 * BRAKING_S)
     await asyncio.sleep(LOOKS_S)
-    assert hasty.running is not None
-    assert not hasty.running.done()
-    hasty.arm.pass_time(0.2 * BRAKING_S)
-    answer = await hasty.answer()
+    assert stubborn.running is not None
+    assert not stubborn.running.done()
+    stubborn.arm.pass_time(0.2 * BRAKING_S)
+    answer = await stubborn.answer()
     assert (answer.code, "does not brake either" in answer.message) == (MoveItErrorCode.COMMUNICATION_FAILURE, True)
 
 
-async def test_a_motion_that_was_left_is_waited_for_by_the_arms_clock(hasty: Stage) -> None:
-    hasty.player.leave("preempted by a test")
-    await hasty.answer()
-    resting = asyncio.create_task(hasty.player.rest())
+async def test_a_server_that_stood_still_does_not_count_what_passed_before_the_motion(stubborn: Stage) -> None:
+    stubborn.arm.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
-    hasty.arm.pass_time(0.9 * BRAKING_S)
+    assert stubborn.arm.stops == []
+
+
+async def test_a_server_that_stood_still_gives_the_arm_its_time_to_brake(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(0.2 * BRAKING_S)
+    stubborn.arm.pass_time(2.0 * BRAKING_S)
+    await asyncio.sleep(0.2 * BRAKING_S)
+    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
+    answer = await stubborn.answer()
+    assert (answer.code, "stopped half-way" in answer.message) == (MoveItErrorCode.TIMED_OUT, True)
+
+
+async def test_a_motion_that_was_left_is_waited_for_by_the_arms_clock(stubborn: Stage) -> None:
+    stubborn.player.leave("preempted by a test")
+    await stubborn.answer()
+    resting = asyncio.create_task(stubborn.player.rest())
+    await asyncio.sleep(LOOKS_S)
+    stubborn.arm.pass_time(0.9 * BRAKING_S)
     await asyncio.sleep(LOOKS_S)
     assert not resting.done()
-    hasty.arm.pass_time(0.2 * BRAKING_S)
+    stubborn.arm.pass_time(0.2 * BRAKING_S)
     await asyncio.wait_for(resting, 5.0)
 
 
-async def test_an_arm_that_says_nothing_any_more_is_not_waited_for(hasty: Stage) -> None:
-    hasty.arm.pass_time(1.1 * ALLOWED_S)
+async def test_an_arm_that_says_nothing_any_more_is_not_waited_for(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
-    hasty.arm.state_age_s = 5.1
-    assert (await hasty.answer()).code is MoveItErrorCode.COMMUNICATION_FAILURE
+    stubborn.arm.state_age_s = 5.1
+    assert (await stubborn.answer()).code is MoveItErrorCode.COMMUNICATION_FAILURE
 
 
 def worn(_duration_s: float, allowance: Allowance) -> Worn:

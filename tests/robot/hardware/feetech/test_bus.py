@@ -3,16 +3,15 @@ from __future__ import annotations
 import contextlib
 import json
 import random
-import time
 
 import pytest
-from scservo_sdk import INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
+from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
 
 from robot.calibration import Calibration
 from robot.emulator.wire import status_packet
 from robot.errors import NoReply, PortLost
-from robot.hardware.feetech.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, SYNC_READ_PADDINGS, Bus
-from robot.hardware.feetech.port import LOCAL_LATENCY_S
+from robot.hardware.feetech.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, SYNC_READ_PADDINGS
+from robot.hardware.feetech.port import QUIET_S
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
@@ -26,6 +25,7 @@ from robot.hardware.feetech.registers import (
     goal_block,
     parse_telemetry,
 )
+from tests.helpers.scripted_port import ScriptedPort
 
 IDS = (1, 2, 3, 4, 5, 6)
 
@@ -57,6 +57,30 @@ def test_a_sync_read_returns_exactly_the_block_of_every_servo(bus):
     assert list(frames) == list(IDS)
     assert all(parse_telemetry(frame.data).voltage_v == pytest.approx(5.0) for frame in frames.values())
     assert parse_telemetry(frames[2].data).position_ticks == bus.read(2, Register.PRESENT_POSITION)
+
+
+def test_the_same_data_can_be_written_to_another_address(bus):
+    data = {1: encode(Register.TORQUE_LIMIT, 300)}
+    bus.sync_write(Register.TORQUE_LIMIT, data)
+    bus.sync_write(Register.GOAL_POSITION, data)
+    assert (bus.read(1, Register.TORQUE_LIMIT), bus.read(1, Register.GOAL_POSITION)) == (300, 300)
+
+
+def test_other_data_can_be_written_to_the_same_address(bus):
+    for limit in (300, 400):
+        bus.sync_write(Register.TORQUE_LIMIT, {1: encode(Register.TORQUE_LIMIT, limit)})
+    assert bus.read(1, Register.TORQUE_LIMIT) == 400
+
+
+def test_servos_at_rest_are_told_as_before_and_one_that_moved_otherwise(bus, emulator):
+    before = read_block(bus)
+    assert read_block(bus) is before
+    emulator.command(jump={"3": 40})
+    after = read_block(bus)
+    moved = [
+        parse_telemetry(after[i].data).position_ticks - parse_telemetry(before[i].data).position_ticks for i in IDS
+    ]
+    assert moved == [0, 0, 40, 0, 0, 0]
 
 
 def test_broadcast_torque_off_reaches_every_servo(bus):
@@ -104,9 +128,9 @@ def test_no_reply_comes_sooner_than_the_wire_could_carry_it(bus, emulator):
         assert emulator.clock() - start_s >= wire_s
 
 
-def test_the_process_serves_a_second_client_after_the_first(terminal):
+def test_servos_serve_a_second_bus_after_the_first(emulator):
     for _ in range(2):
-        with contextlib.closing(Bus.open(terminal.port)) as bus:
+        with contextlib.closing(emulator.open_bus()) as bus:
             assert len(read_block(bus)) == 6
 
 
@@ -159,51 +183,80 @@ def honest(instruction):
     return []
 
 
-def test_the_error_byte_of_a_reply_is_kept_and_its_data_believed(scripted_peer):
+@pytest.fixture(params=["stepped", pytest.param("pseudo terminal", marks=pytest.mark.real_time)])
+def either_line(request):
+    """A scripted line in a time of its own, and a pseudo terminal in real time: the bus does the same on both."""
+    if request.param == "stepped":
+        return ScriptedPort
+    return request.getfixturevalue("scripted_peer")
+
+
+def test_the_error_byte_of_a_reply_is_kept_and_its_data_believed():
     def overloaded(instruction):
         return [(0.0, status_packet(i, 32, bytes(instruction.parameters[1]))) for i in instruction.parameters[2:]]
 
-    with contextlib.closing(Bus.open(scripted_peer(overloaded).port)) as bus:
-        assert [frame.error for frame in read_block(bus).values()] == [32] * 6
+    bus = ScriptedPort(overloaded).open_bus()
+    assert [frame.error for frame in read_block(bus).values()] == [32] * 6
+
+
+def halting_for(pause_s):
+    """Servos whose replies stop once in between."""
+
+    def halting(instruction):
+        length, *ids = instruction.parameters[1:]
+        return [(pause_s * (i > 1), status_packet(i, 0, bytes(length))) for i in ids]
+
+    return halting
+
+
+def test_a_burst_may_stop_for_as_long_as_usb_does():
+    assert len(read_block(ScriptedPort(halting_for(0.9 * QUIET_S)).open_bus())) == 6
+
+
+def test_a_burst_that_stops_for_longer_has_ended():
+    line = ScriptedPort(halting_for(1.5 * QUIET_S))
+    assert list(read_block(line.open_bus())) == [1]
 
 
 def test_a_burst_that_a_pseudo_terminal_carries_over_in_two_parts_is_whole(scripted_peer):
-    def halting(instruction):
-        length, *ids = instruction.parameters[1:]
-        return [(0.005 * (i > 1), status_packet(i, 0, bytes(length))) for i in ids]
-
-    with contextlib.closing(Bus.open(scripted_peer(halting).port)) as bus:
+    with contextlib.closing(scripted_peer(halting_for(0.005)).open_bus()) as bus:
         assert len(read_block(bus)) == 6
 
 
-def test_a_silent_line_is_asked_three_times_and_then_reported(scripted_peer):
-    peer = scripted_peer(lambda _instruction: [])
-    with contextlib.closing(Bus.open(peer.port)) as bus:
-        start = time.monotonic()
+def test_a_silent_line_is_asked_three_times_and_then_reported(either_line):
+    line = either_line(lambda _instruction: [])
+    with contextlib.closing(line.open_bus()) as bus:
         with pytest.raises(NoReply, match=r"servo 4 .* 3 instructions"):
             bus.read(4, Register.PRESENT_POSITION)
-        assert time.monotonic() - start < 0.2
         assert (bus.counters.sent, bus.counters.timeouts, bus.counters.retries) == (ATTEMPTS, ATTEMPTS, 2)
-        assert len(peer.instructions) == ATTEMPTS
+        assert len(line.instructions) == ATTEMPTS
 
 
-def test_no_two_single_reads_in_a_row_ask_for_the_same_length(scripted_peer):
-    peer = scripted_peer(honest)
-    with contextlib.closing(Bus.open(peer.port)) as bus:
-        for _ in range(len(READ_LENGTHS)):
-            bus.read(1, Register.PRESENT_TEMPERATURE)
-    lengths = [instruction.parameters[1] for instruction in peer.instructions]
+def test_a_silent_line_costs_a_bounded_time():
+    line = ScriptedPort(lambda _instruction: [])
+    started_s = line.clock()
+    with pytest.raises(NoReply):
+        line.open_bus().read(4, Register.PRESENT_POSITION)
+    assert line.clock() - started_s < ATTEMPTS * 0.01
+
+
+def test_no_two_single_reads_in_a_row_ask_for_the_same_length():
+    line = ScriptedPort(honest)
+    bus = line.open_bus()
+    for _ in range(len(READ_LENGTHS)):
+        bus.read(1, Register.PRESENT_TEMPERATURE)
+    lengths = [instruction.parameters[1] for instruction in line.instructions]
     assert len(set(lengths)) == len(READ_LENGTHS)
     assert max(lengths) < SYNC_READ_MIN_LENGTH
 
 
-def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question(scripted_peer):
+def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question(either_line):
     def late_once(instruction):
-        first = len(peer.instructions) == 1
+        first = len(line.instructions) == 1
         return [(0.06 if first else 0.0, data) for _, data in honest(instruction)]
 
-    peer = scripted_peer(late_once)
-    with contextlib.closing(Bus.open(peer.port)) as bus:
+    line = either_line(late_once)
+    with contextlib.closing(line.open_bus()) as bus:
         readings = []
         for register in (Register.PRESENT_TEMPERATURE, Register.PRESENT_VOLTAGE, Register.STATUS) * 4:
             with contextlib.suppress(NoReply):
@@ -212,61 +265,57 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question(scripted_
     assert all(readings)
 
 
-def test_a_sync_read_after_a_late_one_asks_for_another_length(scripted_peer):
+def test_a_sync_read_after_a_late_one_asks_for_another_length():
     def stale_block(instruction):
-        late = len(peer.instructions) == 1
-        data = bytes([len(peer.instructions)] * instruction.parameters[1])
+        late = len(line.instructions) == 1
+        data = bytes([len(line.instructions)] * instruction.parameters[1])
         return [(0.012 * late, status_packet(i, 0, data)) for i in instruction.parameters[2:]]
 
-    peer = scripted_peer(stale_block)
-    with contextlib.closing(Bus.open(peer.port)) as bus:
-        bus._port.latency_s = LOCAL_LATENCY_S
-        assert read_block(bus) == {}
-        for expected in (2, 3):
-            for frame in read_block(bus).values():
-                assert frame.data == bytes([expected] * TELEMETRY_BYTES)
+    line = ScriptedPort(stale_block)
+    bus = line.open_bus()
+    assert read_block(bus) == {}
+    for expected in (2, 3):
+        for frame in read_block(bus).values():
+            assert frame.data == bytes([expected] * TELEMETRY_BYTES)
 
 
-def test_blocks_of_different_length_never_ask_for_the_same_number_of_bytes(scripted_peer):
-    peer = scripted_peer(lambda _instruction: [])
-    with contextlib.closing(Bus.open(peer.port)) as bus:
-        for _ in range(SYNC_READ_PADDINGS):
-            bus.sync_read((1,), CONTROL_ADDRESS, CONTROL_BYTES)
-            read_block(bus)
-    asked = [(instruction.parameters[0], instruction.parameters[1]) for instruction in peer.instructions]
+def test_blocks_of_different_length_never_ask_for_the_same_number_of_bytes():
+    line = ScriptedPort(lambda _instruction: [])
+    bus = line.open_bus()
+    for _ in range(SYNC_READ_PADDINGS):
+        bus.sync_read((1,), CONTROL_ADDRESS, CONTROL_BYTES)
+        read_block(bus)
+    asked = [(instruction.parameters[0], instruction.parameters[1]) for instruction in line.instructions]
     control = {length for address, length in asked if address == CONTROL_ADDRESS}
     telemetry = {length for address, length in asked if address == TELEMETRY_ADDRESS}
     assert not control & telemetry
 
 
-def test_after_a_failure_nothing_is_sent_until_the_line_is_quiet(scripted_peer):
+def test_after_a_failure_nothing_is_sent_until_the_line_is_quiet():
     heard = []
 
     def talkative(instruction):
-        heard.append(time.monotonic())
+        heard.append(line.clock())
         if len(heard) > 1:
             return honest(instruction)
         return [(0.002 * k, b"\x00noise") for k in range(8)]
 
-    with contextlib.closing(Bus.open(scripted_peer(talkative).port)) as bus:
-        assert bus.read(1, Register.PRESENT_VOLTAGE) == value_of(1, Register.PRESENT_VOLTAGE)
-    assert heard[1] - heard[0] >= 0.014
+    line = ScriptedPort(talkative)
+    assert line.open_bus().read(1, Register.PRESENT_VOLTAGE) == value_of(1, Register.PRESENT_VOLTAGE)
+    assert heard[1] - heard[0] == pytest.approx(0.014 + QUIET_S)
 
 
-def test_endless_noise_ends_in_no_reply_and_not_in_a_hang(scripted_peer):
-    def noisy(_instruction):
-        return [(0.0005 * k, bytes(64)) for k in range(4000)]
-
-    with contextlib.closing(Bus.open(scripted_peer(noisy).port)) as bus:
-        start = time.monotonic()
-        with pytest.raises(NoReply):
-            bus.read(1, Register.PRESENT_VOLTAGE)
-        assert time.monotonic() - start < 0.5
+def test_endless_noise_ends_in_no_reply_and_not_in_a_hang():
+    line = ScriptedPort(lambda _instruction: [(0.0005 * k, bytes(64)) for k in range(4000)])
+    started_s = line.clock()
+    with pytest.raises(NoReply):
+        line.open_bus().read(1, Register.PRESENT_VOLTAGE)
+    assert line.clock() - started_s < 0.2
 
 
 def test_an_unplugged_adapter_is_lost_and_the_bus_can_still_be_closed(scripted_peer):
     peer = scripted_peer(honest)
-    with contextlib.closing(Bus.open(peer.port)) as bus:
+    with contextlib.closing(peer.open_bus()) as bus:
         bus.ping(1)
         peer.unplug()
         for _ in range(2):
@@ -274,17 +323,27 @@ def test_an_unplugged_adapter_is_lost_and_the_bus_can_still_be_closed(scripted_p
                 read_block(bus)
 
 
-def test_the_emergency_stop_does_not_wait_for_a_noisy_line(scripted_peer):
-    peer = scripted_peer(lambda _instruction: [(0.0005 * k, bytes(64)) for k in range(40)])
-    with contextlib.closing(Bus.open(peer.port)) as bus:
-        read_block(bus)
-        start = time.monotonic()
-        bus.broadcast_torque_off()
-        assert time.monotonic() - start < 0.003
+def test_the_emergency_stop_does_not_wait_for_a_noisy_line():
+    line = ScriptedPort(lambda _instruction: [(0.0005 * k, bytes(64)) for k in range(40)])
+    bus = line.open_bus()
+    read_block(bus)
+    started_s = line.clock()
+    bus.broadcast_torque_off()
+    assert line.clock() == started_s
+    assert (line.instructions[-1].servo_id, line.instructions[-1].code) == (BROADCAST_ID, INST_WRITE)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_no_reading_marked_good_is_wrong_whatever_the_line_does(scripted_peer, seed):
+@pytest.mark.parametrize("seed", range(30))
+def test_no_reading_marked_good_is_wrong_whatever_the_line_does(seed):
+    # Fewer than on a pseudo terminal, which is waited for longer: more replies come too late.
+    assert good_readings_on_a_bad_line(ScriptedPort, seed) > 25
+
+
+def test_no_reading_marked_good_is_wrong_whatever_a_pseudo_terminal_does(scripted_peer):
+    assert good_readings_on_a_bad_line(scripted_peer, 0) > 50
+
+
+def good_readings_on_a_bad_line(start_line, seed):
     """Every reply may be lost, late, cut, corrupted, repeated, of another servo, or in noise."""
     questions, chance = random.Random(seed), random.Random(seed + 100)
 
@@ -312,15 +371,15 @@ def test_no_reading_marked_good_is_wrong_whatever_the_line_does(scripted_peer, s
 
     def peer_of(instruction):
         if instruction.code == INST_SYNC_READ:
-            stamp = len(peer.instructions) % 250
+            stamp = len(line.instructions) % 250
             replies = [status_packet(i, 0, bytes([stamp, i] * 12)[: instruction.parameters[1]]) for i in IDS]
         else:
             replies = [data for _, data in honest(instruction)]
         return [scripted for packet in replies for scripted in damaged(packet)]
 
-    peer = scripted_peer(peer_of)
+    line = start_line(peer_of)
     good = 0
-    with contextlib.closing(Bus.open(peer.port)) as bus:
+    with contextlib.closing(line.open_bus()) as bus:
         for _ in range(40):
             servo_id = questions.choice(IDS)
             register = questions.choice(list(Register))
@@ -328,10 +387,10 @@ def test_no_reading_marked_good_is_wrong_whatever_the_line_does(scripted_peer, s
                 assert bus.read(servo_id, register) == value_of(servo_id, register)
                 good += 1
             for sync_id, frame in read_block(bus).items():
-                stamp = len(peer.instructions) % 250
+                stamp = len(line.instructions) % 250
                 assert frame.data == bytes([stamp, sync_id] * 8)[:TELEMETRY_BYTES]
                 good += 1
-    assert good > 50
+    return good
 
 
 def test_every_write_is_on_the_servos_record(start_emulator, write_log):

@@ -1,14 +1,31 @@
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
+from robot.emulator.terminal import PseudoTerminal
+from robot.errors import PortNotFound
+from robot.faults import FaultCode
+from robot.guard_limits import GuardLimits
+from robot.hardware.config import FeetechConfig
+from robot.hardware.feetech.hardware import FeetechHardware, SerialServos
+from robot.hardware.feetech.register_checks import CYCLES_BETWEEN
+from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import Measured, StatusFlag
+from robot.hardware.steps import run_to_end
 from robot.messages import Mode, Order
-from tests.helpers.arm_rig import ArmRig
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ArmRig
 from tests.helpers.server import read_write_log
-from tests.helpers.stepped_emulator import SteppedEmulator
+from tests.helpers.stepped_emulator import SteppedClock, SteppedEmulator
+
+FULL = np.array([0.8] * 5 + [0.5])
 
 
 @pytest.fixture
@@ -39,3 +56,201 @@ def test_a_cycle_is_one_block_read_and_one_goal_write(rig: ArmRig) -> None:
         arm.tick()
     # Every sixteenth cycle one servo is read back.
     assert rig.bus.counters.sent - before == 16 * 2 + 1
+
+
+class ServosInUse:
+    """Hardware on emulated servos, found and read once."""
+
+    def __init__(self, emulator: SteppedEmulator) -> None:
+        self.emulator = emulator
+        self.hardware = FeetechHardware(emulator.open_bus(), CALIBRATION, BOUNDS, GuardLimits(), emulator.clock)
+        self.found = run_to_end(self.hardware.survey())
+        self.read()
+
+    def read(self, after_s: float = 0.01) -> Measured:
+        self.emulator.run(after_s)
+        measured = self.hardware.read()
+        assert measured is not None
+        return measured
+
+    def enable(self) -> np.ndarray:
+        """Bring all joints to hold; returns their goals."""
+        return run_to_end(self.hardware.enable(range(6)), self.emulator.run)
+
+    def registers(self, register: Register) -> list[int]:
+        return [self.hardware.bus.read(joint.servo_id, register) for joint in CALIBRATION.joints]
+
+
+@pytest.fixture
+def servos(emulator: SteppedEmulator) -> ServosInUse:
+    return ServosInUse(emulator)
+
+
+def test_relaxed_servos_have_no_goals(servos: ServosInUse) -> None:
+    assert not servos.found.driven.any()
+    assert np.isnan(servos.found.goal_rad).all()
+    assert servos.found.max_voltage_v == pytest.approx([8.0] * 6)
+
+
+def test_servos_that_hold_are_found_with_their_goals(servos: ServosInUse) -> None:
+    goal_rad = servos.enable()
+    found = ServosInUse(servos.emulator).found
+    assert found.driven.all()
+    assert found.goal_rad == pytest.approx(goal_rad)
+
+
+def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:
+    emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))
+    found = ServosInUse(emulator).found
+    assert found.bounds.upper_rad[0] == pytest.approx(0.5, abs=0.05)
+    assert found.bounds.upper_rad[1:] == pytest.approx(BOUNDS.upper_rad[1:])
+
+
+def test_goals_are_told_in_radians(servos: ServosInUse) -> None:
+    servos.enable()
+    servos.hardware.write_goals(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert servos.read(1.0).position_rad[0] == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_goal_that_a_servo_has_lost_is_told_again(servos: ServosInUse) -> None:
+    servos.enable()
+    goal_rad = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    servos.hardware.write_goals(goal_rad)
+    told = servos.registers(Register.GOAL_POSITION)
+    servos.hardware.bus.write(1, Register.GOAL_POSITION, 2000)
+    servos.hardware.write_goals(goal_rad)
+    assert servos.registers(Register.GOAL_POSITION) == told
+
+
+def test_goals_that_change_are_told_as_they_are_now(servos: ServosInUse) -> None:
+    told = []
+    for pan_rad in (0.1, 0.2):
+        servos.hardware.write_goals(np.array([pan_rad, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        told.append(servos.registers(Register.GOAL_POSITION)[0])
+    assert told == [CALIBRATION.joints[0].ticks_from_rad(pan_rad) for pan_rad in (0.1, 0.2)]
+
+
+def test_the_torque_that_a_joint_may_use_is_told_once(servos: ServosInUse) -> None:
+    servos.enable()
+    sent = servos.hardware.bus.counters.sent
+    for _ in range(3):
+        servos.hardware.write_torque_shares(FULL * [1, 1, 1, 1, 1, 0.5])
+    assert servos.hardware.bus.counters.sent - sent == 1
+    assert servos.registers(Register.TORQUE_LIMIT) == [800] * 5 + [250]
+
+
+def test_torque_that_changes_is_told_as_it_is_now(servos: ServosInUse) -> None:
+    servos.enable()
+    told = []
+    for share in (0.5, 0.25):
+        servos.hardware.write_torque_shares(FULL * [1, 1, 1, 1, 1, share])
+        told.append(servos.registers(Register.TORQUE_LIMIT)[5])
+    assert told == [250, 125]
+
+
+def test_relaxing_begins_with_the_torque_that_is_used(servos: ServosInUse) -> None:
+    servos.enable()
+    steps = servos.hardware.relax(FULL * 0.5)
+    next(steps)
+    next(steps)
+    assert max(servos.registers(Register.TORQUE_LIMIT)) <= 400
+    assert run_to_end(steps, servos.emulator.run) == []
+    assert servos.registers(Register.TORQUE_ENABLE) == [0] * 6
+
+
+def test_single_joints_are_switched_off(servos: ServosInUse) -> None:
+    servos.enable()
+    assert run_to_end(servos.hardware.switch_off([1, 5])) == []
+    assert run_to_end(servos.hardware.driven()).tolist() == [True, False, True, True, True, False]
+
+
+def test_a_servo_that_does_not_confirm_that_torque_is_off_is_named(servos: ServosInUse) -> None:
+    servos.enable()
+    servos.emulator.command(offline=[2])
+    assert run_to_end(servos.hardware.cut_torque(), servos.emulator.run) == ["shoulder_lift (id 2)"]
+
+
+def test_an_overload_is_cleared_where_the_joint_is_and_it_holds_on(servos: ServosInUse) -> None:
+    goal_rad = servos.enable()
+    servos.emulator.servo_bus.servos[3].protection._latched = StatusFlag.OVERLOAD
+    assert servos.read(0.1).status[3] == StatusFlag.OVERLOAD
+    held_rad = run_to_end(servos.hardware.clear_overloads([3], hold=True), servos.emulator.run)
+    assert held_rad == pytest.approx(goal_rad, abs=0.03)
+    assert servos.read(0.1).status[3] == 0
+    assert servos.registers(Register.TORQUE_ENABLE) == [1] * 6
+
+
+def test_an_overload_of_a_relaxed_arm_is_cleared_and_it_stays_relaxed(servos: ServosInUse) -> None:
+    servos.emulator.servo_bus.servos[3].protection._latched = StatusFlag.OVERLOAD
+    assert run_to_end(servos.hardware.clear_overloads([3], hold=False), servos.emulator.run) is None
+    assert servos.read(0.1).status[3] == 0
+    assert servos.registers(Register.TORQUE_ENABLE) == [0] * 6
+
+
+def test_every_servo_is_looked_at_in_its_turn(servos: ServosInUse) -> None:
+    servos.enable()
+    servos.emulator.command(power_cycle=[3])
+    faults = [servos.hardware.check(5.0) for _ in range(6 * CYCLES_BETWEEN)]
+    (fault,) = [fault for fault in faults if fault is not None]
+    assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.SERVO_REBOOTED, "elbow_flex", 5.0)
+
+
+def test_a_silent_servo_is_not_waited_for_by_the_check(servos: ServosInUse) -> None:
+    servos.enable()
+    servos.emulator.command(offline=[1, 2, 3, 4, 5, 6])
+    for _ in range(30):
+        servos.hardware.read()
+    sent = servos.hardware.bus.counters.sent
+    assert [servos.hardware.check(0.0) for _ in range(2 * CYCLES_BETWEEN)] == [None] * 2 * CYCLES_BETWEEN
+    assert servos.hardware.bus.counters.sent == sent
+
+
+def test_before_every_servo_was_heard_there_is_no_reading(emulator: SteppedEmulator) -> None:
+    emulator.command(offline=[3])
+    hardware = FeetechHardware(emulator.open_bus(), CALIBRATION, BOUNDS, GuardLimits(), emulator.clock)
+    assert hardware.read() is None
+    assert hardware.condition(0).age_s < 1.0
+    assert math.isinf(hardware.condition(2).age_s)
+
+
+def test_the_condition_tells_of_torque_silence_and_what_the_survey_found(emulator: SteppedEmulator) -> None:
+    emulator.open_bus().write(2, Register.MIN_ANGLE_LIMIT, 1000)
+    servos = ServosInUse(emulator)
+    assert servos.hardware.condition(1).torque_enabled is None
+    servos.enable()
+    for _ in range(6 * CYCLES_BETWEEN):
+        servos.hardware.check(0.0)
+    emulator.command(offline=[2])
+    servos.read()
+    condition = servos.hardware.condition(1)
+    assert (condition.hardware_id, condition.torque_enabled, condition.silent_cycles) == ("servo 2", True, 1)
+    assert condition.age_s > 0.0
+    assert len(condition.warnings) == 1
+    assert "1000" in condition.warnings[0]
+
+
+def test_round_trips_are_timed_on_the_loops_clock(servos: ServosInUse) -> None:
+    assert 0.001 < servos.hardware.round_trips_s[-1] < 0.003
+
+
+class Adapter:
+    """The one USB adapter that is plugged in, wherever that is."""
+
+    device = "/dev/does-not-exist"
+
+    @classmethod
+    def comports(cls) -> list[ListPortInfo]:
+        info = ListPortInfo(cls.device)
+        info.vid, info.pid = 0x1A86, 0x55D3
+        return [info]
+
+
+def test_an_adapter_is_looked_for_anew_each_time_that_it_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(list_ports, "comports", Adapter.comports)
+    source = SerialServos(FeetechConfig(CALIBRATION, "auto"), BOUNDS, GuardLimits(), SteppedClock())
+    with pytest.raises(PortNotFound):
+        source.open()
+    with contextlib.closing(PseudoTerminal()) as terminal:
+        monkeypatch.setattr(Adapter, "device", terminal.port)
+        with contextlib.closing(source.open()) as hardware:
+            assert hardware.joint_names == NAMES

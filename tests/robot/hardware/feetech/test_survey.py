@@ -41,7 +41,10 @@ def test_a_survey_writes_nothing(start_emulator: Start, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("offline", "words"),
-    [([3], r"no answer from elbow_flex \(id 3\)"), (list(SERVOS.ids), "no servo answers: is the arm powered")],
+    [
+        ([3], r"no answer from elbow_flex \(id 3\): check the cable"),
+        (list(SERVOS.ids), "no servo answers: is the arm powered"),
+    ],
 )
 def test_missing_servos_are_named_with_the_likely_cause(
     emulator: SteppedEmulator, bus: Bus, offline: list[int], words: str
@@ -49,6 +52,15 @@ def test_missing_servos_are_named_with_the_likely_cause(
     emulator.command(offline=offline)
     with pytest.raises(StartupError, match=words):
         run(survey(bus, SERVOS))
+
+
+@pytest.mark.parametrize("offline", [[3], list(SERVOS.ids)])
+def test_nobody_is_sent_to_look_after_cables_and_supply_of_emulated_servos(
+    emulator: SteppedEmulator, bus: Bus, offline: list[int]
+) -> None:
+    emulator.command(offline=offline)
+    with pytest.raises(StartupError, match=r"^no (servo answers|answer from elbow_flex \(id 3\))$"):
+        run(survey(bus, SERVOS, simulated=True))
 
 
 def test_a_servo_in_another_operating_mode_is_refused(bus: Bus) -> None:

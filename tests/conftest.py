@@ -21,8 +21,8 @@ settings.register_profile("ci", settings.get_profile("ci"), max_examples=EXAMPLE
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
 
 
-# Fixtures with a browser, or a servo bus on a pseudo terminal, which keep real time, and those that burn a core. Servers
-# on the simulated arm do not: a busy machine only slows it down.
+# Fixtures with a browser, or a servo bus on a pseudo terminal, which keep real time, and those that burn a core.
+# Servers on the simulated arm do not: a busy machine only slows it down.
 REAL_TIME_FIXTURES = {"browser", "busy_core", "busy_process", "scripted_peer", "start_terminal"}
 
 

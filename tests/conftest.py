@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 from collections.abc import Callable, Iterator
 
@@ -32,6 +33,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.Function) and REAL_TIME_FIXTURES.intersection(item.fixturenames):
             item.add_marker("real_time")
+
+
+def pytest_collection_finish() -> None:
+    """Hide the collected tests from the garbage collector, which would spend seconds on their million objects."""
+    gc.collect()
+    gc.freeze()
+    # Reports of tests stay as well, so the oldest generation is looked through a tenth as often as by default.
+    gc.set_threshold(700, 10, 100)
+
+
+def pytest_sessionfinish() -> None:
+    """Let what was hidden be freed, or nanobind prints what was leaked."""
+    gc.unfreeze()
 
 
 def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:

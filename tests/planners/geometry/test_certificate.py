@@ -6,6 +6,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.scene import Box
 from robot.trajectory import Trajectory
+from tests.helpers.examples import in_proportion
 from tests.planners.invariants import BLOCKED_LINES
 from tests.planners.scenes import around_the_arm, scene, thing
 
@@ -96,7 +97,7 @@ def test_the_first_of_several_contacts_is_told(space_in, arm):
 def test_certified_motions_are_free_at_a_finer_step(space_in, own_collision, arm, seed):
     rng = np.random.default_rng(seed)
     space = space_in(around_the_arm(seed))
-    for _ in range(10):
+    for _ in range(in_proportion(10)):
         points = rng.uniform(0.4 * space.lower_rad, 0.4 * space.upper_rad, (3, 5))
         trajectory = motion(arm.joints, points)
         verdict = certify(space, trajectory)

@@ -15,6 +15,7 @@ from planners.geometry.shapes import urdf_shapes
 from planners.geometry.skeleton import kinematic_urdf
 from planners.scene import Box
 from robot import model
+from tests.helpers.examples import in_proportion
 from tests.planners.scenes import scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
@@ -158,7 +159,7 @@ def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
         frame = pin_model.frames[shape.parentFrame]
         at_link = frame.placement.inverse() * shape.placement
         parts = [_half_spaces(vertices) for vertices in robot.parts[str(frame.name)]]
-        for point in _on_surface(shape.geometry, rng, 200):
+        for point in _on_surface(shape.geometry, rng, in_proportion(200)):
             placed = at_link.act(point)
             assert min(np.max(normals @ placed - heights) for normals, heights in parts) < 1e-6
 

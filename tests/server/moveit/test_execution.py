@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import pytest_asyncio
 
 from planners.goals import JointGoal
 from planners.pool import PlannerPool
@@ -20,7 +21,8 @@ from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
 from robot.limits import within_calibration
-from robot.messages import ArmConfig, ArmState, Mode
+from robot.messages import ArmConfig, Mode
+from robot.model import RobotModel
 from robot.trajectory import Trajectory
 from server.goal_queue import GoalState, Progress
 from server.moveit.execution import GoalExecutor
@@ -31,6 +33,8 @@ from server.moveit.patience import Allowance
 from server.moveit.scene.state import SceneState
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
+
+TIMEOUT_S = 30.0
 
 
 def to(**positions_rad: float) -> PlannedMotion:
@@ -49,32 +53,41 @@ class Rig:
     arm: Arm
     pool: PlannerPool
     executor: GoalExecutor
-    states: list[ArmState]
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
         return await self.executor.run(to(**positions_rad), self.news.append)
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(TIMEOUT_S):
             while not condition():
                 await asyncio.sleep(0.005)
 
 
-@pytest.fixture
-async def rig() -> AsyncIterator[Rig]:
+# Planners load for a second: one arm and its planners serve all tests of the rig, and so show that they survive each.
+in_one_loop = pytest.mark.asyncio(loop_scope="module")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def processes() -> AsyncIterator[tuple[Arm, PlannerPool, RobotModel]]:
     calibration = Calibration.nominal()
     robot = within_calibration(model.builtin(), calibration)
-    states: list[ArmState] = []
-    arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), states.append)
-    await arm.start(10.0)
+    arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), lambda _state: None)
+    await arm.start(TIMEOUT_S)
     pool = PlannerPool(robot)
     await pool.start()
-    yield Rig(arm, pool, GoalExecutor(arm, robot, pool, SceneState(robot)), states)
+    yield arm, pool, robot
     await arm.close()
     await pool.close()
 
 
+@pytest.fixture
+def rig(processes: tuple[Arm, PlannerPool, RobotModel]) -> Rig:
+    arm, pool, robot = processes
+    return Rig(arm, pool, GoalExecutor(arm, robot, pool, SceneState(robot)))
+
+
+@in_one_loop
 async def test_a_motion_is_planned_played_and_told(rig: Rig) -> None:
     answer = await rig.run(shoulder_pan=0.8)
     assert answer.code is MoveItErrorCode.SUCCESS
@@ -84,25 +97,30 @@ async def test_a_motion_is_planned_played_and_told(rig: Rig) -> None:
     assert fractions == sorted(fractions)
 
 
+@in_one_loop
 async def test_a_stop_ends_planning_that_hangs(rig: Rig) -> None:
     await rig.run(shoulder_pan=0.01)
-    for pid in rig.pool.pids:
+    hanging = rig.pool.pids
+    for pid in hanging:
         os.kill(pid, signal.SIGSTOP)
     running = asyncio.create_task(rig.run(shoulder_pan=0.8))
     await asyncio.sleep(0.05)
     rig.executor.stop("stopped by a test")
-    answer = await asyncio.wait_for(running, 2.0)
+    answer = await asyncio.wait_for(running, TIMEOUT_S)
+    for pid in set(hanging) & set(rig.pool.pids):
+        os.kill(pid, signal.SIGCONT)
     assert answer.code is MoveItErrorCode.PREEMPTED
     assert answer.message == "stopped by a test while planning"
 
 
+@in_one_loop
 @pytest.mark.parametrize("delay_s", [0.02, 0.3])
 async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: Rig, delay_s: float) -> None:
     await rig.run(shoulder_pan=0.01)
     running = asyncio.create_task(rig.run(shoulder_pan=1.5))
     await asyncio.sleep(delay_s)
     rig.executor.stop("stopped by a test")
-    answer = await asyncio.wait_for(running, 3.0)
+    answer = await asyncio.wait_for(running, TIMEOUT_S)
     assert answer.code is MoveItErrorCode.PREEMPTED
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
     assert (await rig.run(shoulder_pan=0.0)).code is MoveItErrorCode.SUCCESS
@@ -183,7 +201,7 @@ class Stage:
 
     async def answer(self) -> Any:
         assert self.running is not None
-        return await asyncio.wait_for(self.running, 5.0)
+        return await asyncio.wait_for(self.running, TIMEOUT_S)
 
 
 def standing(moves: Mapping[str, tuple[float, float]]) -> Trajectory:
@@ -416,7 +434,7 @@ async def test_where_that_cannot_be_the_arm_brakes_first(stage: Stage, obstacle:
     await under_way(stage)
     obstacle(stage)
     await stage.begin(to(shoulder_pan=-0.2))
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(TIMEOUT_S):
         while not stage.arm.stops:
             await asyncio.sleep(0.01)
     stage.planners_answer.set()

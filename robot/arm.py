@@ -171,14 +171,13 @@ class Arm:
             timeout_s: bound of the wait on the arm's clock [s]; an arm that says nothing is waited for no longer than
                 :data:`SILENT_S`.
         """
-        # The arm's clock is never faster than this one; a server that stood still hears of its time late, though, and
-        # the arm has not had the time that had passed already.
-        until_s, until_here_s = self.clock_s + timeout_s, time.monotonic() + timeout_s
-        while pending := [end for end in ends if not end.done()]:
-            left_s = max(until_s - self.clock_s, until_here_s - time.monotonic())
-            if left_s <= 0.0 or self.state_age_s > SILENT_S:
+        until_s = self.clock_s + timeout_s
+        while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
+            if self.state_age_s > SILENT_S:
                 break
-            await asyncio.wait(pending, timeout=max(left_s, HEARTBEAT_S))
+            # The arm's clock is never faster than this one. The first wait lasts all of the time: states that come
+            # late, to a server that stood still itself, cut nothing short.
+            await asyncio.wait(pending, timeout=max(until_s - self.clock_s, HEARTBEAT_S))
         return all(end.done() for end in ends)
 
     def execute(

@@ -104,15 +104,17 @@ async def test_an_arm_process_that_dies_costs_its_goal_and_comes_back_with_its_j
     await reaches(client)
 
 
-async def test_a_simulated_arm_that_stands_still_for_seconds_reaches_its_goal(
+async def test_a_simulated_arm_that_stands_still_for_seconds_reaches_its_goal_and_says_that_it_is_slow(
     server: RunningServer, client: FrameClient
 ) -> None:
+    await client.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
     await moving(client)
     arm = child_of(server, "robot.control.loop")
     arm.suspend()
     await asyncio.sleep(STARVED_S)
     assert client.messages(RESULT) == []
     arm.resume()
+    await client.wait_for("/diagnostics", lambda all_: "this machine is busy" in all_[-1]["status"][0]["message"])
     result = (await client.wait_for(RESULT, bool, ARRIVAL_S))[-1]
     assert (result["val"], result["message"]) == (1, "the arm is there")
     await reaches(client)

@@ -12,10 +12,10 @@ from typing import Any
 
 from robot.channel import Channel, channel_of_child
 from robot.control.config_check import checked
-from robot.control.pacing import Pacer, become_punctual
+from robot.control.pacing import PERIOD_S, Pacer, become_punctual
 from robot.control.supervisor import Supervisor
 from robot.errors import RobotError
-from robot.hardware.clock import LoopClock, MachineClock, SimulationClock
+from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
 from robot.hardware.opening import hardware_source
 from robot.messages import ArmConfig, Command, Order
 
@@ -41,7 +41,8 @@ class ArmLoop:
 
     def __init__(self, channel: Channel, config: ArmConfig, *, real_time: bool) -> None:
         self._channel = channel
-        self._clock: LoopClock = SimulationClock(time.monotonic()) if config.hardware.simulated else MachineClock()
+        self._simulated = config.hardware.simulated
+        self._clock: LoopClock = SimulationClock(time.monotonic()) if self._simulated else MachineClock()
         self._source = hardware_source(config, self._clock)
         self._supervisor = Supervisor(config, self._send, self._clock, real_time=real_time)
 
@@ -66,7 +67,7 @@ class ArmLoop:
             skipped = self._between_ticks(pacer)
             now_s = time.monotonic()
             pacer.start_tick(now_s)
-            self._clock.start_tick(now_s)
+            self._clock.start_tick(now_s, MAX_TICK_S + skipped * PERIOD_S)
             self._supervisor.tick(pacer, ticks=1 + skipped, server_gone=self._channel.closed)
 
     def _between_ticks(self, pacer: Pacer) -> int:
@@ -81,8 +82,9 @@ class ArmLoop:
             self._obey(self._channel.receive(0.0))
         while (remaining_s := pacer.deadline_s - time.monotonic()) > 0.0:
             idle_s = remaining_s
-            if remaining_s > STEP_ROOM_S:
-                idle_s = min(remaining_s, self._supervisor.work())
+            if remaining_s > STEP_ROOM_S and (wait_s := self._supervisor.work()) < remaining_s:
+                # A simulated arm's time stands still until the tick: what waits for it waits for the tick.
+                idle_s = remaining_s if self._simulated and wait_s > 0.0 else wait_s
             if self._channel.closed:
                 time.sleep(max(0.0, idle_s))
             else:

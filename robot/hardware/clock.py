@@ -26,11 +26,12 @@ class LoopClock(ABC):
         """Time now [s]."""
 
     @abstractmethod
-    def start_tick(self, machine_s: float) -> None:
+    def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
         """Note that a tick starts.
 
         Args:
             machine_s: the machine's monotonic time [s].
+            at_most_s: longest time that may pass for a simulated arm; more where ticks were skipped [s].
         """
 
     @property
@@ -46,7 +47,7 @@ class MachineClock(LoopClock):
         """Time now [s]."""
         return time.monotonic()
 
-    def start_tick(self, machine_s: float) -> None:
+    def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
         """Do nothing: the machine's time passes by itself."""
 
     @property
@@ -70,10 +71,10 @@ class SimulationClock(LoopClock):
         """Time now [s]."""
         return self._now_s
 
-    def start_tick(self, machine_s: float) -> None:
-        """Let the time since the last tick pass, up to :data:`MAX_TICK_S` of it."""
+    def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
+        """Let the time since the last tick pass, up to a bound."""
         elapsed_s = max(machine_s - self._tick_s, 0.0)
-        passed_s = min(elapsed_s, MAX_TICK_S)
+        passed_s = min(elapsed_s, at_most_s)
         self._tick_s = machine_s
         self._now_s += passed_s
         self._passed_s.append((passed_s, elapsed_s))

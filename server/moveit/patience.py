@@ -54,14 +54,17 @@ class ArmTime:
     def __init__(self, arm: TimedArm, clock: Callable[[], float] = time.monotonic) -> None:
         self._arm = arm
         self._clock = clock
-        self._looked_at_s, self._looked_at_by_arm_s = clock(), arm.clock_s
+        self._began_s, self._began_by_arm_s = clock(), arm.clock_s
+        # By how much the arm's clock has ever been behind; what it catches up later are states that came late.
+        self._behind_s = 0.0
+        self._told_s = 0.0
 
     def passed_s(self) -> float:
         """Return what has passed since this was last asked [s]."""
-        now_s, by_arm_s = self._clock(), self._arm.clock_s
-        passed_s = min(now_s - self._looked_at_s, by_arm_s - self._looked_at_by_arm_s)
-        self._looked_at_s, self._looked_at_by_arm_s = now_s, by_arm_s
-        return max(passed_s, 0.0)
+        here_s, by_arm_s = self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s
+        self._behind_s = max(self._behind_s, here_s - by_arm_s)
+        told_s, self._told_s = self._told_s, max(here_s - self._behind_s, self._told_s)
+        return self._told_s - told_s
 
 
 class Patience:

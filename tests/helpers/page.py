@@ -81,7 +81,7 @@ def chromium() -> Iterator[Browser]:
 def _modest(folder: Path) -> str:
     """The browser on time that nobody else wants, without root's right to raise its own priority, which it uses.
 
-    Software rendering otherwise keeps the arm's loop and servos from the cores until the arm ends in a fault.
+    Software rendering otherwise keeps the arm's loop from the cores, which slows the simulated arm down.
     """
     found = shutil.which("chromium")
     assert found is not None
@@ -90,9 +90,6 @@ def _modest(folder: Path) -> str:
         words = ["setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice", *words]
     if shutil.which("chrt"):
         words = ["chrt", "--idle", "0", *words]
-    # One core stays free for the kernel's own threads, which carry the emulated bus's bytes and have ordinary priority.
-    if shutil.which("taskset") and (os.cpu_count() or 1) > 1:
-        words = ["taskset", "--cpu-list", "0", *words]
     script = folder / "chromium"
     script.write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
     script.chmod(0o755)

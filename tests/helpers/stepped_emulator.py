@@ -27,7 +27,7 @@ class SteppedClock(LoopClock):
     def advance(self, seconds: float) -> None:
         self.now_s += seconds
 
-    def start_tick(self, machine_s: float) -> None:
+    def start_tick(self, machine_s: float, at_most_s: float = 0.0) -> None:
         self.now_s = machine_s
 
     @property

@@ -87,3 +87,10 @@ def test_the_real_time_factor_recovers_once_the_loop_is_no_longer_starved() -> N
 @given(GAPS)
 def test_the_real_time_factor_is_a_share(gaps_s: list[float]) -> None:
     assert 0.0 < ticked(*gaps_s).real_time_factor <= 1.0
+
+
+def test_ticks_that_were_skipped_on_purpose_lose_no_time() -> None:
+    clock = SimulationClock(10.0)
+    clock.start_tick(10.025, MAX_TICK_S + 0.01)
+    assert clock() == pytest.approx(10.025)
+    assert clock.real_time_factor == pytest.approx(1.0)

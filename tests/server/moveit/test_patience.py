@@ -65,3 +65,14 @@ def test_an_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
         arm.pass_time(by_arm_s)
         assert time.passed_s() == pytest.approx(passed_s)
     assert time.passed_s() == 0.0
+
+
+def test_states_that_come_unevenly_are_counted_as_one_delay() -> None:
+    arm, clock = PlayedArm(), FakeClock()
+    time = ArmTime(arm, clock)
+    passed_s = 0.0
+    for at_s in range(100):
+        clock.advance(0.1)
+        arm.pass_time(0.12 if at_s % 2 else 0.08)
+        passed_s += time.passed_s()
+    assert passed_s == pytest.approx(10.0 - 0.02)

@@ -18,8 +18,8 @@ from protocol.registry import Registry
 from robot import model
 from robot.messages import ArmState, Mode
 from server.calls import Response
+from server.execution.current_state import CurrentState
 from server.graph import Graph
-from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.interface import SceneInterface

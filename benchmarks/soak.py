@@ -19,7 +19,7 @@ import psutil
 from websockets.asyncio.client import connect
 
 from benchmarks.figures import print_table
-from server.moveit.gripper_actions import GRIPPER_ACTION
+from server.moveit.gripper import GRIPPER_ACTION
 from tests.helpers.client import FrameClient, frame_client
 from tests.helpers.server import RunningServer
 

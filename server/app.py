@@ -24,6 +24,7 @@ from server.arm_state import ArmStateTopics
 from server.config import RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.errors import StartError
+from server.execution.current_state import ARM_START_TIMEOUT_S
 from server.gateway import page
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.http import HttpGate
@@ -31,8 +32,7 @@ from server.gateway.listener import Listener
 from server.graph import Graph
 from server.hangup import on_hangup
 from server.joint_states import JointStates
-from server.moveit.face import MoveItFace
-from server.moveit.readiness import ARM_START_TIMEOUT_S
+from server.moveit.interface import MoveItFace
 from server.operations.operations import Operations
 from server.operations.service_manager import environment_manager
 from server.planning_cluster import planning_cluster

@@ -12,8 +12,8 @@ from robot.logs import LogFormat
 from robot.messages import EmergencyPolicy, EndState
 from server.access.settings import AccessSettings
 from server.arm_guard_settings import GuardSettings
+from server.execution.queue import GoalPolicy
 from server.gateway.session_settings import SessionSettings
-from server.goal_queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
 from server.planning_settings import PlanningSettings
 from server.zenoh.settings import ZenohSettings

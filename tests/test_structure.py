@@ -22,8 +22,6 @@ WITHOUT_TEST = {
     "planners/servo/question.py",
     "server/errors.py",
     "robot/errors.py",
-    "server/moveit/parameters.py",
-    "server/moveit/motions.py",
     # A child's main: run by the tests of the handle on it.
     "robot/control/loop.py",
 }

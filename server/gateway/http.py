@@ -24,7 +24,7 @@ from server.gateway import page
 from server.gateway.file_cache import FileCache, StoredFile
 from server.gateway.http_answers import Answer, accepts_gzip, names
 from server.gateway.media_types import compressible, media_type
-from server.moveit.robot_files import find_file, package_name, with_package_urls
+from server.moveit.description import find_file, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -1,7 +1,8 @@
-"""The simple layer: a goal a message on ``/moveit_goal_*``, news and one answer for each on topics of their own."""
+"""Goal topics: one goal per message on ``/moveit_goal_*``, its confirmation, its status and its result."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections.abc import Callable, Mapping
@@ -13,18 +14,17 @@ from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.model import RobotModel
 from server.arm_state import key_values
-from server.goal_queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
+from server.execution.motions import Motion, PlannedMotion
+from server.execution.queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
 from server.graph import Graph, Subscriber
-from server.moveit.confirmation import Confirmation
-from server.moveit.goals import GoalTranslator
-from server.moveit.motions import Motion, PlannedMotion
-from server.moveit.suggestions import (
+from server.moveit.goal_messages import (
     JOINTS_TOPIC,
     JOINTS_TYPE,
     NAMED_TOPIC,
     NAMED_TYPE,
     POSE_TOPIC,
     POSE_TYPE,
+    GoalTranslator,
     suggestion,
 )
 from server.node import Node
@@ -41,6 +41,12 @@ EVENT_TOPIC = "/trajectory_execution_event"
 LEVEL_OK, LEVEL_ERROR = 0, 2
 
 Translate: TypeAlias = Callable[[Mapping[str, Any]], PlannedMotion | PlanningFailure]
+
+
+log = logging.getLogger("armbridge.goals")
+
+CONFIRM_TOPIC = "/moveit_goal_confirm"
+MODE_SERVICE = "/moveit_goal_confirm_mode"
 
 
 class GoalTopics:
@@ -155,3 +161,56 @@ def _on_event(queue: GoalQueue[Motion], publication: Publication) -> None:
         queue.stop(f"stopped by {EVENT_TOPIC}")
     else:
         log.warning("%s: ignored the event %r; only 'stop' is known", EVENT_TOPIC, event)
+
+
+class Confirmation:
+    """The gate between plan and motion.
+
+    Args:
+        graph: where topic and service are.
+        wanted: whether goals of the simple layer wait at the gate.
+        timeout_s: how long they wait there [s].
+
+    Attributes:
+        wanted: as given; the service changes it for goals to come.
+    """
+
+    def __init__(self, graph: Graph, *, wanted: bool, timeout_s: float) -> None:
+        self._graph = graph
+        self._node = Node("confirmation")
+        self._word: asyncio.Future[bool] | None = None
+        self._timeout_s = timeout_s
+        self.wanted = wanted
+
+    def open(self) -> None:
+        """Subscribe and offer."""
+        subscriber = Subscriber(
+            lambda publication: self._hear(go=publication.msg["data"]),
+            lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
+        )
+        self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
+        self._graph.services.offer(self._node, MODE_SERVICE, "std_srvs/SetBool", self._set_mode)
+
+    async def ask(self) -> Answer | None:
+        """Wait for the word: None to go on, else the goal's answer."""
+        self._word = asyncio.get_running_loop().create_future()
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                go = await self._word
+        except TimeoutError:
+            message = f"planned, but not confirmed on {CONFIRM_TOPIC} within {self._timeout_s:g} s"
+            return Answer(MoveItErrorCode.TIMED_OUT, message)
+        finally:
+            self._word = None
+        return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
+
+    def _hear(self, *, go: bool) -> None:
+        if self._word is None or self._word.done():
+            log.warning("%s: ignored, no goal waits for it", CONFIRM_TOPIC)
+        else:
+            self._word.set_result(go)
+
+    def _set_mode(self, request: dict[str, Any]) -> dict[str, Any]:
+        self.wanted = request["data"]
+        said = f"wait for a message on {CONFIRM_TOPIC}" if self.wanted else "are carried out at once"
+        return {"success": True, "message": f"goals on /moveit_goal_* {said}"}

@@ -1,18 +1,31 @@
-"""Named states: those of the SRDF, and those that people save; what a named goal goes to."""
+"""Named states of the SRDF and of users: their store, their file, and MoveIt's warehouse services.
+
+Names and types of the services are those of moveit_ros_warehouse's node warehouse_services.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import difflib
+import json
+import logging
 import math
+import os
+import re
+import time
 from collections.abc import Awaitable, Callable, Mapping
-from typing import TypeAlias
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from robot.model import RobotModel
+from server.calls import ServiceFunction
 from server.errors import ServiceError
-
-# Joint name -> position [rad].
-Positions: TypeAlias = Mapping[str, float]
+from server.execution.current_state import CurrentState, state_message
+from server.execution.motions import Positions
+from server.graph import Graph
+from server.node import Node
 
 # More than anyone tells apart by name; the file stays small enough to be written within milliseconds.
 MAX_STATES = 1000
@@ -20,6 +33,26 @@ MAX_NAME_LENGTH = 100
 
 # Names less alike than this are not what somebody meant.
 LEAST_LIKENESS = 0.6
+
+
+log = logging.getLogger("armbridge.named_states")
+
+# A thousand states of a large robot; what comes after it in the file makes it invalid JSON.
+MAX_FILE_BYTES = 10_000_000
+
+# A memory card that takes longer is at its end.
+WRITING_TIMEOUT_S = 5.0
+
+States: TypeAlias = dict[str, dict[str, float]]
+
+
+NAMED_STATES_TOPIC = "/named_states"
+
+# Matching goes back and forth: without groups and with two repeats it takes at most a few thousand steps a name.
+MAX_PATTERN_LENGTH = 100
+MAX_REPEATS = 2
+
+Request = dict[str, Any]
 
 
 class NamedStates:
@@ -158,3 +191,170 @@ class NamedStates:
 
 def _key(name: str) -> str:
     return "".join(name.split()).casefold()
+
+
+class _Content(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    states: States
+
+
+def default_path(robot: RobotModel, environment: Mapping[str, str]) -> Path:
+    """Where a robot's states are kept when no setting says otherwise: the XDG base directory for data.
+
+    Args:
+        robot: the arm, which gives the file its name.
+        environment: environment variables.
+    """
+    data_home = environment.get("XDG_DATA_HOME") or str(
+        Path(environment.get("HOME", "~")).expanduser() / ".local/share"
+    )
+    safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
+    return Path(data_home) / "armbridge" / f"named_states_{safe}.json"
+
+
+class NamedStatesFile:
+    """The file.
+
+    Args:
+        path: where it is; made with the first state.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def load(self) -> States:
+        """Read the states; a file that cannot be understood is set aside under another name, and told of."""
+        try:
+            with self._path.open("rb") as file:
+                text = file.read(MAX_FILE_BYTES)
+            return _Content.model_validate_json(text).states
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            log.warning("saved states cannot be read from %s: %s", self._path, error)
+        except ValidationError as error:
+            first = error.errors()[0]
+            self._set_aside(": ".join((*(str(part) for part in first["loc"]), first["msg"])))
+        return {}
+
+    async def save(self, states: Mapping[str, Mapping[str, float]]) -> None:
+        """Write the states, so that a crash leaves the file as it was or as it shall be.
+
+        Raises:
+            ServiceError: they cannot be written.
+        """
+        try:
+            await asyncio.wait_for(asyncio.to_thread(self._write, states), WRITING_TIMEOUT_S)
+        except TimeoutError as error:
+            raise ServiceError(f"{self._path} was not written within {WRITING_TIMEOUT_S:g} s") from error
+        except OSError as error:
+            raise ServiceError(f"the state cannot be kept in {self._path}: {error.strerror}") from error
+
+    def _write(self, states: Mapping[str, Mapping[str, float]]) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        written = self._path.with_name(f"{self._path.name}.new")
+        with written.open("w", encoding="utf-8") as file:
+            json.dump({"states": states}, file, indent=1)
+            file.flush()
+            os.fsync(file.fileno())
+        written.replace(self._path)
+
+    def _set_aside(self, reason: str) -> None:
+        aside = self._path.with_name(f"{self._path.name}.broken")
+        try:
+            self._path.replace(aside)
+        except OSError as error:
+            log.warning("saved states in %s cannot be used: %s; nor set aside: %s", self._path, reason, error)
+        else:
+            log.warning("saved states in %s cannot be used: %s; the file is now %s", self._path, reason, aside)
+
+
+class NamedStatesServices:
+    """Offers the services and publishes the states at every change.
+
+    Args:
+        graph: where they are.
+        robot: the arm.
+        states: the states.
+    """
+
+    def __init__(self, graph: Graph, robot: RobotModel, states: NamedStates) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._states = states
+        self._node = Node("named states")
+
+    def open(self, current: CurrentState) -> None:
+        """Offer and publish.
+
+        Args:
+            current: where the arm is.
+        """
+        self._graph.advertise(self._node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
+        self._publish()
+        self._states.on_change(self._publish)
+        self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list)
+        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", lambda request: self._save(request, current))
+        self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get)
+        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has)
+        self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename)
+        self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete)
+
+    def _offer(self, name: str, type_name: str, function: ServiceFunction) -> None:
+        def serve(request: Request) -> Mapping[str, Any] | Awaitable[Mapping[str, Any]]:
+            if request["robot"] not in ("", self._robot.name):
+                raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {self._robot.name!r}")
+            return function(request)
+
+        self._graph.services.offer(self._node, name, f"moveit_msgs/{type_name}", serve)
+
+    def _publish(self) -> None:
+        states = {
+            **{name: {"saved": False, "joints": state} for name, state in self._states.described.items()},
+            **{name: {"saved": True, "joints": state} for name, state in self._states.saved.items()},
+        }
+        self._graph.publish(self._node, NAMED_STATES_TOPIC, {"data": json.dumps(states)})
+
+    def _list(self, request: Request) -> Request:
+        pattern = request["regex"]
+        repeats = sum(map(pattern.count, "*+?{"))
+        if len(pattern) > MAX_PATTERN_LENGTH or repeats > MAX_REPEATS or "(" in pattern:
+            allowed = f"at most {MAX_PATTERN_LENGTH} characters, no group and {MAX_REPEATS} repeats"
+            raise ServiceError(f"regex: must have {allowed}, not {pattern[:MAX_PATTERN_LENGTH]!r}")
+        try:
+            wanted = re.compile(pattern or ".*")
+        except re.error as error:
+            raise ServiceError(f"regex: {pattern!r} is no regular expression: {error}") from error
+        return {"states": [name for name in self._states.names if wanted.fullmatch(name)]}
+
+    async def _save(self, request: Request, current: CurrentState) -> Request:
+        """Save the state in the request; of one without joints, where the arm is."""
+        given = request["state"]["joint_state"]
+        names, positions = given["name"], given["position"]
+        if len(names) != len(positions):
+            raise ServiceError(f"state.joint_state: {len(names)} names and {len(positions)} positions")
+        positions_rad: Positions | None = dict(zip(names, positions, strict=True)) or current.positions_rad()
+        if positions_rad is None:
+            raise ServiceError("state: has no joints, and where the arm is is not known")
+        await self._states.save(request["name"], positions_rad)
+        return {"success": True}
+
+    def _get(self, request: Request) -> Request:
+        found = self._states.find(request["name"])
+        if found is None:
+            raise ServiceError(
+                f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names)}"
+            )
+        return {"state": state_message(dict(found[1]), self._robot.root_link, time.time())}
+
+    def _has(self, request: Request) -> Request:
+        return {"exists": self._states.find(request["name"]) is not None}
+
+    async def _rename(self, request: Request) -> Request:
+        await self._states.rename(request["old_name"], request["new_name"])
+        return {}
+
+    async def _delete(self, request: Request) -> Request:
+        await self._states.delete(request["name"])
+        return {}

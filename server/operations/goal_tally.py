@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from server.goal_queue import Answer
+from server.execution.queue import Answer
 from server.operations.distribution import Distribution
 
 # A goal of a screenful of constraints takes seconds; most take milliseconds [s].

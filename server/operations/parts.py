@@ -79,7 +79,7 @@ class ZenohPart(Protocol):
 
 
 class QueuePart(Protocol):
-    """The queue of goals, as `server.goal_queue.GoalQueue`."""
+    """The queue of goals, as `server.execution.queue.GoalQueue`."""
 
     @property
     def waiting_count(self) -> int:

@@ -8,8 +8,8 @@ from typing import Any
 
 from planners.problem import MoveItErrorCode
 from server.action_goals import Goal, Result
-from server.goal_queue import Answer, GoalPolicy, GoalQueue, Progress, QueuedGoal
-from server.moveit.motions import Motion
+from server.execution.motions import Motion
+from server.execution.queue import Answer, GoalPolicy, GoalQueue, Progress, QueuedGoal
 from tests.helpers.moveit_services import ServiceRig
 from tests.helpers.played_arm import PlayedArm, settle
 

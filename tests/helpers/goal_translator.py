@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from robot import model
-from server.moveit.goals import GoalTranslator
+from server.moveit.goal_messages import GoalTranslator
 from server.moveit.named_states import NamedStates, Positions
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.frames import Frames

@@ -16,8 +16,7 @@ from robot.forward import ForwardPlacements
 from robot.model import RobotModel
 from server.graph import Graph, Subscriber
 from server.moveit.display import DisplayTopics
-from server.moveit.parameters import MoveItParameters
-from server.moveit.planner_parameters import PlannerParameters
+from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.state import SceneState
 from server.moveit.services.offer import offer_services

@@ -13,7 +13,7 @@ from protocol.registry import Registry
 from robot import model
 from robot.forward import ForwardPlacements
 from robot.messages import ArmState, Mode
-from server.moveit.current_state import CurrentState
+from server.execution.current_state import CurrentState
 from server.moveit.scene.contents import Draft
 from server.moveit.scene.frames import LinkPlaces
 from server.moveit.scene.state import SceneState

@@ -6,7 +6,7 @@ import pytest
 
 from server.config_reading import known_keys, load, load_with_sources
 from server.errors import ConfigurationError
-from server.goal_queue import GoalPolicy
+from server.execution.queue import GoalPolicy
 
 
 @pytest.fixture

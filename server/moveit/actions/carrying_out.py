@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.action_goals import Goal, GoalStatus
-from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
-from server.moveit.motions import Motion
+from server.execution.motions import Motion
+from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 
 log = logging.getLogger("armbridge.actions")
 

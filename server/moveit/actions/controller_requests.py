@@ -8,10 +8,10 @@ from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.model import Group, RobotModel
+from server.execution.motions import Positions
 from server.moveit.actions.followed_goal import FollowCode, FollowedTolerances
 from server.moveit.actions.given_motions import given_motion
 from server.moveit.actions.tolerances import Tolerances, tolerances_of
-from server.moveit.motions import Positions
 
 Message: TypeAlias = Mapping[str, Any]
 

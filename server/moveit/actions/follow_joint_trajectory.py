@@ -12,13 +12,13 @@ from robot.arm import Arm
 from robot.messages import ArmState
 from robot.model import Group, RobotModel
 from server.action_goals import Goal, GoalStatus
-from server.goal_queue import GoalPolicy, GoalQueue, Progress
+from server.execution.current_state import CurrentState
+from server.execution.motions import Motion
+from server.execution.queue import GoalPolicy, GoalQueue, Progress
 from server.graph import Graph, Subscriber
 from server.moveit.actions.controller_requests import Refused, refusal_of, tolerances_in
 from server.moveit.actions.followed_goal import FollowedGoal, result
 from server.moveit.actions.given_motions import given_motion
-from server.moveit.current_state import CurrentState
-from server.moveit.motions import Motion
 from server.node import Node
 
 Message: TypeAlias = Mapping[str, Any]

@@ -12,7 +12,7 @@ import numpy as np
 from planners.problem import MoveItErrorCode
 from robot.messages import ArmState, Outcome
 from server.action_goals import Goal, GoalStatus
-from server.goal_queue import Answer, GoalState, Progress
+from server.execution.queue import Answer, GoalState, Progress
 from server.moveit.actions.carrying_out import status_of
 from server.moveit.actions.tolerances import Tolerances, violated
 

@@ -9,8 +9,8 @@ from robot.control.acceptance import refusal
 from robot.limits import JointBounds
 from robot.model import Group, RobotModel
 from robot.trajectory import Trajectory
+from server.execution.motions import GivenMotion, Positions
 from server.moveit.actions.carrying_out import Message
-from server.moveit.motions import GivenMotion, Positions
 from server.moveit.requests.trajectories import from_joint_trajectory
 
 

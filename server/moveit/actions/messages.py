@@ -8,8 +8,8 @@ from typing import Any
 
 from robot.model import RobotModel
 from robot.trajectory import Trajectory
-from server.goal_queue import Answer
-from server.moveit.current_state import state_message
+from server.execution.current_state import state_message
+from server.execution.queue import Answer
 from server.moveit.requests.codes import error_code
 from server.moveit.requests.trajectories import to_message
 

@@ -8,14 +8,14 @@ from collections.abc import Iterable
 from robot.arm import Arm
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
-from server.goal_queue import GoalQueue
+from server.execution.current_state import CurrentState
+from server.execution.motions import Motion
+from server.execution.queue import GoalQueue
 from server.graph import Graph
 from server.moveit.actions.controller_state import ControllerState
 from server.moveit.actions.execute_trajectory import EXECUTE_ACTION, ExecuteTrajectory
 from server.moveit.actions.follow_joint_trajectory import ArmController
 from server.moveit.actions.planning_goals import MOVE_ACTIONS, SEQUENCE_ACTION, PlanningActions
-from server.moveit.current_state import CurrentState
-from server.moveit.motions import Motion
 from server.moveit.services.planning_context import PlanningContext
 from server.timers import call_later
 

@@ -9,13 +9,12 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
 from server.action_goals import Goal
 from server.errors import RefusedError
-from server.goal_queue import Answer
+from server.execution.motions import PlannedMotion, Positions, plan_steps
+from server.execution.queue import Answer
 from server.moveit.actions.carrying_out import Message
 from server.moveit.actions.planning_options import Options, options_of
-from server.moveit.motions import PlannedMotion, Positions
 from server.moveit.requests.robot_state import attached_diff
 from server.moveit.services.planning_context import PlanningContext, Situation
-from server.moveit.step_planning import plan_steps
 
 
 @dataclass(frozen=True)

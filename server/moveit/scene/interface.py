@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from robot.model import RobotModel
+from server.execution.current_state import CurrentState
 from server.graph import Graph
-from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.geometry_files import GeometryFiles

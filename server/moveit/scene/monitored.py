@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from robot.model import RobotModel
+from server.execution.current_state import CurrentState
 from server.graph import Graph
-from server.moveit.current_state import CurrentState
 from server.moveit.scene.messages import EVERYTHING, difference, scene_message
 from server.moveit.scene.state import SceneState
 from server.node import Node

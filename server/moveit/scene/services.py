@@ -10,8 +10,8 @@ from typing import Any
 from robot.model import RobotModel
 from server.calls import Call, answer
 from server.errors import RefusedError
+from server.execution.current_state import CurrentState, state_message
 from server.graph import Graph
-from server.moveit.current_state import CurrentState, state_message
 from server.moveit.requests.refusals import required
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.messages import scene_message

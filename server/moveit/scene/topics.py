@@ -9,8 +9,8 @@ from typing import Any
 from planners.problem import PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
+from server.execution.current_state import CurrentState
 from server.graph import Graph, Subscriber
-from server.moveit.current_state import CurrentState
 from server.moveit.scene.state import Positions, SceneState
 from server.node import Node
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
-from server.moveit.current_state import state_message
+from server.execution.current_state import state_message
 from server.moveit.poses import pose_of
 from server.moveit.requests.codes import deviation_note, failure_code, success
 from server.moveit.requests.constraints import path_constraints_of

@@ -10,7 +10,7 @@ from planners.problem import IkQuestion, MoveItErrorCode
 from planners.scene import Pose
 from protocol.messages import Stamp
 from robot.model import RobotModel
-from server.moveit.current_state import state_message
+from server.execution.current_state import state_message
 from server.moveit.parameters import MAX_KINEMATICS_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import pose_of, write_pose
 from server.moveit.requests.codes import deviation_note, success

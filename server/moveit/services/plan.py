@@ -6,7 +6,7 @@ from typing import Any
 
 from planners.problem import CartesianPlan, PlanningFailure
 from server.errors import RefusedError
-from server.moveit.current_state import state_message
+from server.execution.current_state import state_message
 from server.moveit.requests.codes import deviation_note, success
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import required

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from server.errors import ServiceError
-from server.moveit.planner_parameters import KNOWN_KEYS
+from server.moveit.parameters import KNOWN_KEYS
 from server.moveit.requests.context import Message
 from server.moveit.requests.motion_plan import OMPL, PILZ, PIPELINES, check_pipeline
 from server.moveit.services.planning_context import PlanningContext

@@ -11,9 +11,9 @@ from planners.problem import CartesianProblem, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.forward import ForwardPlacements
 from robot.model import Group, RobotModel
+from server.execution.motions import Positions, Step
 from server.moveit.display import DisplayTopics
-from server.moveit.motions import Positions, Step
-from server.moveit.planner_parameters import PlannerParameters
+from server.moveit.parameters import PlannerParameters
 from server.moveit.requests.context import FrameResolver, Message, RequestContext, group_of
 from server.moveit.requests.motion_plan import PlanRequest, problem_of
 from server.moveit.requests.refusals import required

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from server.moveit.current_state import state_message
+from server.execution.current_state import state_message
+from server.execution.motions import plan_steps
 from server.moveit.requests.codes import failure_code, success
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import required
 from server.moveit.requests.sequence import requests_of
 from server.moveit.requests.trajectories import to_message
 from server.moveit.services.planning_context import PlanningContext
-from server.moveit.step_planning import plan_steps
 from server.node import Node
 
 

@@ -13,9 +13,9 @@ from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
 from robot.model import RobotModel
+from server.execution.current_state import unusable
 from server.graph import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
-from server.moveit.readiness import unusable
 from server.moveit.scene.state import SceneState
 from server.moveit.servo.commands import Message, Resolve, Wanted, read_joint_jog, read_pose_target, read_twist
 from server.moveit.servo.gate import CommandType, Gate

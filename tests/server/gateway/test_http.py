@@ -28,7 +28,7 @@ from server.gateway.http import HttpGate
 from server.gateway.http_answers import Answer
 from server.gateway.listener import Listener
 from server.graph import Graph
-from server.moveit import robot_files
+from server.moveit import description
 
 REGISTRY = Registry.load()
 PACKAGE = "so101_description"
@@ -241,9 +241,9 @@ async def test_a_robot_s_files_may_be_read_by_pages_of_other_origins_and_the_pag
 async def test_compas_fab_finds_the_meshes_that_the_description_names(site: Site) -> None:
     # What compas_fab 2's HttpFileServerLoader does with `http_file_server_base_url`.
     base_url = f"http://127.0.0.1:{site.port}/robot".rstrip("/") + "/"
-    _, description = await site.ask("/robot/description.urdf")
+    _, urdf = await site.ask("/robot/description.urdf")
     url = f"package://{PACKAGE}/assets/base.stl"
-    assert url.encode() in description
+    assert url.encode() in urdf
 
     def load() -> bytes:
         with urlopen(urljoin(base_url, url[len("package://") :]), timeout=10) as response:
@@ -256,7 +256,7 @@ async def test_compas_fab_finds_the_meshes_that_the_description_names(site: Site
 async def test_a_file_that_is_too_large_is_told_once_with_the_limit(
     site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
+    monkeypatch.setattr(description, "MAX_FILE_BYTES", 4)
     for _ in range(2):
         got, body = await site.ask(f"/robot/{PACKAGE}/assets/base.stl")
         assert got.status == 413
@@ -359,4 +359,4 @@ async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
 
 def test_the_largest_mesh_has_the_time_it_needs_over_a_poor_wireless_link() -> None:
     poor_link_bytes_s = 200_000
-    assert robot_files.MAX_FILE_BYTES / poor_link_bytes_s < OPEN_TIMEOUT_S
+    assert description.MAX_FILE_BYTES / poor_link_bytes_s < OPEN_TIMEOUT_S

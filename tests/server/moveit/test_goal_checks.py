@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,20 +11,39 @@ from planners.goals import JointGoal
 from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
+from robot import model
+from robot.forward import ForwardPlacements
 from server.calls import Response
 from server.graph import Graph
 from server.moveit import goal_checks
-from server.moveit.goal_checks import GOAL_TIME_S, MAX_GOALS, NOT_ASKED, SERVICE, GoalChecks, answers_in_time
-from server.moveit.goal_reports import GoalReports
+from server.moveit.goal_checks import (
+    GOAL_TIME_S,
+    MAX_GOALS,
+    NOT_ASKED,
+    NOT_KNOWN,
+    SERVICE,
+    GoalChecks,
+    GoalReports,
+    answers_in_time,
+)
 from server.moveit.parameters import MoveItParameters
+from server.moveit.poses import composed, pose_of
 from server.moveit.scene.state import SceneState
 from server.node import Node
 from tests.helpers.goal_translator import TRANSLATOR
-from tests.helpers.moveit_services import HOME, ROBOT, DirectPool
+from tests.helpers.moveit_services import DirectPool
 
 CLIENT = Node("client")
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
-FOUND = IkAnswer((HOME,), (Deviation(),))
+
+
+ROBOT = model.builtin()
+HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}
+TURNED = {**HOME, "shoulder_pan": 0.5}
+TIP = "gripper_frame_link"
+REPORTS = GoalReports(ROBOT, MoveItParameters(), TIP)
+FOUND_AT_HOME = IkAnswer((HOME,), (Deviation(),))
+FOUND = IkAnswer((TURNED,), (Deviation(0.002),))
 
 
 class Desk:
@@ -109,7 +129,7 @@ class Slow:
 
 async def test_the_time_that_easy_goals_leave_goes_to_the_hard_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     hard = 0.8
-    pool = Slow(lambda asked: LATE if asked.goal.positions_rad["elbow_flex"] >= hard else FOUND)  # type: ignore[union-attr]
+    pool = Slow(lambda asked: LATE if asked.goal.positions_rad["elbow_flex"] >= hard else FOUND_AT_HOME)  # type: ignore[union-attr]
     await pool.answers(monkeypatch, 20)
     assert pool.now_s <= 20 * GOAL_TIME_S
     assert len(pool.asked) > 20
@@ -124,6 +144,49 @@ async def test_goals_that_are_all_hard_are_looked_at_once_within_their_time(monk
 
 
 async def test_a_call_does_not_wait_for_ever_for_busy_planners(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = await Slow(lambda _asked: FOUND, busy_s=1.0).answers(monkeypatch, 100)
-    assert answers[0] is FOUND
+    answers = await Slow(lambda _asked: FOUND_AT_HOME, busy_s=1.0).answers(monkeypatch, 100)
+    assert answers[0] is FOUND_AT_HOME
     assert answers[-1] is NOT_ASKED
+
+
+def test_a_goal_that_can_be_had_is_told_with_error_time_and_configuration() -> None:
+    told = REPORTS.report(HOME, FOUND, None)
+    assert (told["reachable"], told["free"], told["decided"], told["code"]) == (True, True, True, 1)
+    assert told["position_error_m"] == 0.002
+    assert told["solution"] == {"name": list(TURNED), "position": list(TURNED.values())}
+    pan = ROBOT.joints["shoulder_pan"]
+    assert told["duration_s"] > 0.5 / (0.3 * pan.max_velocity)
+
+
+def test_where_the_arm_is_already_takes_no_time() -> None:
+    assert REPORTS.report(TURNED, FOUND, None)["duration_s"] == 0.0
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7, math.pi])
+def test_the_orientation_error_is_the_rotation_from_the_pose_asked_for(turn_rad: float) -> None:
+    tip = pose_of(ForwardPlacements(ROBOT).transforms(TURNED)[TIP])
+    turn = Pose(orientation=(0.0, math.sin(turn_rad / 2), 0.0, math.cos(turn_rad / 2)))
+    told = REPORTS.report(HOME, FOUND, composed(tip, turn))
+    assert told["orientation_error_rad"] == pytest.approx(turn_rad, abs=1e-6)
+
+
+REFUSALS = {
+    MoveItErrorCode.NO_IK_SOLUTION: (False, True),
+    MoveItErrorCode.GOAL_IN_COLLISION: (True, True),
+    MoveItErrorCode.TIMED_OUT: (False, False),
+}
+
+
+@pytest.mark.parametrize(("code", "flags"), REFUSALS.items())
+def test_a_refusal_tells_what_is_known_of_it(code: MoveItErrorCode, flags: tuple[bool, bool]) -> None:
+    told = REPORTS.report(HOME, PlanningFailure(code, "why", {"distance_m": 0.04}), None)
+    assert (told["reachable"], told["decided"]) == flags
+    assert not told["free"]
+    assert (told["code"], told["message"]) == (int(code), "why")
+    assert (told["position_error_m"], told["duration_s"]) == (0.04, NOT_KNOWN)
+
+
+def test_a_point_out_of_reach_is_told_with_the_configuration_that_comes_nearest() -> None:
+    details = {"distance_m": 0.04, "nearest_rad": {"shoulder_pan": 0.3}}
+    told = REPORTS.report(HOME, PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "why", details), None)
+    assert told["solution"] == {"name": ["shoulder_pan"], "position": [0.3]}

@@ -1,17 +1,47 @@
 from __future__ import annotations
 
+import asyncio
+import json
 import math
 from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from protocol.registry import Registry
 from robot import model
+from robot.arm import Arm
+from robot.calibration import Calibration
+from robot.hardware.config import EmulatedConfig
+from robot.messages import ArmConfig, ArmState, Mode
+from server.calls import Response
 from server.errors import ServiceError
+from server.execution.current_state import CurrentState
+from server.graph import Graph, Subscriber
 from server.moveit import named_states
-from server.moveit.named_states import MAX_NAME_LENGTH, NamedStates, Positions
+from server.moveit.named_states import (
+    MAX_NAME_LENGTH,
+    NAMED_STATES_TOPIC,
+    NamedStates,
+    NamedStatesFile,
+    NamedStatesServices,
+    Positions,
+    default_path,
+)
+from server.node import Node
+from tests.helpers.goal_translator import keep_nothing
+from tests.helpers.readings import reading
 
 ROBOT = model.builtin()
 BENT = {"elbow_flex": 0.4}
+
+
+KEPT_STATES = {"mine": {"elbow_flex": 0.4, "gripper": 1.0}, "": {}}
+
+
+CLIENT = Node("client")
+JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 
 
 class Kept(NamedStates):
@@ -129,3 +159,147 @@ def test_states_kept_for_another_arm_are_left_out() -> None:
 @pytest.mark.parametrize(("name", "meant"), [("redy", "ready"), ("Hom", "home"), ("moon base", None)])
 async def test_a_name_with_a_slip_is_understood_for_advice(states: Kept, name: str, meant: str | None) -> None:
     assert states.nearest_name(name) == meant
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "armbridge" / "states.json"
+
+
+async def test_what_is_saved_is_read_again(path: Path) -> None:
+    await NamedStatesFile(path).save(KEPT_STATES)
+    assert NamedStatesFile(path).load() == KEPT_STATES
+    assert [each.name for each in path.parent.iterdir()] == [path.name]
+
+
+def test_without_a_file_there_are_no_states(path: Path) -> None:
+    assert NamedStatesFile(path).load() == {}
+
+
+BROKEN = {
+    "not JSON": "{",
+    "nests too deep": "[" * 100_000,
+    "not UTF-8": "\udcff",
+    "another form": '{"states": []}',
+    "no states": "{}",
+    "a word for a number": '{"states": {"mine": {"elbow_flex": "much"}}}',
+    "true for a number": '{"states": {"mine": {"elbow_flex": true}}}',
+}
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
+def test_a_broken_file_is_told_of_and_set_aside(path: Path, content: str, caplog: pytest.LogCaptureFixture) -> None:
+    path.parent.mkdir()
+    octets = content.encode("utf-8", "surrogateescape")
+    path.write_bytes(octets)
+    assert NamedStatesFile(path).load() == {}
+    assert str(path) in caplog.text
+    assert path.with_name(f"{path.name}.broken").read_bytes() == octets
+    assert not path.exists()
+
+
+async def test_a_file_that_cannot_be_written_is_a_refusal_and_the_old_one_stays(path: Path) -> None:
+    file = NamedStatesFile(path)
+    await file.save(KEPT_STATES)
+    path.with_name(f"{path.name}.new").mkdir()
+    with pytest.raises(ServiceError, match=str(path)):
+        await file.save({})
+    assert file.load() == KEPT_STATES
+
+
+def test_a_file_that_cannot_be_read_is_told_of_and_left(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path.mkdir(parents=True)
+    assert NamedStatesFile(path).load() == {}
+    assert str(path) in caplog.text
+    assert path.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("environment", "directory"), [({"XDG_DATA_HOME": "/data"}, "/data"), ({"HOME": "/me"}, "/me/.local/share")]
+)
+def test_states_are_kept_in_the_users_data_directory(environment: dict[str, str], directory: str) -> None:
+    assert default_path(model.builtin(), environment) == Path(directory, "armbridge", "named_states_so101.json")
+
+
+class Office:
+    """The services, for an arm that says where it is."""
+
+    def __init__(self) -> None:
+        self.graph = Graph(Registry.load())
+        self.states = NamedStates(ROBOT, "arm", {}, keep_nothing)
+        self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(Calibration.nominal())), lambda _state: None)
+        NamedStatesServices(self.graph, ROBOT, self.states).open(CurrentState(self.arm, ROBOT))
+        self.told: list[dict[str, Any]] = []
+        subscriber = Subscriber(lambda publication: self.told.append(json.loads(publication.msg["data"])))
+        for publication in self.graph.subscribe(CLIENT, NAMED_STATES_TOPIC, None, subscriber):
+            subscriber.deliver(publication)
+
+    def be_at(self, position_rad: float) -> None:
+        measured = reading([position_rad] * len(JOINTS))
+        self.arm.state = ArmState(0.0, Mode.RELAXED, JOINTS, position_rad=measured.position_rad)
+
+    async def call(self, service: str, **request: Any) -> Response:
+        answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
+        self.graph.services.call(CLIENT, service, request, answered.set_result)
+        return await answered
+
+
+@pytest.fixture
+async def office() -> Office:
+    return Office()
+
+
+async def test_the_present_pose_is_saved_under_a_name_and_told(office: Office) -> None:
+    office.be_at(0.25)
+    assert (await office.call("/save_robot_state", name="mine")).values == {"success": True}
+    assert office.states.find("mine") == ("mine", dict.fromkeys(JOINTS, 0.25))
+    assert office.told[-1]["mine"] == {"saved": True, "joints": dict.fromkeys(JOINTS, 0.25)}
+    assert not office.told[-1]["home"]["saved"]
+
+
+async def test_where_the_arm_is_cannot_be_saved_while_nobody_knows(office: Office) -> None:
+    answer = await office.call("/save_robot_state", name="mine")
+    assert not answer.ok
+    assert "not known" in answer.values
+
+
+async def test_a_given_state_is_saved_and_given_back(office: Office) -> None:
+    state = {"joint_state": {"name": ["elbow_flex"], "position": [0.4]}}
+    assert (await office.call("/save_robot_state", name="mine", state=state)).ok
+    joints = (await office.call("/get_robot_state", name="Mine")).values["state"]["joint_state"]
+    assert (joints["name"], joints["position"]) == (["elbow_flex"], [0.4])
+
+
+async def test_a_state_with_more_names_than_positions_is_refused(office: Office) -> None:
+    state = {"joint_state": {"name": ["elbow_flex"], "position": []}}
+    assert "1 names and 0 positions" in (await office.call("/save_robot_state", name="mine", state=state)).values
+
+
+async def test_states_are_listed_by_pattern_renamed_and_deleted(office: Office) -> None:
+    office.be_at(0.1)
+    await office.call("/save_robot_state", name="mine")
+    assert (await office.call("/list_robot_states")).values["states"] == ["extended", "home", "mine", "ready", "rest"]
+    assert (await office.call("/rename_robot_state", old_name="mine", new_name="rest two")).ok
+    assert (await office.call("/list_robot_states", regex="r.*")).values["states"] == ["ready", "rest", "rest two"]
+    assert (await office.call("/has_robot_state", name="rest two")).values == {"exists": True}
+    assert (await office.call("/delete_robot_state", name="rest two")).ok
+    assert (await office.call("/has_robot_state", name="rest two")).values == {"exists": False}
+
+
+@pytest.mark.parametrize("pattern", ["[", "(a|a)*", "a*a*a*", "a" * 101])
+async def test_a_pattern_that_is_none_or_could_take_for_ever_is_refused(office: Office, pattern: str) -> None:
+    answer = await office.call("/list_robot_states", regex=pattern)
+    assert not answer.ok
+    assert answer.values.startswith("regex: ")
+
+
+async def test_a_request_for_another_robot_is_refused(office: Office) -> None:
+    answer = await office.call("/list_robot_states", robot="panda")
+    assert not answer.ok
+    assert "'so101'" in answer.values
+    assert (await office.call("/list_robot_states", robot="so101")).ok
+
+
+@pytest.mark.parametrize("service", ["/get_robot_state", "/delete_robot_state"])
+async def test_a_state_that_is_not_there_is_refused_with_those_that_are(office: Office, service: str) -> None:
+    assert "extended, home" in (await office.call(service, name="nowhere")).values

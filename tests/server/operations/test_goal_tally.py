@@ -5,7 +5,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from robot.trajectory import Trajectory
-from server.goal_queue import Answer, Performed
+from server.execution.queue import Answer, Performed
 from server.operations.goal_tally import GoalTally
 
 MOTION = Trajectory(("gripper",), np.array([0.0, 3.0]), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)))

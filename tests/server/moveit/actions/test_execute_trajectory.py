@@ -4,8 +4,8 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from server.execution.motions import GivenMotion
 from server.moveit.actions.execute_trajectory import EXECUTE_ACTION, ExecuteTrajectory
-from server.moveit.motions import GivenMotion
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_services import ROBOT
 from tests.helpers.played_arm import settle

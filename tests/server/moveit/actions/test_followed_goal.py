@@ -11,7 +11,7 @@ from protocol.registry import Registry
 from robot import model
 from robot.messages import ArmState, Outcome
 from server.action_goals import Goal, GoalStatus, Result
-from server.goal_queue import Answer, GoalState, Performed, Progress
+from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.interfaces import Interfaces
 from server.moveit.actions.followed_goal import FollowCode, FollowedGoal, FollowedTolerances, code_of
 from server.node import Node

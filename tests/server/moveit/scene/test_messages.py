@@ -2,7 +2,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from server.moveit.current_state import state_message
+from server.execution.current_state import state_message
 from server.moveit.scene.messages import (
     ALLOWED_COLLISION_MATRIX,
     EVERYTHING,

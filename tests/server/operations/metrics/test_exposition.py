@@ -10,8 +10,8 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
+from server.execution.queue import Answer
 from server.gateway.traffic import Traffic
-from server.goal_queue import Answer
 from server.operations.distribution import Distribution
 from server.operations.goal_tally import GoalTally
 from server.operations.metrics.exposition import CONDITION_STALE_S, Exposition

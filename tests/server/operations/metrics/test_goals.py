@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from planners.problem import MoveItErrorCode
-from server.goal_queue import Answer, Performed
+from server.execution.queue import Answer, Performed
 from server.operations.goal_tally import GoalTally
 from server.operations.metrics.goals import goal_metrics, planner_metrics, queue_metrics, recording_metrics
 from tests.helpers.metric_samples import samples

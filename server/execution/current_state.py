@@ -1,0 +1,116 @@
+"""State of the arm for those who plan from it: its positions, and its readiness for a motion."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Protocol
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from protocol.messages import Stamp
+from robot.messages import ArmState, Mode
+from robot.model import RobotModel
+from server.arm_services import ENABLE, RESET_FAULT
+
+# Starting an interpreter, opening the bus, checking six servos and raising torque takes 1.2 s. Where other programs use
+# every core, it has taken more than 15 s.
+ARM_START_TIMEOUT_S = 60.0
+
+
+class StatedArm(Protocol):
+    """What is asked of the arm here."""
+
+    @property
+    def state(self) -> ArmState:
+        """The latest state."""
+
+
+class CurrentState:
+    """Tells where the joints are.
+
+    Args:
+        arm: the started arm.
+        robot: its description.
+    """
+
+    def __init__(self, arm: StatedArm, robot: RobotModel) -> None:
+        self._arm = arm
+        self._frame = robot.root_link
+
+    def positions_rad(self) -> dict[str, float] | None:
+        """Position of every movable joint [rad], None while it is not known.
+
+        What the arm holds is told, not where it droops to: a motion from there starts without a step.
+        """
+        state = self._arm.state
+        positions = state.position_rad if state.goal_rad is None else state.goal_rad
+        return None if positions is None else dict(zip(state.joint_names, positions.tolist(), strict=True))
+
+    def message(self) -> dict[str, Any]:
+        """The moveit_msgs/RobotState of it, without what is attached; without joints while they are not known."""
+        return state_message(self.positions_rad() or {}, self._frame, time.time())
+
+
+def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -> dict[str, Any]:
+    """A moveit_msgs/RobotState of joints that stand still.
+
+    Args:
+        positions_rad: by joint [rad].
+        frame: the planning frame.
+        stamp_s: wall-clock time [s].
+    """
+    stamp = Stamp.from_seconds(stamp_s).as_message()
+    header = {"stamp": stamp, "frame_id": frame}
+    return {
+        "joint_state": {
+            "header": header,
+            "name": list(positions_rad),
+            "position": list(positions_rad.values()),
+            "velocity": [],
+            "effort": [],
+        },
+        "multi_dof_joint_state": {
+            "header": header,
+            "joint_names": [],
+            "transforms": [],
+            "twist": [],
+            "wrench": [],
+        },
+        "attached_collision_objects": [],
+        "is_diff": False,
+    }
+
+
+class ReadArm(Protocol):
+    """The arm, as `robot.arm.Arm`."""
+
+    state: ArmState
+    state_max_age_s: float
+
+    @property
+    def state_age_s(self) -> float:
+        """Time since the latest state came [s]."""
+
+
+def unusable(arm: ReadArm) -> PlanningFailure | None:
+    """Return why no motion can begin now, with the remedy; None when one can."""
+    state, age_s = arm.state, arm.state_age_s
+    if state.mode is Mode.DISCONNECTED:
+        return PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not connected: {state.reason}")
+    if age_s > arm.state_max_age_s:
+        return PlanningFailure(
+            MoveItErrorCode.ROBOT_STATE_STALE,
+            f"the last state of the arm is {age_s:.1f} s old (limit {arm.state_max_age_s:g} s)",
+        )
+    if state.fault is not None:
+        return PlanningFailure(
+            MoveItErrorCode.CONTROL_FAILED,
+            f"the arm has a fault: {state.fault} The service that resets it is {RESET_FAULT}.",
+        )
+    if state.mode is Mode.CONNECTED or state.goal_rad is None:
+        reason = state.reason or "its servos are being checked"
+        return PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not ready: {reason}")
+    if state.mode is Mode.RELAXED:
+        return PlanningFailure(
+            MoveItErrorCode.CONTROL_FAILED, f"the arm is relaxed: enable it by the service {ENABLE} first"
+        )
+    return None

@@ -1,0 +1,135 @@
+"""Goals that cannot be planned: files to plan them again, and what is free on the way to them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from planners.files import problem_file
+from planners.goals import JointGoal, PositionGoal
+from planners.pool import PlannerPool
+from planners.problem import (
+    CartesianProblem,
+    IkAnswer,
+    IkQuestion,
+    MoveItErrorCode,
+    PlanningFailure,
+    PlanningProblem,
+    StateAnswer,
+    StateQuestion,
+)
+from planners.scene import Scene
+from robot.forward import ForwardPlacements
+from robot.model import RobotModel
+
+log = logging.getLogger("armbridge.failed_goals")
+
+# A disk that takes longer keeps the file to itself; the goal's answer does not wait for it.
+WRITING_TIMEOUT_S = 2.0
+
+PREFIX = "goal-"
+
+
+# Shares of the way that are looked at, the farthest first: nearer to the goal than the last makes no difference to see.
+SHARES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3)
+
+# For each point of the tip; a refusal is not to wait longer than a tenth of a second for what would work instead.
+LOOK_S = 0.01
+
+
+class FailedGoals:
+    """A directory of problem files.
+
+    Args:
+        directory: where they go; made when it is not there.
+        robot: the arm that was planned for.
+        wall_clock: seconds since 1970, for the names.
+        max_files: how many are kept, of up to 3 MB with a scene of 10 000 objects; the oldest make room for new ones.
+    """
+
+    def __init__(self, directory: Path, robot: RobotModel, wall_clock: Callable[[], float], max_files: int) -> None:
+        self._directory = directory
+        self._robot = robot
+        self._wall_clock = wall_clock
+        self._max_files = max_files
+
+    async def save(self, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
+        """Write one; what goes wrong in that is only logged."""
+        now = datetime.fromtimestamp(self._wall_clock(), UTC)
+        path = self._directory / f"{PREFIX}{now:%Y%m%dT%H%M%S.%fZ}-{failure.code.name}.json"
+        try:
+            writing = asyncio.to_thread(self._write, path, problem, scene, failure)
+            await asyncio.wait_for(writing, WRITING_TIMEOUT_S)
+        except TimeoutError:
+            log.warning("a failed goal is not saved in %s within %g s", path, WRITING_TIMEOUT_S)
+        except OSError as error:
+            log.warning("a failed goal is not saved in %s: %s", path, error)
+        else:
+            log.info("the failed goal is saved: armbridge plan --all %s", path)
+
+    def _write(self, path: Path, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
+        self._directory.mkdir(parents=True, exist_ok=True)
+        problem_file.write(path, problem, scene, self._robot, failure)
+        saved = sorted(self._directory.glob(f"{PREFIX}*.json"))
+        for oldest in saved[: -self._max_files]:
+            oldest.unlink(missing_ok=True)
+
+
+class Alternatives:
+    """Finds what would work instead.
+
+    Args:
+        robot: the arm.
+        pool: answers questions.
+    """
+
+    def __init__(self, robot: RobotModel, pool: PlannerPool) -> None:
+        self._robot = robot
+        self._forward = ForwardPlacements(robot)
+        self._pool = pool
+
+    async def added(
+        self, failure: PlanningFailure, problem: PlanningProblem | CartesianProblem | None, scene: Scene
+    ) -> PlanningFailure:
+        """The failure, with the last free place before the goal as ``free_rad`` or ``free_m``, when there is one.
+
+        Args:
+            failure: why a problem has no plan.
+            problem: the problem.
+            scene: where it was planned.
+        """
+        if failure.code is not MoveItErrorCode.GOAL_IN_COLLISION or not isinstance(problem, PlanningProblem):
+            return failure
+        found: dict[str, Any] = {}
+        if isinstance(problem.goal, JointGoal):
+            found = await self._joints(problem, problem.goal, scene)
+        elif isinstance(problem.goal, PositionGoal):
+            found = await self._point(problem, problem.goal, scene)
+        return replace(failure, details={**failure.details, **found})
+
+    async def _joints(self, problem: PlanningProblem, goal: JointGoal, scene: Scene) -> dict[str, Any]:
+        start_rad = problem.start_rad
+        for share in SHARES:
+            free_rad = {
+                name: start_rad[name] + share * (end_rad - start_rad[name])
+                for name, end_rad in goal.positions_rad.items()
+            }
+            answer = await self._pool.ask(StateQuestion(problem.group, {**start_rad, **free_rad}), scene)
+            if isinstance(answer, StateAnswer) and answer.valid:
+                return {"free_rad": {name: round(value, 4) for name, value in free_rad.items()}}
+        return {}
+
+    async def _point(self, problem: PlanningProblem, goal: PositionGoal, scene: Scene) -> dict[str, Any]:
+        tip_m = self._forward.transforms(problem.start_rad)[goal.link][:3, 3].tolist()
+        for share in SHARES:
+            x, y, z = (tip + share * (end - tip) for tip, end in zip(tip_m, goal.position_m, strict=True))
+            nearer = replace(goal, position_m=(x, y, z))
+            question = IkQuestion(problem.group, problem.start_rad, nearer, allowed_time_s=LOOK_S)
+            if isinstance(await self._pool.ask(question, scene), IkAnswer):
+                return {"free_m": [round(x, 4), round(y, 4), round(z, 4)]}
+        return {}

@@ -1,0 +1,509 @@
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pytest_asyncio
+
+from planners.goals import JointGoal
+from planners.pool import PlannerPool
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckAnswer, RecheckQuestion
+from planners.scene import Scene
+from robot import model
+from robot.arm import Arm
+from robot.calibration import Calibration
+from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
+from robot.limits import within_calibration
+from robot.messages import ArmConfig, ArmState, Mode
+from robot.model import RobotModel
+from robot.trajectory import Trajectory
+from server.execution.executor import MAX_SAMPLES, GoalExecutor, Recorder
+from server.execution.failures import FailedGoals
+from server.execution.motions import GivenMotion, PlannedMotion, Positions
+from server.execution.queue import GoalState, Progress
+from server.execution.splicing import STATE_AGE_S
+from server.execution.time_limits import Allowance
+from server.moveit.scene.state import SceneState
+from tests.helpers.played_arm import JOINTS, PlayedArm, settle
+from tests.helpers.trajectories import smooth_move
+
+TIMEOUT_S = 30.0
+
+
+STATE = ArmState(5.0, Mode.MOVING, ("a", "b"), position_rad=np.array([0.1, 0.2]), velocity_rad_s=np.array([1.0, 2.0]))
+
+
+def to(**positions_rad: float) -> PlannedMotion:
+    """Move some joints as fast as they can."""
+
+    def problem(start_rad: Positions) -> PlanningProblem:
+        return PlanningProblem("arm", start_rad, JointGoal(positions_rad))
+
+    return PlannedMotion((problem,))
+
+
+@dataclass
+class Rig:
+    """A motion on the real arm process, with emulated servos, and real planners."""
+
+    arm: Arm
+    pool: PlannerPool
+    executor: GoalExecutor
+    news: list[Progress] = field(default_factory=list)
+
+    async def run(self, **positions_rad: float) -> Any:
+        return await self.executor.run(to(**positions_rad), self.news.append)
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(TIMEOUT_S):
+            while not condition():
+                await asyncio.sleep(0.005)
+
+
+# Planners load for a second: one arm and its planners serve all tests of the rig, and so show that they survive each.
+in_one_loop = pytest.mark.asyncio(loop_scope="module")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def processes() -> AsyncIterator[tuple[Arm, PlannerPool, RobotModel]]:
+    calibration = Calibration.nominal()
+    robot = within_calibration(model.builtin(), calibration)
+    arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), lambda _state: None)
+    await arm.start(TIMEOUT_S)
+    pool = PlannerPool(robot)
+    await pool.start()
+    yield arm, pool, robot
+    await arm.close()
+    await pool.close()
+
+
+@pytest.fixture
+def rig(processes: tuple[Arm, PlannerPool, RobotModel]) -> Rig:
+    arm, pool, robot = processes
+    return Rig(arm, pool, GoalExecutor(arm, robot, pool, SceneState(robot)))
+
+
+@in_one_loop
+async def test_a_motion_is_planned_played_and_told(rig: Rig) -> None:
+    answer = await rig.run(shoulder_pan=0.8)
+    assert answer.code is MoveItErrorCode.SUCCESS
+    states = [progress.state for progress in rig.news]
+    assert states[:2] == [GoalState.PLANNING, GoalState.EXECUTING]
+    fractions = [progress.fraction for progress in rig.news]
+    assert fractions == sorted(fractions)
+
+
+@in_one_loop
+async def test_a_stop_ends_planning_that_hangs(rig: Rig) -> None:
+    await rig.run(shoulder_pan=0.01)
+    hanging = rig.pool.pids
+    for pid in hanging:
+        os.kill(pid, signal.SIGSTOP)
+    running = asyncio.create_task(rig.run(shoulder_pan=0.8))
+    await asyncio.sleep(0.05)
+    rig.executor.stop("stopped by a test")
+    answer = await asyncio.wait_for(running, TIMEOUT_S)
+    for pid in set(hanging) & set(rig.pool.pids):
+        os.kill(pid, signal.SIGCONT)
+    assert answer.code is MoveItErrorCode.PREEMPTED
+    assert answer.message == "stopped by a test while planning"
+
+
+@in_one_loop
+@pytest.mark.parametrize("delay_s", [0.02, 0.3])
+async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: Rig, delay_s: float) -> None:
+    await rig.run(shoulder_pan=0.01)
+    running = asyncio.create_task(rig.run(shoulder_pan=1.5))
+    await asyncio.sleep(delay_s)
+    rig.executor.stop("stopped by a test")
+    answer = await asyncio.wait_for(running, TIMEOUT_S)
+    assert answer.code is MoveItErrorCode.PREEMPTED
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert (await rig.run(shoulder_pan=0.0)).code is MoveItErrorCode.SUCCESS
+
+
+async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
+    robot = model.builtin()
+    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
+    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
+    answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None)
+    assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
+    assert "starting" in answer.message
+
+
+def test_motions_are_played_with_the_allowance_that_is_set() -> None:
+    robot, allowance = model.builtin(), Allowance(scaling=9.0)
+    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
+    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), allowance=allowance)
+    assert executor._player._allowance is allowance
+
+
+@pytest.mark.parametrize(
+    "hardware", [FeetechConfig(Calibration.nominal(), "/dev/nothing"), EmulatedConfig(Calibration.nominal())]
+)
+def test_planners_are_waited_for_as_long_as_the_arm_while_it_moves(hardware: HardwareConfig) -> None:
+    robot = model.builtin()
+    arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
+    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
+    assert executor._watch._patience_s == arm.state_max_age_s
+
+
+ARM = model.builtin().groups["arm"].joints
+WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")
+NO_WAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is no way")
+OUT_OF_REACH = PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "too far", {"distance_m": 0.2})
+
+
+class Stage:
+    """An arm without a process, a scene, and planners that answer what they are told to."""
+
+    def __init__(self) -> None:
+        self.arm = PlayedArm()
+        self.scene = Scene(1)
+        self.failures: list[PlanningFailure] = []
+        self.planners_answer = asyncio.Event()
+        self.planners_answer.set()
+        self.contact: PlanningFailure | None = None
+        self.problems: list[PlanningProblem] = []
+        self.scenes: list[int] = []
+        self.rechecked: list[RecheckQuestion] = []
+        self.news: list[Progress] = []
+        self.executor = self.executing()
+        self.running: asyncio.Task[Any] | None = None
+
+    def executing(self, failed_goals: FailedGoals | None = None) -> GoalExecutor:
+        return GoalExecutor(self.arm, model.builtin(), self, self, failed_goals)  # type: ignore[arg-type]
+
+    def on_change(self, callback: Callable[[], None]) -> None:
+        self.changed = callback
+
+    async def ask(self, request: Any, scene: Scene) -> Any:
+        if isinstance(request, RecheckQuestion):
+            self.rechecked.append(request)
+            return RecheckAnswer(self.contact)
+        self.problems.append(request)
+        self.scenes.append(scene.version)
+        await self.planners_answer.wait()
+        if self.failures:
+            return self.failures.pop(0)
+        ends = {**request.start_rad, **request.goal.positions_rad}
+        moves = {name: (request.start_rad[name], ends[name]) for name in ARM}
+        still = all(start_rad == end_rad for start_rad, end_rad in moves.values())
+        return Plan(standing(moves) if still else smooth_move(moves, 1.0), "straight line", 0.01)
+
+    async def begin(self, motion: PlannedMotion | GivenMotion) -> None:
+        self.running = asyncio.create_task(self.executor.run(motion, self.news.append))
+        await settle()
+
+    async def answer(self) -> Any:
+        assert self.running is not None
+        return await asyncio.wait_for(self.running, TIMEOUT_S)
+
+
+def standing(moves: Mapping[str, tuple[float, float]]) -> Trajectory:
+    """A motion that takes no time."""
+    still = np.zeros((1, len(moves)))
+    return Trajectory(tuple(moves), np.zeros(1), np.array([[start for start, _ in moves.values()]]), still, still)
+
+
+@pytest.fixture
+async def stage() -> Stage:
+    return Stage()
+
+
+def given(start_rad: float, end_rad: float) -> GivenMotion:
+    motion = smooth_move(dict.fromkeys(ARM, (start_rad, end_rad)), 2.0)
+    return GivenMotion(lambda _held_rad: motion)
+
+
+async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(stage: Stage) -> None:
+    stage.arm.started.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    assert not stage.problems
+    stage.arm.started.set()
+    await settle()
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+
+
+async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothing(stage: Stage) -> None:
+    stage.arm.started.clear()
+    await stage.begin(given(0.0, 0.4))
+    stage.executor.stop("stopped by a test")
+    answer = await stage.answer()
+    assert (answer.code, answer.message) == (
+        MoveItErrorCode.PREEMPTED,
+        "stopped by a test before the motion began",
+    )
+    assert not stage.arm.played
+
+
+async def test_the_answer_tells_what_was_planned_and_from_where(stage: Stage) -> None:
+    stage.arm.put(elbow_flex=0.1)
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.end()
+    performed = (await stage.answer()).performed
+    assert performed.start_rad["elbow_flex"] == 0.1
+    assert set(performed.start_rad) == set(JOINTS)
+    assert performed.planned == tuple(stage.arm.played)
+    assert performed.planning_time_s == 0.01
+
+
+async def test_several_steps_are_carried_out_one_after_the_other(stage: Stage) -> None:
+    first, second = to(shoulder_pan=0.4), to(shoulder_pan=0.8)
+    await stage.begin(PlannedMotion((*first.steps, *second.steps)))
+    stage.arm.end()
+    await settle()
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert [motion.positions_rad[-1, 0] for motion in stage.arm.played] == pytest.approx([0.4, 0.8])
+
+
+async def test_what_cannot_be_reached_is_not_tried_again(stage: Stage) -> None:
+    stage.failures = [OUT_OF_REACH]
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=5))
+    answer = await stage.answer()
+    assert (answer.code, answer.message, answer.details) == (OUT_OF_REACH.code, "too far", {"distance_m": 0.2})
+    assert len(stage.problems) == 1
+
+
+@pytest.mark.parametrize(("failures", "tried"), [(1, 2), (9, 3)], ids=["then there is a way", "never"])
+async def test_planning_is_repeated_as_often_as_asked_for(stage: Stage, failures: int, tried: int) -> None:
+    stage.failures = [NO_WAY] * failures
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=3))
+    stage.arm.end()
+    await stage.answer()
+    assert len(stage.problems) == tried
+
+
+async def test_a_motion_that_the_scene_stops_is_planned_anew_from_where_the_arm_is(stage: Stage) -> None:
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=2))
+    stage.contact, stage.scene = WALL, Scene(2)
+    stage.arm.put(shoulder_pan=0.2)
+    stage.changed()
+    await settle()
+    stage.contact = None
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert [problem.start_rad["shoulder_pan"] for problem in stage.problems] == [0.0, 0.2]
+    assert stage.scenes == [1, 2]
+
+
+async def test_without_that_wish_it_ends_with_the_contact(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.contact, stage.scene = WALL, Scene(2)
+    stage.changed()
+    answer = await stage.answer()
+    assert answer.code is WALL.code
+    assert answer.message.startswith("would touch the wall")
+
+
+async def test_a_scene_that_changes_while_planning_is_looked_at_before_anything_moves(stage: Stage) -> None:
+    def change(start_rad: Positions) -> PlanningProblem:
+        stage.scene, stage.contact = Scene(2), WALL
+        return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
+
+    await stage.begin(PlannedMotion((change,)))
+    assert (await stage.answer()).code is WALL.code
+    assert stage.arm.played == []
+
+
+async def test_a_goal_may_be_planned_in_a_scene_of_its_own(stage: Stage) -> None:
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, scene=lambda _positions_rad: Scene(77)))
+    stage.arm.end()
+    await stage.answer()
+    assert stage.scenes == [77]
+
+
+async def test_an_arm_that_is_moved_while_planning_is_planned_for_again(stage: Stage) -> None:
+    def move(start_rad: Positions) -> PlanningProblem:
+        stage.arm.put(shoulder_pan=0.3)
+        return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
+
+    await stage.begin(PlannedMotion((move,)))
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert stage.arm.played[0].positions_rad[0, 0] == 0.3
+
+
+async def test_a_given_motion_is_looked_at_and_played_from_where_the_arm_holds(stage: Stage) -> None:
+    stage.arm.put(shoulder_pan=0.02)
+    await stage.begin(given(0.0, 0.5))
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert stage.arm.played[0].positions_rad[0, 0] == 0.02
+    assert stage.rechecked[0].trajectory is stage.arm.played[0]
+    assert set(stage.rechecked[0].others_rad) == {"gripper"}
+
+
+async def test_a_given_motion_that_starts_elsewhere_or_touches_something_is_not_played(stage: Stage) -> None:
+    await stage.begin(given(0.3, 0.5))
+    assert (await stage.answer()).code is MoveItErrorCode.CONTROL_FAILED
+    stage.contact = WALL
+    await stage.begin(given(0.0, 0.5))
+    assert (await stage.answer()).code is WALL.code
+    assert stage.arm.played == []
+
+
+async def test_ending_the_goal_in_hand_leaves_other_motions_alone(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.executor.end("preempted by a test")
+    answer = await stage.answer()
+    assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "preempted by a test: stopped half-way")
+    assert None not in stage.arm.stops
+
+
+async def test_who_steers_the_arm_has_to_come_to_rest_first(stage: Stage) -> None:
+    stage.arm.steered = True
+    await stage.begin(to(shoulder_pan=0.4))
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.CONTROL_FAILED
+    assert "being steered" in answer.message
+
+
+async def test_a_goal_that_holds_already_moves_nothing(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.0))
+    answer = await stage.answer()
+    assert (answer.code, answer.message) == (MoveItErrorCode.SUCCESS, "the arm was there already")
+    assert stage.arm.played == []
+
+
+async def test_a_goal_is_ended_while_it_is_planned(stage: Stage) -> None:
+    stage.planners_answer.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.executor.end("ended by a test")
+    assert (await stage.answer()).message == "ended by a test while planning"
+    assert stage.arm.played == []
+
+
+async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
+    stage.executor = stage.executing(FailedGoals(tmp_path, model.builtin(), lambda: 0.0, 1))
+    stage.failures = [NO_WAY]
+    for _ in range(2):
+        await stage.begin(to(shoulder_pan=0.4))
+        await asyncio.sleep(0.1)
+        stage.arm.end()
+        await stage.answer()
+    assert os.listdir(tmp_path) == ["goal-19700101T000000.000000Z-PLANNING_FAILED.json"]  # noqa: PTH208
+
+
+async def under_way(stage: Stage) -> None:
+    """Let a motion be seen half done, give way, and its answer come."""
+    await stage.begin(to(shoulder_pan=0.4))
+    await asyncio.sleep(2.0 * STATE_AGE_S)
+    stage.arm.pass_time(2.0 * STATE_AGE_S)
+    stage.arm.show(0.5)
+    stage.executor.give_way("preempted by a test")
+    assert (await stage.answer()).message == "preempted by a test"
+
+
+async def test_a_goal_goes_on_from_the_motion_that_gave_way_to_it(stage: Stage) -> None:
+    await under_way(stage)
+    await stage.begin(to(shoulder_pan=-0.2))
+    stage.arm.end()
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.SUCCESS
+    assert stage.arm.stops == []
+    former, whole = stage.arm.played
+    from_s = stage.arm.continued[0]
+    np.testing.assert_allclose(whole.sample(0.1)[0], former.sample(from_s + 0.1)[0], atol=1e-9)
+    assert stage.problems[-1].start_velocity_rad_s["shoulder_pan"] > 0.0
+    assert answer.performed.planned == (whole,)
+
+
+def be_nowhere_to_leave(stage: Stage) -> None:
+    left = stage.executor._player.left
+    assert left is not None
+    stage.executor._player.left = replace(left, branch=None)
+
+
+OTHERWISE: dict[str, Callable[[Stage], object]] = {
+    "planning takes too long": lambda stage: stage.planners_answer.clear(),
+    "there is no such plan": lambda stage: stage.failures.append(NO_WAY),
+    "the arm has left the place": lambda stage: setattr(stage.arm, "refusing", True),
+    "the arm goes back": be_nowhere_to_leave,
+}
+
+
+@pytest.mark.parametrize("obstacle", OTHERWISE.values(), ids=OTHERWISE.keys())
+async def test_where_that_cannot_be_the_arm_brakes_first(stage: Stage, obstacle: Callable[[Stage], object]) -> None:
+    await under_way(stage)
+    obstacle(stage)
+    await stage.begin(to(shoulder_pan=-0.2))
+    async with asyncio.timeout(TIMEOUT_S):
+        while not stage.arm.stops:
+            await asyncio.sleep(0.01)
+    stage.planners_answer.set()
+    await asyncio.sleep(0.05)
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert stage.arm.continued == []
+
+
+async def test_a_given_motion_begins_at_rest(stage: Stage) -> None:
+    await under_way(stage)
+    held = stage.arm.state.goal_rad
+    assert held is not None
+    motion = smooth_move({name: (held_rad, 0.5) for name, held_rad in zip(ARM, held.tolist(), strict=False)}, 2.0)
+    await stage.begin(GivenMotion(lambda _held_rad: motion))
+    assert len(stage.arm.stops) == 1
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert stage.arm.continued == []
+
+
+async def test_a_goal_that_is_cancelled_before_it_goes_on_leaves_the_arm_at_rest(stage: Stage) -> None:
+    await under_way(stage)
+    stage.planners_answer.clear()
+    await stage.begin(to(shoulder_pan=-0.2))
+    stage.executor.end("cancelled by a test")
+    assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
+    assert stage.arm.stops
+
+
+def test_what_was_read_since_the_start_is_a_trajectory_from_time_0() -> None:
+    recorder = Recorder()
+    recorder.take_state(STATE)
+    recorder.start()
+    for stamp_s in (6.0, 6.5):
+        recorder.take_state(replace(STATE, stamp_s=stamp_s))
+    way = recorder.finish(("b",))
+    assert way is not None
+    assert way.time_s.tolist() == [0.0, 0.5]
+    assert way.positions_rad.tolist() == [[0.2], [0.2]]
+    assert way.velocities_rad_s.tolist() == [[2.0], [2.0]]
+
+
+def test_an_arm_that_was_not_read_has_no_way() -> None:
+    recorder = Recorder()
+    recorder.start()
+    recorder.take_state(replace(STATE, position_rad=None))
+    assert recorder.finish(("a",)) is None
+    assert recorder.finish(("a",)) is None
+
+
+def test_times_increase_though_a_clock_was_set_back() -> None:
+    recorder = Recorder()
+    recorder.start()
+    for stamp_s in (6.0, 5.0, 6.0, 7.0):
+        recorder.take_state(replace(STATE, stamp_s=stamp_s))
+    way = recorder.finish(("a",))
+    assert way is not None
+    assert way.time_s.tolist() == [0.0, 1.0]
+
+
+def test_a_recording_is_bounded() -> None:
+    recorder = Recorder()
+    recorder.start()
+    for number in range(MAX_SAMPLES + 10):
+        recorder.take_state(replace(STATE, stamp_s=float(number)))
+    way = recorder.finish(("a",))
+    assert way is not None
+    assert way.duration_s == MAX_SAMPLES - 1

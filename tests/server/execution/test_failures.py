@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planners.files import problem_file
+from planners.goals import Goal, JointGoal, PositionGoal
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.scene import Box, Pose, Scene, SceneObject
+from robot import model
+from server.execution.failures import Alternatives, FailedGoals
+from tests.helpers.moveit_services import HOME, ROBOT, DirectPool
+from tests.helpers.requests import EASY
+
+IN_THE_WAY = Scene(1, (SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.2, 0.0, 0.1))),))
+FAILURE = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "the goal touches the box")
+
+KEPT = 5
+
+
+TIP = "gripper_frame_link"
+
+# A wall beside the arm, which reaches over it in its home position.
+WALL = Scene(version=31, objects=(SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.25, 0.3))),))
+
+
+@pytest.fixture
+def failed_goals(tmp_path: Path) -> FailedGoals:
+    return FailedGoals(tmp_path / "failed", model.builtin(), itertools.count(1_800_000_000).__next__, KEPT)
+
+
+async def test_a_saved_goal_reads_as_it_was_asked(failed_goals: FailedGoals, tmp_path: Path) -> None:
+    await failed_goals.save(EASY, IN_THE_WAY, FAILURE)
+    (path,) = (tmp_path / "failed").iterdir()
+    assert path.name == "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json"
+    saved = problem_file.read(path, model.builtin())
+    assert saved.problems[0].problem.goal == EASY.goal
+    assert saved.scene.objects == IN_THE_WAY.objects
+
+
+async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Path) -> None:
+    (tmp_path / "failed").mkdir()
+    (tmp_path / "failed" / "notes.json").write_text("of the user")
+    for _ in range(KEPT + 3):
+        await failed_goals.save(EASY, Scene(), FAILURE)
+    names = sorted(path.name for path in (tmp_path / "failed").iterdir())
+    assert len(names) == KEPT + 1
+    assert names[0].startswith("goal-20270115T080003")
+    assert names[-1] == "notes.json"
+
+
+async def test_a_directory_that_cannot_be_written_is_only_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "file").write_text("")
+    await FailedGoals(tmp_path / "file", model.builtin(), lambda: 0.0, KEPT).save(EASY, Scene(), FAILURE)
+    assert "is not saved" in caplog.text
+
+
+async def found(goal: Goal) -> tuple[PlanningProblem, PlanningFailure]:
+    problem = PlanningProblem("arm", HOME, goal)
+    pool = DirectPool()
+    failure = await pool.ask(problem, WALL)
+    assert isinstance(failure, PlanningFailure)
+    return problem, await Alternatives(ROBOT, pool).added(failure, problem, WALL)  # type: ignore[arg-type]
+
+
+async def planned(goal: Goal) -> Any:
+    return await DirectPool().ask(PlanningProblem("arm", HOME, goal), WALL)
+
+
+async def test_a_joint_goal_in_collision_comes_with_a_free_one_that_can_be_planned() -> None:
+    _, failure = await found(JointGoal({"shoulder_pan": -1.2}))
+    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
+    assert failure.details["pairs"]
+    assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
+
+
+async def test_a_point_in_collision_comes_with_a_free_one_that_can_be_planned() -> None:
+    _, failure = await found(PositionGoal(TIP, (0.25, 0.25, 0.2), 0.01))
+    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
+    assert isinstance(await planned(PositionGoal(TIP, tuple(failure.details["free_m"]), 0.01)), Plan)
+
+
+async def test_other_failures_stay_as_they_are() -> None:
+    failure = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
+    alternatives = Alternatives(ROBOT, DirectPool())  # type: ignore[arg-type]
+    assert await alternatives.added(failure, PlanningProblem("arm", HOME, JointGoal({})), WALL) is failure
+    in_collision = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "touches")
+    assert await alternatives.added(in_collision, None, WALL) is in_collision

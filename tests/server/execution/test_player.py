@@ -1,0 +1,274 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import EMPTY_SCENE
+from robot.messages import Course, MotionEnded, Outcome, Pace
+from server.execution import player
+from server.execution.player import CODE_OF_OUTCOME, Certified, Player
+from server.execution.queue import Answer, Progress
+from server.execution.time_limits import Allowance
+from tests.helpers.clock import FakeClock
+from tests.helpers.played_arm import JOINTS, PlayedArm, settle
+from tests.helpers.trajectories import smooth_move
+
+pytestmark = pytest.mark.stepped_time
+
+MOTION = Certified("arm", smooth_move(dict.fromkeys(JOINTS, (0.0, 0.5)), 1.0), {}, EMPTY_SCENE.version, "as planned")
+CONTACT = PlanningFailure(
+    MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall", {"pairs": ["wall"]}
+)
+
+
+class Watch:
+    """Guards nothing until a test finds a contact."""
+
+    def __init__(self) -> None:
+        self.guarding = False
+        self.found: Any = None
+        self.question: Any = None
+
+    def begin(self, _seen: int, question: Any, on_contact: Any) -> None:
+        self.guarding, self.question, self.found = True, question, on_contact
+
+    def end(self) -> None:
+        self.guarding = False
+
+
+ALLOWANCE = Allowance(scaling=3.0)
+
+
+class Stage:
+    def __init__(self, arm: PlayedArm | None = None) -> None:
+        self.arm, self.watch = arm or PlayedArm(), Watch()
+        self.clock = FakeClock()
+        self.player = Player(self.arm, self.watch, ALLOWANCE, self.clock)  # type: ignore[arg-type]
+        self.news: list[Progress] = []
+        self.running: asyncio.Task[Answer] | None = None
+
+    def pass_time(self, seconds: float) -> None:
+        """Let the same time pass on this machine's clock and on the arm's."""
+        self.clock.advance(seconds)
+        self.arm.pass_time(seconds)
+
+    async def begin(self) -> None:
+        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append))
+        await settle()
+
+    async def answer(self) -> Answer:
+        assert self.running is not None
+        return await asyncio.wait_for(self.running, 5.0)
+
+
+@pytest.fixture
+async def stage() -> AsyncIterator[Stage]:
+    made = Stage()
+    await made.begin()
+    return made
+
+
+@pytest.mark.parametrize("outcome", [one for one in Outcome if one in CODE_OF_OUTCOME and one is not Outcome.STOPPED])
+async def test_every_end_has_its_code_and_its_own_words(stage: Stage, outcome: Outcome) -> None:
+    stage.arm.end(outcome, "that is how it went")
+    answer = await stage.answer()
+    assert answer == Answer(CODE_OF_OUTCOME[outcome], "that is how it went", {"outcome": outcome.value})
+    assert not stage.watch.guarding
+
+
+async def test_a_stop_is_told_with_its_reason(stage: Stage) -> None:
+    stage.player.stop("a test")
+    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test: stopped half-way")
+
+
+async def test_a_contact_on_the_way_stops_the_motion_with_its_own_code_and_data(stage: Stage) -> None:
+    stage.watch.found(CONTACT)
+    stage.player.stop("too late")
+    answer = await stage.answer()
+    assert (answer.code, answer.details) == (CONTACT.code, CONTACT.details)
+    assert answer.message == "would touch the wall: stopped half-way"
+
+
+async def test_only_the_motion_in_hand_is_stopped(stage: Stage) -> None:
+    stage.player.stop("a test")
+    await stage.answer()
+    assert stage.arm.stops != [None]
+    stage.player.stop("nothing moves any more")
+    assert len(stage.arm.stops) == 1
+
+
+async def test_the_question_is_about_what_is_left(stage: Stage) -> None:
+    stage.pass_time(1.0)
+    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace())
+    assert stage.watch.question().from_s == 0.25
+
+
+async def test_on_the_way_back_all_of_the_path_may_still_come(stage: Stage) -> None:
+    stage.pass_time(1.0)
+    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(course=Course.BACK))
+    assert stage.watch.question().from_s == 0.0
+
+
+async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(player, "Patience", worn)
+    stage = Stage()
+    await stage.begin()
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert answer.message.startswith("the arm did not end the motion; joint ")
+    assert "is 0.000 rad behind: stopped half-way" in answer.message
+
+
+class StubbornArm(PlayedArm):
+    """An arm that brakes when a test says so."""
+
+    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
+        self.stops.append(motion)
+
+
+@pytest.fixture
+async def stubborn() -> Stage:
+    """A motion of an arm that does not brake by itself."""
+    made = Stage(StubbornArm())
+    await made.begin()
+    return made
+
+
+LOOKS_S = 10.0 * player.PROGRESS_PERIOD_S
+BRAKING_S = player.BRAKING_TIMEOUT_S
+ALLOWED_S = ALLOWANCE.of(MOTION.trajectory.duration_s)
+
+
+async def test_an_arm_that_a_busy_machine_starves_has_all_its_time_by_its_own_clock(stubborn: Stage) -> None:
+    stubborn.clock.advance(1000.0)
+    stubborn.arm.pass_time(0.9 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    assert stubborn.arm.stops == []
+    stubborn.arm.end()
+    assert (await stubborn.answer()).code is MoveItErrorCode.SUCCESS
+
+
+async def test_a_motion_that_overruns_by_the_arms_clock_is_given_up(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    assert len(stubborn.arm.stops) == 1
+    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
+    assert (await stubborn.answer()).code is MoveItErrorCode.TIMED_OUT
+
+
+async def test_an_arm_that_brakes_within_the_time_of_its_own_clock_is_waited_for(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    stubborn.clock.advance(1000.0)
+    stubborn.arm.pass_time(0.9 * BRAKING_S)
+    await asyncio.sleep(LOOKS_S)
+    assert stubborn.running is not None
+    assert not stubborn.running.done()
+    stubborn.arm.pass_time(0.2 * BRAKING_S)
+    answer = await stubborn.answer()
+    assert (answer.code, "does not brake either" in answer.message) == (MoveItErrorCode.COMMUNICATION_FAILURE, True)
+
+
+async def test_a_server_that_stood_still_does_not_count_what_passed_before_the_motion(stubborn: Stage) -> None:
+    stubborn.arm.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    assert stubborn.arm.stops == []
+
+
+async def test_a_server_that_stood_still_gives_the_arm_its_time_to_brake(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(0.2 * BRAKING_S)
+    stubborn.arm.pass_time(2.0 * BRAKING_S)
+    await asyncio.sleep(0.2 * BRAKING_S)
+    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
+    answer = await stubborn.answer()
+    assert (answer.code, "stopped half-way" in answer.message) == (MoveItErrorCode.TIMED_OUT, True)
+
+
+async def test_a_motion_that_was_left_is_waited_for_by_the_arms_clock(stubborn: Stage) -> None:
+    stubborn.player.leave("preempted by a test")
+    await stubborn.answer()
+    resting = asyncio.create_task(stubborn.player.rest())
+    await asyncio.sleep(LOOKS_S)
+    stubborn.arm.pass_time(0.9 * BRAKING_S)
+    await asyncio.sleep(LOOKS_S)
+    assert not resting.done()
+    stubborn.arm.pass_time(0.2 * BRAKING_S)
+    await asyncio.wait_for(resting, 5.0)
+
+
+async def test_an_arm_that_says_nothing_any_more_is_not_waited_for(stubborn: Stage) -> None:
+    stubborn.pass_time(1.1 * ALLOWED_S)
+    await asyncio.sleep(LOOKS_S)
+    stubborn.arm.state_age_s = 5.1
+    assert (await stubborn.answer()).code is MoveItErrorCode.COMMUNICATION_FAILURE
+
+
+def worn(_duration_s: float, allowance: Allowance) -> Worn:
+    assert allowance is ALLOWANCE
+    return Worn()
+
+
+class Worn:
+    """Patience that has come to its end."""
+
+    end = "the arm did not end the motion"
+
+
+async def test_right_after_the_beginning_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
+    stage.arm.state = replace(stage.arm.state, fraction=0.25)
+    assert stage.watch.question().from_s == 0.0
+
+
+@pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])
+async def test_where_arm_or_server_are_starved_the_state_may_be_of_the_motion_before_for_longer(
+    stage: Stage, machine_s: float, arm_s: float
+) -> None:
+    stage.clock.advance(machine_s)
+    stage.arm.pass_time(arm_s)
+    stage.arm.state = replace(stage.arm.state, fraction=0.25)
+    assert stage.watch.question().from_s == 0.0
+
+
+async def test_a_motion_that_is_left_goes_on_until_another_takes_its_place(stage: Stage) -> None:
+    stage.pass_time(1.0)
+    stage.arm.show(0.4)
+    stage.player.leave("preempted by a test")
+    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")
+    left = stage.player.left
+    assert left is not None
+    assert left.branch is not None
+    assert stage.arm.stops == []
+    stage.running = asyncio.create_task(stage.player.play(MOTION, stage.news.append, left.branch.from_s))
+    await settle()
+    assert stage.arm.continued == [left.branch.from_s]
+    assert left.ended.done()
+
+
+async def test_a_motion_that_is_left_is_braked_when_no_other_comes(stage: Stage) -> None:
+    stage.player.leave("preempted by a test")
+    await stage.answer()
+    async with asyncio.timeout(5.0):
+        while not stage.arm.stops:
+            await asyncio.sleep(0.01)
+
+
+async def test_a_motion_that_is_left_can_be_brought_to_rest_and_stopped(stage: Stage) -> None:
+    stage.player.leave("preempted by a test")
+    await stage.answer()
+    await stage.player.rest()
+    assert len(stage.arm.stops) == 1
+    assert stage.player.left is None
+
+
+async def test_a_motion_that_brakes_already_is_not_left(stage: Stage) -> None:
+    stage.player.stop("a test")
+    stage.player.leave("too late")
+    assert (await stage.answer()).message == "a test: stopped half-way"

@@ -1,0 +1,264 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress, QueuedGoal
+
+DONE = Answer(MoveItErrorCode.SUCCESS, "done")
+
+
+class ScriptedRunner:
+    """Ends a request when it is told to; a request that is an exception is raised."""
+
+    def __init__(self) -> None:
+        self.started: list[object] = []
+        self.stopped: list[str] = []
+        self._end: asyncio.Future[Answer] | None = None
+
+    async def run(self, request: object, report: Callable[[Progress], None]) -> Answer:
+        self.started.append(request)
+        report(Progress(GoalState.PLANNING, "planning"))
+        if isinstance(request, Exception):
+            raise request
+        self._end = asyncio.get_running_loop().create_future()
+        return await self._end
+
+    def end(self, reason: str) -> None:
+        self.finish(Answer(MoveItErrorCode.PREEMPTED, reason))
+
+    def give_way(self, reason: str) -> None:
+        self.end(reason)
+
+    def stop(self, reason: str) -> None:
+        self.stopped.append(reason)
+        self.end(reason)
+
+    def finish(self, answer: Answer = DONE) -> None:
+        if self._end is not None and not self._end.done():
+            self._end.set_result(answer)
+
+
+class Desk:
+    """A queue, its runner, and all that it told."""
+
+    def __init__(self, policy: GoalPolicy = GoalPolicy.QUEUE, capacity: int = 3) -> None:
+        self.runner = ScriptedRunner()
+        self.states: list[tuple[str, GoalState]] = []
+        self.answers: list[tuple[str, Answer]] = []
+        self.queue: GoalQueue[object] = GoalQueue(self.runner, policy, capacity, self._progress, self._answer)
+        self.queue.start()
+
+    def _progress(self, goal: QueuedGoal[object], progress: Progress) -> None:
+        self.states.append((goal.goal_id, progress.state))
+
+    def _answer(self, goal: QueuedGoal[object], answer: Answer) -> None:
+        self.answers.append((goal.goal_id, answer))
+
+    def codes(self) -> list[tuple[str, MoveItErrorCode]]:
+        return [(goal_id, answer.code) for goal_id, answer in self.answers]
+
+
+async def settle() -> None:
+    """Let every task that can go on do so."""
+    for _ in range(20):
+        await asyncio.sleep(0)
+
+
+@pytest.fixture
+async def desk() -> AsyncIterator[Desk]:
+    made = Desk()
+    yield made
+    await made.queue.close(0.1)
+
+
+async def desk_of(policy: GoalPolicy, *requests: str) -> Desk:
+    made = Desk(policy)
+    for request in requests:
+        made.queue.submit("/goal", request)
+        await settle()
+    return made
+
+
+async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
+    for name in "abc":
+        desk.queue.submit("/goal", name)
+    for count in (1, 2, 3):
+        await settle()
+        assert len(desk.runner.started) == count
+        desk.runner.finish()
+    await settle()
+    assert desk.runner.started == ["a", "b", "c"]
+    assert desk.codes() == [(str(number), MoveItErrorCode.SUCCESS) for number in (1, 2, 3)]
+
+
+async def test_it_is_busy_while_a_goal_is_in_hand(desk: Desk) -> None:
+    assert desk.queue.busy == ""
+    desk.queue.submit("/goals", "first")
+    await settle()
+    assert desk.queue.busy == "goal 1 from /goals is worked on"
+    desk.runner.finish()
+    await settle()
+    assert desk.queue.busy == ""
+
+
+async def test_a_goal_over_the_capacity_is_refused_with_the_limit(desk: Desk) -> None:
+    for _ in range(5):
+        desk.queue.submit("/goal", "x")
+        await settle()
+    assert desk.codes() == [("5", MoveItErrorCode.FAILURE)]
+    assert desk.queue.waiting_count == 3
+    assert "3 goals are waiting" in desk.answers[0][1].message
+
+
+async def test_a_refused_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
+    desk.queue.submit("/goal", "a")
+    await settle()
+    goal_id = desk.queue.refuse("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
+    assert desk.codes() == [(goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
+    assert desk.runner.started == ["a"]
+
+
+async def test_stop_answers_the_goal_in_hand_and_all_that_wait(desk: Desk) -> None:
+    for _ in range(3):
+        desk.queue.submit("/goal", "x")
+    await settle()
+    desk.queue.stop("stopped by a test")
+    await settle()
+    assert sorted(desk.codes()) == [(str(number), MoveItErrorCode.PREEMPTED) for number in (1, 2, 3)]
+    assert all("stopped by a test" in answer.message for _, answer in desk.answers)
+    assert desk.runner.started == ["x"]
+
+
+async def test_the_queue_works_on_after_a_stop(desk: Desk) -> None:
+    desk.queue.submit("/goal", "a")
+    await settle()
+    desk.queue.stop("stopped")
+    desk.queue.submit("/goal", "b")
+    await settle()
+    desk.runner.finish()
+    await settle()
+    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED), ("2", MoveItErrorCode.SUCCESS)]
+
+
+async def test_policy_reject_refuses_what_comes_while_a_goal_is_worked_on() -> None:
+    desk = await desk_of(GoalPolicy.REJECT, "a", "b")
+    assert desk.codes() == [("2", MoveItErrorCode.FAILURE)]
+    assert "goal 1" in desk.answers[0][1].message
+    await desk.queue.close(0.1)
+
+
+async def test_policy_preempt_ends_the_goal_in_hand_and_runs_the_new_one() -> None:
+    desk = await desk_of(GoalPolicy.PREEMPT, "a", "b")
+    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
+    assert "preempted by goal 2 from /goal" in desk.answers[0][1].message
+    assert desk.runner.started == ["a", "b"]
+    await desk.queue.close(0.1)
+
+
+async def test_a_bug_in_the_runner_costs_its_goal_only(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    desk.queue.submit("/goal", ValueError("broken"))
+    desk.queue.submit("/goal", "b")
+    await settle()
+    desk.runner.finish()
+    await settle()
+    assert desk.codes() == [("1", MoveItErrorCode.FAILURE), ("2", MoveItErrorCode.SUCCESS)]
+    assert "broken" in desk.answers[0][1].message
+    assert "goal 1" in caplog.text
+
+
+async def test_closing_answers_every_goal() -> None:
+    desk = await desk_of(GoalPolicy.QUEUE, "a", "b")
+    await desk.queue.close(1.0)
+    assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("2", MoveItErrorCode.PREEMPTED)]
+
+
+class DeafRunner(ScriptedRunner):
+    """Ends nothing, whatever it is told."""
+
+    def stop(self, reason: str) -> None:
+        self.stopped.append(reason)
+
+
+async def test_closing_answers_a_goal_that_does_not_end() -> None:
+    desk = Desk()
+    desk.runner = DeafRunner()
+    desk.queue = GoalQueue(desk.runner, GoalPolicy.QUEUE, 3, desk._progress, desk._answer)
+    desk.queue.start()
+    desk.queue.submit("/goal", "a")
+    await settle()
+    await desk.queue.close(0.01)
+    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
+    assert "did not come to rest in time" in desk.answers[0][1].message
+
+
+async def test_closing_that_is_cut_short_answers_the_goal_in_hand() -> None:
+    desk = Desk()
+    desk.runner = DeafRunner()
+    desk.queue = GoalQueue(desk.runner, GoalPolicy.QUEUE, 3, desk._progress, desk._answer)
+    desk.queue.start()
+    desk.queue.submit("/goal", "a")
+    await settle()
+    closing = asyncio.create_task(desk.queue.close(60.0))
+    await settle()
+    closing.cancel()
+    await asyncio.wait([closing])
+    await settle()
+    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
+
+
+async def test_a_waiting_goal_is_told_how_many_are_ahead(desk: Desk) -> None:
+    desk.queue.submit("/goal", "a")
+    await settle()
+    desk.queue.submit("/goal", "b")
+    assert desk.states == [("1", GoalState.QUEUED), ("1", GoalState.PLANNING), ("2", GoalState.QUEUED)]
+
+
+async def test_a_goal_may_come_with_a_policy_of_its_own(desk: Desk) -> None:
+    for name in "ab":
+        desk.queue.submit("/topic", name)
+    await settle()
+    desk.queue.submit("/action", "c", policy=GoalPolicy.PREEMPT)
+    await settle()
+    assert desk.codes() == [("2", MoveItErrorCode.PREEMPTED), ("1", MoveItErrorCode.PREEMPTED)]
+    assert desk.runner.started == ["a", "c"]
+    # What else moves, such as the gripper, goes on.
+    assert desk.runner.stopped == []
+
+
+async def test_who_asked_is_told_besides_who_hears_of_all(desk: Desk) -> None:
+    news: list[Progress] = []
+    answers: list[Answer] = []
+    desk.queue.submit("/action", "a", on_progress=news.append, on_answer=answers.append)
+    await settle()
+    desk.runner.finish()
+    await settle()
+    assert [progress.state for progress in news] == [GoalState.QUEUED, GoalState.PLANNING]
+    assert answers == [DONE] == [answer for _, answer in desk.answers]
+
+
+@pytest.mark.parametrize("number", ["1", "2"], ids=["in hand", "waiting"])
+async def test_a_cancelled_goal_is_answered_and_the_other_is_not(desk: Desk, number: str) -> None:
+    for name in "ab":
+        desk.queue.submit("/goal", name)
+    await settle()
+    desk.queue.cancel(number, "cancelled")
+    await settle()
+    assert desk.codes() == [(number, MoveItErrorCode.PREEMPTED)]
+
+
+async def test_who_cannot_be_told_costs_nobody_else_anything(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    def broken(_news: object) -> None:
+        raise ValueError("broken listener")
+
+    desk.queue.submit("/goal", "a", on_progress=broken, on_answer=broken)
+    desk.queue.submit("/goal", "b")
+    await settle()
+    desk.runner.finish()
+    await settle()
+    assert desk.runner.started == ["a", "b"]
+    assert desk.codes() == [("1", MoveItErrorCode.SUCCESS)]
+    assert "broken listener" in caplog.text

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from planners.goals import JointGoal, PositionGoal
+from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.scene import Pose
+from protocol.messages import Stamp, complete
+from protocol.registry import Registry
+from robot.forward import ForwardPlacements
+from server.execution.motions import PlannedMotion
+from server.moveit.goal_messages import suggestion
+from tests.helpers.goal_translator import HOME_RAD, ROBOT, TRANSLATOR, translator
+
+REGISTRY = Registry.load()
+
+
+def joint_state(**fields: Any) -> dict[str, Any]:
+    return complete(REGISTRY, "sensor_msgs/JointState", fields, Stamp(0, 0))
+
+
+def pose_stamped(frame: str, **position: float) -> dict[str, Any]:
+    message = {"header": {"frame_id": frame}, "pose": {"position": position}}
+    return complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0))
+
+
+def refusal(answer: PlannedMotion | PlanningFailure) -> PlanningFailure:
+    assert isinstance(answer, PlanningFailure)
+    return answer
+
+
+def motion(answer: PlannedMotion | PlanningFailure) -> PlannedMotion:
+    assert isinstance(answer, PlannedMotion)
+    return answer
+
+
+def goal(answer: PlannedMotion | PlanningFailure, start_rad: Mapping[str, float] | None = None) -> Any:
+    """What is planned when the goal's turn comes."""
+    problem = motion(answer).steps[0](start_rad or HOME_RAD)
+    assert isinstance(problem, PlanningProblem)
+    return problem.goal
+
+
+@pytest.mark.parametrize("name", ["ready", "Ready", " READY\n", "re ady"])
+def test_a_named_target_is_found_whatever_its_case_and_blanks(name: str) -> None:
+    asked = goal(TRANSLATOR.named({"data": name}))
+    assert isinstance(asked, JointGoal)
+    assert asked.positions_rad["shoulder_lift"] == -0.5
+
+
+def test_a_saved_state_is_a_named_target_with_its_joints_of_the_group() -> None:
+    assert goal(TRANSLATOR.named({"data": "mine"})) == JointGoal({"elbow_flex": 0.4}, tolerance_rad=0.01)
+
+
+@pytest.mark.parametrize("name", ["", "redy", "home2"])
+def test_an_unknown_named_target_is_answered_with_those_that_exist(name: str) -> None:
+    failure = refusal(TRANSLATOR.named({"data": name}))
+    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert repr(name) in failure.message
+    assert failure.details["known"] == ["Mine", "extended", "home", "ready", "rest"]
+
+
+def test_only_the_named_joints_are_in_the_goal() -> None:
+    asked = goal(TRANSLATOR.joints(joint_state(name=["wrist_roll", "elbow_flex"], position=[0.1, 0.2])))
+    assert asked == JointGoal({"wrist_roll": 0.1, "elbow_flex": 0.2}, tolerance_rad=0.01)
+
+
+def test_joints_outside_the_group_are_ignored_with_a_warning() -> None:
+    asked = motion(TRANSLATOR.joints(joint_state(name=["knee", "elbow_flex", "gripper"], position=[1.0, 0.2, 0.5])))
+    assert goal(asked) == JointGoal({"elbow_flex": 0.2}, tolerance_rad=0.01)
+    assert "knee, gripper" in asked.warnings[0]
+
+
+BAD_JOINTS = {
+    "lengths differ": (["elbow_flex"], [], "1 entries and position 0"),
+    "nobody known": (["knee"], [0.1], "no joint of group arm"),
+    "empty": ([], [], "no joint of group arm"),
+    "named twice": (["elbow_flex", "elbow_flex"], [0.1, 0.2], "elbow_flex is named more than once"),
+    "not a number": (["elbow_flex"], [math.nan], "elbow_flex: position must be a finite number, not nan"),
+    "infinite": (["elbow_flex"], [math.inf], "elbow_flex: position must be a finite number, not inf"),
+}
+
+
+@pytest.mark.parametrize(("name", "position", "words"), BAD_JOINTS.values(), ids=BAD_JOINTS.keys())
+def test_a_senseless_joint_goal_is_refused_with_its_reason(name: list[str], position: list[float], words: str) -> None:
+    failure = refusal(TRANSLATOR.joints(joint_state(name=name, position=position)))
+    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert words in failure.message
+
+
+@pytest.mark.parametrize("frame", ["", "base_link", "/base_link"])
+def test_a_pose_in_the_planning_frame_asks_for_the_position_of_the_tip(frame: str) -> None:
+    asked = goal(TRANSLATOR.pose(pose_stamped(frame, x=0.3, y=0.1, z=0.2)))
+    assert asked == PositionGoal("gripper_frame_link", (0.3, 0.1, 0.2), tolerance_m=0.01)
+
+
+def test_a_pose_in_a_frame_that_moves_is_taken_where_that_is_when_the_goals_turn_comes() -> None:
+    asked = TRANSLATOR.pose(pose_stamped("gripper_frame_link"))
+    turned_rad = {**HOME_RAD, "shoulder_pan": 1.0}
+    placed = ForwardPlacements(ROBOT).transforms(turned_rad)["gripper_frame_link"]
+    assert goal(asked, turned_rad).position_m == pytest.approx(placed[:3, 3])
+
+
+def test_a_pose_in_an_unknown_frame_is_refused_at_once_with_those_that_serve() -> None:
+    failure = refusal(TRANSLATOR.pose(pose_stamped("moon", x=0.3)))
+    assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
+    assert "moon" in failure.message
+    assert "base_link" in failure.message
+
+
+def test_while_nobody_knows_where_the_arm_is_frames_wait_for_the_goals_turn() -> None:
+    asked = motion(translator(present_rad=None).pose(pose_stamped("moon", x=0.3)))
+    assert isinstance(asked.steps[0](HOME_RAD), PlanningFailure)
+
+
+def test_the_whole_pose_is_told_in_the_root_link() -> None:
+    message = {
+        "header": {"frame_id": "base_link"},
+        "pose": {"position": {"x": 0.3}, "orientation": {"z": 1.0, "w": 0.0}},
+    }
+    pose = TRANSLATOR.pose_in_root(complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0)), HOME_RAD)
+    assert isinstance(pose, Pose)
+    assert (pose.position_m, pose.orientation) == ((0.3, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_coordinate_that_is_no_number_is_named(axis: str) -> None:
+    failure = refusal(TRANSLATOR.pose(pose_stamped("", **{axis: math.nan})))
+    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert f"position.{axis}" in failure.message
+
+
+def test_link_tolerance_and_scaling_come_from_the_parameters() -> None:
+    chosen = translator(end_effector_link="wrist_link", position_tolerance=0.02, max_velocity_scaling=0.7)
+    problem = motion(chosen.pose(pose_stamped("", x=0.3))).steps[0](HOME_RAD)
+    assert isinstance(problem, PlanningProblem)
+    assert problem.goal == PositionGoal("wrist_link", (0.3, 0.0, 0.0), tolerance_m=0.02)
+    assert problem.velocity_scaling == 0.7
+
+
+def test_a_joint_goal_beyond_limits_is_brought_within_them_in_every_joint() -> None:
+    asked = {"name": ["shoulder_pan", "elbow_flex", "knee"], "position": [9.0, 0.2, 1.0]}
+    found = suggestion(asked, {"joint": "shoulder_pan", "lower_rad": -1.0, "upper_rad": 1.0}, ROBOT)
+    assert found is not None
+    assert found.topic == "/moveit_goal_joints"
+    assert found.msg == {"name": ["shoulder_pan", "elbow_flex"], "position": [ROBOT.joints["shoulder_pan"].upper, 0.2]}
+
+
+@pytest.mark.parametrize("key", ["nearest_m", "free_m"])
+def test_a_point_is_suggested_in_the_planning_frame(key: str) -> None:
+    found = suggestion({}, {key: [0.1, 0.2, 0.3]}, ROBOT)
+    assert found is not None
+    assert found.topic == "/moveit_goal_pose"
+    assert found.msg["header"]["frame_id"] == ROBOT.root_link
+    assert found.msg["pose"]["position"] == {"x": 0.1, "y": 0.2, "z": 0.3}
+    assert "(0.100, 0.200, 0.300) m" in found.words
+
+
+def test_a_free_configuration_is_suggested_joint_by_joint() -> None:
+    found = suggestion({}, {"free_rad": {"elbow_flex": 0.25}}, ROBOT)
+    assert found is not None
+    assert found.as_data() == {
+        "topic": "/moveit_goal_joints",
+        "type": "sensor_msgs/JointState",
+        "msg": {"name": ["elbow_flex"], "position": [0.25]},
+    }
+
+
+@pytest.mark.parametrize(
+    "details", [{}, {"joint": "shoulder_pan"}, {"joint": "shoulder_pan", "lower_rad": 0.0, "upper_rad": 1.0}]
+)
+def test_without_a_finding_nothing_is_suggested(details: dict[str, Any]) -> None:
+    assert suggestion({"data": "home"}, details, ROBOT) is None

@@ -1,0 +1,222 @@
+"""MoveIt's interface over the wire: a whole server, as clients of both generations and clients of topics see it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+from websockets.asyncio.client import connect
+
+from protocol.registry import Registry
+from robot.model import RobotModel, builtin, parse
+from server.arm_guard_settings import GuardSettings
+from server.config import ArmSettings, GoalSettings, Settings
+from server.execution.time_limits import Allowance
+from server.graph import Graph
+from server.moveit.interface import MoveItFace
+from server.moveit.parameters import MoveItParameters
+from tests.helpers import seven_joint_arm
+from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
+from tests.helpers.client import frame_client
+from tests.helpers.played_arm import PlayedArm
+from tests.helpers.server import RunningServer
+
+CANCELED, SUCCEEDED = 5, 4
+MOVE, MOVE_TYPE = "/move_action", "moveit_msgs/action/MoveGroup"
+
+
+JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
+NAMED_GOAL = ("/moveit_goal_named", "std_msgs/String")
+RESULT, STATUS = "/moveit_goal_result", "/moveit_goal_status"
+
+# Backlash, droop and one tick of rounding.
+ARRIVED_RAD = 0.06
+
+# To the letter what the Unreal actor of the first setup sends: types in two parts, stamps of zero.
+UNREAL_OPENS = (
+    '{"op":"advertise","topic":"/moveit_goal_named","type":"std_msgs/String"}',
+    '{"op":"advertise","topic":"/moveit_goal_joints","type":"sensor_msgs/JointState"}',
+    '{"op":"advertise","topic":"/moveit_goal_pose","type":"geometry_msgs/PoseStamped"}',
+    '{"op":"subscribe","topic":"/joint_states","type":"sensor_msgs/JointState"}',
+)
+UNREAL_NAMED = '{"op":"publish","topic":"/moveit_goal_named","msg":{"data":"ready"}}'
+UNREAL_POSE_OUT_OF_REACH = (
+    '{"op":"publish","topic":"/moveit_goal_pose","msg":{"header":{"stamp":{"sec":0,"nanosec":0},'
+    '"frame_id":"base_link"},"pose":{"position":{"x":0.9,"y":0.0,"z":0.2},'
+    '"orientation":{"x":0.0,"y":0.0,"z":0.0,"w":1.0}}}}'
+)
+UNREAL_JOINTS = (
+    '{"op":"publish","topic":"/moveit_goal_joints","msg":{"header":{"stamp":{"sec":0,"nanosec":0},"frame_id":""},'
+    '"name":["shoulder_pan","shoulder_lift","elbow_flex","wrist_flex","wrist_roll"],'
+    '"position":[1.5,-0.5,0.5,0.2,0.0],"velocity":[],"effort":[]}}'
+)
+
+
+def to(position_rad: float, scaling: float = 0.3, **options: Any) -> dict[str, Any]:
+    """A goal as sparse as clients write it."""
+    constraint = {"joint_constraints": [{"joint_name": "shoulder_pan", "position": position_rad}]}
+    request = {"group_name": "arm", "max_velocity_scaling_factor": scaling, "goal_constraints": [constraint]}
+    return {"request": request, "planning_options": options}
+
+
+async def result(client: ArmClient, goal_id: str) -> tuple[int, int]:
+    """Status and error code of a goal."""
+    ended = await client.result(goal_id)
+    return ended["status"], ended["values"]["error_code"]["val"]
+
+
+async def test_goals_follow_one_another_and_the_last_one_is_reached(client: ArmClient) -> None:
+    first = await client.send_goal(MOVE, MOVE_TYPE, to(0.8))
+    await asyncio.sleep(0.4)
+    second = await client.send_goal("/move_group", MOVE_TYPE, to(-0.2, 1.0))
+    assert await result(client, first) == (CANCELED, -7)
+    assert await result(client, second) == (SUCCEEDED, 1)
+
+
+async def test_what_was_planned_can_be_executed_and_cancelled_on_its_way(client: ArmClient) -> None:
+    goal = await client.send_goal(MOVE, MOVE_TYPE, to(0.9, plan_only=True))
+    planned = (await client.result(goal))["values"]["planned_trajectory"]
+    name = "/execute_trajectory"
+    goal = await client.send_goal(name, "moveit_msgs/action/ExecuteTrajectory", {"trajectory": planned})
+    await client.until_mode("moving")
+    await client.say("cancel_action_goal", action=name, id=goal)
+    assert await result(client, goal) == (CANCELED, -7)
+    assert await client.until_mode("holding")
+
+
+async def test_an_actionlib_client_of_ros_1_is_served_in_its_own_spelling(
+    client: ArmClient, served: ServerOnBus
+) -> None:
+    running: RunningServer = served.server
+    async with connect(running.url, max_size=None) as websocket:
+
+        async def say(op: str, topic: str, **fields: Any) -> None:
+            await websocket.send(json.dumps({"op": op, "topic": f"/move_group/{topic}", **fields}))
+
+        async def hear(topic: str) -> Any:
+            async with asyncio.timeout(10.0):
+                while True:
+                    operation = json.loads(await websocket.recv())
+                    if operation.get("topic") == f"/move_group/{topic}":
+                        return operation["msg"]
+
+        await say("subscribe", "status", type="actionlib_msgs/GoalStatusArray")
+        await say("subscribe", "result", type="moveit_msgs/MoveGroupActionResult")
+        await say("advertise", "goal", type="moveit_msgs/MoveGroupActionGoal")
+        # Clients send nothing before the server has shown that it is there.
+        await hear("status")
+        zero = {"secs": 0, "nsecs": 0}
+        await say("publish", "goal", msg={"goal_id": {"id": "one", "stamp": zero}, "goal": to(0.3, 1.0)})
+        told = await hear("result")
+    assert told["status"]["goal_id"]["id"] == "one"
+    assert told["status"]["goal_id"]["stamp"]["secs"] > 0
+    assert (told["status"]["status"], told["result"]["error_code"]["val"]) == (3, 1)
+    point = told["result"]["planned_trajectory"]["joint_trajectory"]["points"][-1]
+    assert set(point["time_from_start"]) == {"secs", "nsecs"}
+
+
+def test_what_is_set_reaches_its_place() -> None:
+    settings = Settings(
+        arm=ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3)),
+        moveit=MoveItParameters(
+            allowed_execution_duration_scaling=3.0, allowed_goal_duration_margin=4.0, publish_planning_scene_hz=2.0
+        ),
+        goals=GoalSettings(max_paused_s=5.0),
+    )
+    face = MoveItFace(Graph(Registry.load()), builtin(), settings, lambda _name, _value: None)
+    gripper = face._gripper(PlayedArm(), builtin().joints["gripper"])  # type: ignore[arg-type]
+    assert face._allowance() == gripper._allowance == Allowance(3.0, 4.0, 5.0)
+    assert gripper._torque_limit == 0.3
+    assert face._transforms._period_s == 0.1
+    assert face._scene_interface._monitored._period_s == 0.5
+
+
+def face_of(robot: RobotModel) -> MoveItFace:
+    return MoveItFace(Graph(Registry.load()), robot, Settings(), lambda _name, _value: None)
+
+
+def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:
+    with_gripper, without = builtin(), parse(seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    stiff = replace(with_gripper.joints["gripper"], type="fixed")
+    assert face_of(with_gripper)._gripper_joint is with_gripper.joints["gripper"]
+    assert face_of(without)._gripper_joint is None
+    assert face_of(replace(with_gripper, joints={**with_gripper.joints, "gripper": stiff}))._gripper_joint is None
+
+
+async def test_the_client_of_the_old_setup_moves_the_arm_is_refused_with_a_sentence_and_stopped(
+    served: ServerOnBus,
+    client: ArmClient,
+) -> None:
+    async with frame_client(f"{served.server.url}/?x=1") as unreal:
+        for frame in UNREAL_OPENS:
+            await unreal.send(frame)
+        await unreal.subscribe(RESULT, "moveit_msgs/MoveItErrorCodes")
+        await unreal.subscribe(STATUS, "diagnostic_msgs/DiagnosticStatus")
+        await unreal.send(UNREAL_NAMED)
+        assert (await unreal.wait_for(RESULT, bool))[0]["val"] == 1
+        assert abs(unreal.messages("/joint_states")[-1]["position"][1] + 0.5) < ARRIVED_RAD
+
+        await unreal.send(UNREAL_POSE_OUT_OF_REACH)
+        refused = (await unreal.wait_for(RESULT, lambda all_: len(all_) == 2))[1]
+        assert refused["val"] == -31
+        assert "cannot reach (0.9, 0, 0.2) m" in refused["message"]
+        assert values_of(unreal.messages(STATUS)[-1])["stamp"] == "0.000000000"
+
+        suggested = json.loads(values_of(unreal.messages(STATUS)[-1])["suggested_goal"])
+        await unreal.publish(suggested["topic"], suggested["msg"])
+        assert (await unreal.wait_for(RESULT, lambda all_: len(all_) == 3))[2]["val"] == 1
+
+        await unreal.send(UNREAL_JOINTS)
+        await unreal.wait_for("/joint_states", lambda states: states[-1]["velocity"][0] > 0.3)
+        await unreal.send({"op": "advertise", "topic": "/stop", "type": "std_msgs/Empty"})
+        await unreal.send({"op": "publish", "topic": "/stop", "msg": {}})
+        stopped = (await unreal.wait_for(RESULT, lambda all_: len(all_) == 4))[3]
+        assert stopped["val"] == -7
+        assert "/stop" in stopped["message"]
+        assert unreal.messages("/joint_states")[-1]["position"][0] < 1.4
+
+
+async def finished(client: ArmClient, count: int) -> dict[str, Any]:
+    return (await client.until(RESULT, lambda all_: len(all_) >= count))[count - 1]
+
+
+def last_pan_rad(shown: dict[str, Any]) -> float:
+    """Where a displayed path ends."""
+    path = shown["trajectory"][0]["joint_trajectory"]
+    return float(path["points"][-1]["positions"][path["joint_names"].index("shoulder_pan")])
+
+
+async def test_a_pose_that_was_saved_is_gone_to_by_its_name_after_it_was_confirmed(client: ArmClient) -> None:
+    await client.goal(*JOINT_GOAL, {"name": ["shoulder_pan"], "position": [0.3]})
+    assert (await finished(client, 1))["val"] == 1
+    assert (await client.call("/save_robot_state", name="Beside the mug"))["success"]
+    await client.goal(*JOINT_GOAL, {"name": ["shoulder_pan"], "position": [0.0]})
+    await finished(client, 2)
+    assert (await client.call("/moveit_goal_confirm_mode", data=True))["success"]
+    try:
+        await client.say("subscribe", topic=STATUS, type="diagnostic_msgs/DiagnosticStatus")
+        await client.say("subscribe", topic="/display_planned_path", type="moveit_msgs/DisplayTrajectory")
+        await client.goal(*NAMED_GOAL, {"data": "beside the mug"})
+        await client.until(STATUS, lambda all_: values_of(all_[-1])["state"] == "planned")
+        await client.until("/display_planned_path", lambda shown: abs(last_pan_rad(shown[-1]) - 0.3) < ARRIVED_RAD)
+        assert abs(client.topics["/joint_states"][-1]["position"][0]) < ARRIVED_RAD
+        await client.goal("/moveit_goal_confirm", "std_msgs/Bool", {"data": True})
+        assert (await finished(client, 3))["val"] == 1
+        assert abs(client.topics["/joint_states"][-1]["position"][0] - 0.3) < ARRIVED_RAD
+    finally:
+        await client.call("/moveit_goal_confirm_mode", data=False)
+
+
+async def test_a_hundred_goals_are_checked_in_one_call(client: ArmClient) -> None:
+    around = [
+        {"pose": {"position": {"x": 0.25 * math.cos(turn / 16), "y": 0.25 * math.sin(turn / 16), "z": 0.2}}}
+        for turn in range(-25, 25)
+    ]
+    far = [{"pose": {"position": {"x": 2.0, "y": 0.0, "z": 0.02 * turn}}} for turn in range(50)]
+    results = (await client.call("/check_goals", poses=around + far))["results"]
+    assert sum(result["reachable"] and result["free"] for result in results[:50]) >= 40
+    assert not any(result["reachable"] for result in results[50:])
+    assert all(result["position_error_m"] > 1.0 for result in results[50:])

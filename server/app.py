@@ -32,7 +32,7 @@ from server.gateway.listener import Listener
 from server.graph import Graph
 from server.hangup import on_hangup
 from server.joint_states import JointStates
-from server.moveit.interface import MoveItFace
+from server.moveit.interface import MoveItInterface
 from server.operations.operations import Operations
 from server.operations.service_manager import environment_manager
 from server.planning_cluster import planning_cluster
@@ -98,7 +98,7 @@ class App:
         self._diagnostics = Diagnostics(self._graph, description.robot.name)
         self._arm_services = ArmServices(self._graph)
         self._arm_pace = ArmPace(self._graph)
-        self._face = MoveItFace(self._graph, description.robot, settings, self._rosapi.parameters.keep)
+        self._face = MoveItInterface(self._graph, description.robot, settings, self._rosapi.parameters.keep)
         self._listener = Listener(
             self._graph,
             settings.server.host,

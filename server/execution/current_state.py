@@ -1,4 +1,4 @@
-"""State of the arm for those who plan from it: its positions, and its readiness for a motion."""
+"""Current state of the arm: the positions that motions are planned from, and its readiness for a motion."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from protocol.messages import Stamp
 from robot.messages import ArmState, Mode
 from robot.model import RobotModel
 from server.arm_services import ENABLE, RESET_FAULT
+from server.errors import RefusedError
 
 # Starting an interpreter, opening the bus, checking six servos and raising torque takes 1.2 s. Where other programs use
 # every core, it has taken more than 15 s.
@@ -17,7 +18,7 @@ ARM_START_TIMEOUT_S = 60.0
 
 
 class StatedArm(Protocol):
-    """What is asked of the arm here."""
+    """Arm with a state, as `robot.arm.Arm`."""
 
     @property
     def state(self) -> ArmState:
@@ -25,7 +26,7 @@ class StatedArm(Protocol):
 
 
 class CurrentState:
-    """Tells where the joints are.
+    """Current joint positions.
 
     Args:
         arm: the started arm.
@@ -37,21 +38,21 @@ class CurrentState:
         self._frame = robot.root_link
 
     def positions_rad(self) -> dict[str, float] | None:
-        """Position of every movable joint [rad], None while it is not known.
+        """Return the position of every movable joint [rad]; None while they are unknown.
 
-        What the arm holds is told, not where it droops to: a motion from there starts without a step.
+        These are the positions that the arm holds, not those it droops to: a motion from there starts without a step.
         """
         state = self._arm.state
         positions = state.position_rad if state.goal_rad is None else state.goal_rad
         return None if positions is None else dict(zip(state.joint_names, positions.tolist(), strict=True))
 
     def message(self) -> dict[str, Any]:
-        """The moveit_msgs/RobotState of it, without what is attached; without joints while they are not known."""
+        """Return them as a moveit_msgs/RobotState without attached objects; without joints while they are unknown."""
         return state_message(self.positions_rad() or {}, self._frame, time.time())
 
 
 def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -> dict[str, Any]:
-    """A moveit_msgs/RobotState of joints that stand still.
+    """Return the moveit_msgs/RobotState of joints that stand still.
 
     Args:
         positions_rad: by joint [rad].
@@ -81,7 +82,7 @@ def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -
 
 
 class ReadArm(Protocol):
-    """The arm, as `robot.arm.Arm`."""
+    """Arm with a state and its age, as `robot.arm.Arm`."""
 
     state: ArmState
     state_max_age_s: float
@@ -91,26 +92,31 @@ class ReadArm(Protocol):
         """Time since the latest state came [s]."""
 
 
-def unusable(arm: ReadArm) -> PlanningFailure | None:
-    """Return why no motion can begin now, with the remedy; None when one can."""
+def check_ready(arm: ReadArm) -> None:
+    """Check that a motion can begin now.
+
+    Raises:
+        RefusedError: none can; its sentence names the remedy.
+    """
     state, age_s = arm.state, arm.state_age_s
     if state.mode is Mode.DISCONNECTED:
-        return PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not connected: {state.reason}")
+        raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not connected: {state.reason}")
     if age_s > arm.state_max_age_s:
-        return PlanningFailure(
+        raise _not_ready(
             MoveItErrorCode.ROBOT_STATE_STALE,
             f"the last state of the arm is {age_s:.1f} s old (limit {arm.state_max_age_s:g} s)",
         )
     if state.fault is not None:
-        return PlanningFailure(
+        raise _not_ready(
             MoveItErrorCode.CONTROL_FAILED,
             f"the arm has a fault: {state.fault} The service that resets it is {RESET_FAULT}.",
         )
     if state.mode is Mode.CONNECTED or state.goal_rad is None:
         reason = state.reason or "its servos are being checked"
-        return PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not ready: {reason}")
+        raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not ready: {reason}")
     if state.mode is Mode.RELAXED:
-        return PlanningFailure(
-            MoveItErrorCode.CONTROL_FAILED, f"the arm is relaxed: enable it by the service {ENABLE} first"
-        )
-    return None
+        raise _not_ready(MoveItErrorCode.CONTROL_FAILED, f"the arm is relaxed: enable it by the service {ENABLE} first")
+
+
+def _not_ready(code: MoveItErrorCode, message: str) -> RefusedError:
+    return RefusedError(PlanningFailure(code, message))

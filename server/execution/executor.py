@@ -1,11 +1,11 @@
-"""Execution of goals: plan from where the arm holds, play the plan, report how it goes."""
+"""Executor of goals: plans from where the arm holds, plays the plan, reports its progress."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import replace
 from typing import Any, TypeAlias, TypeVar
 
@@ -18,320 +18,67 @@ from robot.arm import Arm
 from robot.messages import ArmState, Outcome
 from robot.model import RobotModel
 from robot.trajectory import Trajectory
-from server.execution.current_state import ARM_START_TIMEOUT_S, CurrentState, unusable
+from server.errors import RefusedError
+from server.execution.current_state import ARM_START_TIMEOUT_S, CurrentState, check_ready
 from server.execution.failures import Alternatives, FailedGoals
-from server.execution.motions import GivenMotion, Motion, Planned, PlannedMotion, Positions, plan_steps
-from server.execution.player import Certified, Player
+from server.execution.motions import (
+    ExternalTrajectory,
+    Motion,
+    PlannedMotion,
+    PlannedSequence,
+    Positions,
+    plan_sequence,
+)
+from server.execution.player import CheckedMotion, Player
 from server.execution.queue import Answer, GoalState, Performed, Progress
-from server.execution.scene_monitor import SceneWatch, WatchedScene
-from server.execution.splicing import STITCH_TOLERANCE_RAD, stitched
-from server.execution.time_limits import Allowance
+from server.execution.scene_monitor import SceneMonitor, SceneSource
+from server.execution.splicing import START_TOLERANCE_RAD, with_lead_in
+from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")
 
 Confirm: TypeAlias = Callable[[], Coroutine[Any, Any, Answer | None]]
-End = TypeVar("End")
+Result = TypeVar("Result")
 
-# Ends after which another plan may do better, as MoveIt's plan_execution sees it.
-PLANNED_ANEW = (
+# Codes after which another plan may do better, as in MoveIt's plan_execution.
+REPLANNED = (
     MoveItErrorCode.PLANNING_FAILED,
     MoveItErrorCode.INVALID_MOTION_PLAN,
     MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE,
 )
 
-# Somebody moves the arm again and again while a motion is being planned.
+# Limit of plans when the arm is moved again and again while a motion is being planned.
 MAX_STARTS = 3
 
 # An arm that is steered comes to rest in half a second.
 STREAMS_TIMEOUT_S = 2.0
 
-# No scene has this version: a motion that somebody else has planned is looked at before it begins.
-NEVER_SEEN = -1
-
+# No scene has this version: an external trajectory is checked before it begins.
+UNCHECKED = -1
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
 
 
-class GoalExecutor:
-    """Runs one goal at a time, from request to answer.
-
-    Args:
-        arm: the arm.
-        robot: its description.
-        pool: the planners.
-        scene: the planning scene.
-        failed_goals: keeps those that could not be planned, or None.
-        show: called with every plan before it is carried out.
-        confirm: waits for the word on a plan; gives None to carry it out, else the goal's answer.
-        allowance: what motions may take.
-    """
-
-    def __init__(
-        self,
-        arm: Arm,
-        robot: RobotModel,
-        pool: PlannerPool,
-        scene: WatchedScene,
-        failed_goals: FailedGoals | None = None,
-        show: Callable[[Performed], None] = lambda _performed: None,
-        confirm: Confirm | None = None,
-        allowance: Allowance | None = None,
-    ) -> None:
-        self._arm = arm
-        self._robot = robot
-        self._pool = pool
-        self._scene = scene
-        self._failed_goals = failed_goals
-        self._show = show
-        self._confirm = confirm
-        self._current = CurrentState(arm, robot)
-        self._alternatives = Alternatives(robot, pool)
-        self._watch = SceneWatch(pool, scene, arm.state_max_age_s)
-        self.recorder = Recorder()
-        self._player = Player(arm, self._watch, allowance or Allowance())
-        self._work: asyncio.Task[Any] | None = None
-        self._end_reason = ""
-
-    async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
-        """Plan and play; every wait is bounded, and every way out is an answer."""
-        self._end_reason = ""
-        match request:
-            case GivenMotion():
-                return await self._follow(request, report)
-            case PlannedMotion():
-                return await self._plan_and_play(request, report)
-
-    def end(self, reason: str) -> None:
-        """End the goal in hand."""
-        self._end_reason = reason
-        if self._work is not None:
-            self._work.cancel()
-        self._player.stop(reason)
-
-    def give_way(self, reason: str) -> None:
-        """End the goal in hand for one that follows at once, which may go on from its motion."""
-        self._end_reason = reason
-        if self._work is not None:
-            self._work.cancel()
-        self._player.leave(reason)
-
-    def stop(self, reason: str) -> None:
-        """End the goal in hand; the arm is told even when no goal is known, so that nothing can keep it moving."""
-        self.end(reason)
-        self._arm.stop()
-
-    async def _plan_and_play(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
-        answer = await self._go_on(request, report) or await self._attempt(request, report)
-        for _ in range(request.attempts - 1):
-            if self._end_reason or answer.code not in PLANNED_ANEW:
-                break
-            report(Progress(GoalState.PLANNING, f"planning anew: {answer.message}"))
-            await self._unless_ended(asyncio.sleep(request.delay_s))
-            answer = await self._attempt(request, report)
-        return answer
-
-    async def _go_on(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer | None:
-        """Go over into the motion from one that gave way to it, without a stop; None where that cannot be."""
-        left = self._player.left
-        if left is None or left.branch is None or left.ended.done():
-            return None
-        if len(request.steps) != 1 or request.scene is not None or request.confirm:
-            return None
-        branch, scene = left.branch, self._scene.scene
-        problem = request.steps[0]({**self._held_rad(), **branch.positions_rad})
-        if not isinstance(problem, PlanningProblem) or problem.group != left.motion.group:
-            return None
-        report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
-        moving = replace(problem, start_velocity_rad_s=branch.velocities_rad_s)
-        asking = asyncio.wait_for(self._pool.ask(moving, scene), left.until_s - time.monotonic())
-        plan = await self._unless_ended(_in_time(asking))
-        if not isinstance(plan, Plan):
-            return None
-        whole = replace(plan, trajectory=branch.into(plan.trajectory))
-        planned = Planned(Performed({**problem.start_rad, **branch.start_rad})).with_plan(whole)
-        self._show_soon(planned)
-        report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
-        self.recorder.start()
-        # A scene that has changed since the lead was found free is looked at on the way.
-        seen = scene.version if scene.version == left.motion.scene_version else NEVER_SEEN
-        certified = Certified(problem.group, whole.trajectory, left.motion.others_rad, seen, planned.summary)
-        answer = await self._player.play(certified, report, branch.from_s)
-        executed = self.recorder.finish(whole.trajectory.joint_names)
-        if answer.details.get("outcome") == Outcome.REFUSED.value:
-            return None
-        return replace(answer, performed=replace(planned.performed, executed=executed))
-
-    async def _attempt(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
-        failure = await self._not_ready()
-        if failure is not None:
-            return Answer.of(failure)
-        report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
-        seen = self._scene.scene.version
-        planned = await self._plan(request)
-        if planned is None:
-            return Answer(MoveItErrorCode.PREEMPTED, f"{self._end_reason} while planning")
-        if isinstance(planned, PlanningFailure):
-            return Answer.of(planned)
-        if planned.failure is not None:
-            return Answer.of(planned.failure, planned.performed)
-        self._show_soon(planned)
-        discarded = await self._discarded(planned, report) if request.confirm else None
-        return discarded or await self._carry_out(planned, seen, report)
-
-    def _show_soon(self, planned: Planned) -> None:
-        """Show a plan when the arm has it: to write one down for viewers takes milliseconds."""
-        asyncio.get_running_loop().call_soon(self._show, planned.performed)
-
-    async def _discarded(self, planned: Planned, report: Callable[[Progress], None]) -> Answer | None:
-        """Wait for the word on a plan; None when it is to be carried out, or the goal was ended."""
-        if self._confirm is None:
-            return None
-        report(Progress(GoalState.PLANNED, f"{planned.summary}; waits to be confirmed", 0.0, planned.duration_s))
-        answer = await self._unless_ended(self._confirm())
-        return None if answer is None else replace(answer, performed=planned.performed)
-
-    async def _plan(self, request: PlannedMotion) -> Planned | PlanningFailure | None:
-        """Plan from where the arm holds, and anew when it was moved meanwhile; None when the goal was ended."""
-        planned: Planned | None = None
-        for _ in range(MAX_STARTS):
-            held_rad = self._held_rad()
-            scene = self._scene.scene if request.scene is None else request.scene(held_rad)
-            if isinstance(scene, PlanningFailure):
-                return scene
-            planned = await self._unless_ended(plan_steps(request.steps, held_rad, scene, self._pool.ask))
-            if planned is None:
-                return None
-            if planned.failure is not None:
-                await self._save(planned, scene)
-                return await self._with_alternative(planned, planned.failure, scene)
-            if not self._moved_since(held_rad):
-                return planned
-        return planned
-
-    async def _with_alternative(self, planned: Planned, failure: PlanningFailure, scene: Scene) -> Planned:
-        added = await self._unless_ended(self._alternatives.added(failure, planned.problem, scene))
-        return planned if added is None else replace(planned, failure=added)
-
-    async def _save(self, planned: Planned, scene: Scene) -> None:
-        problem, failure = planned.problem, planned.failure
-        if self._failed_goals is None or failure is None or not isinstance(problem, PlanningProblem):
-            return
-        if failure.code is not MoveItErrorCode.PREEMPTED:
-            await self._failed_goals.save(problem, scene, failure)
-
-    async def _follow(self, request: GivenMotion, report: Callable[[Progress], None]) -> Answer:
-        failure = await self._not_ready()
-        if failure is not None:
-            return Answer.of(failure)
-        held_rad = self._held_rad()
-        motion = request.trajectory(held_rad)
-        if isinstance(motion, PlanningFailure):
-            return Answer.of(motion)
-        planned = Planned(Performed(held_rad, (motion,)), ("as given",))
-        self._show_soon(planned)
-        return await self._carry_out(planned, NEVER_SEEN, report)
-
-    async def _carry_out(self, planned: Planned, seen: int, report: Callable[[Progress], None]) -> Answer:
-        motions = planned.performed.planned
-        answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
-        report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
-        self.recorder.start()
-        for motion in motions:
-            if motion.duration_s > 0.0 and answer.code is MoveItErrorCode.SUCCESS:
-                answer = await self._carry_one_out(motion, seen, planned.summary, report)
-        executed = self.recorder.finish(motions[0].joint_names if motions else ())
-        message = "; ".join((answer.message, *planned.notes))
-        return replace(answer, message=message, performed=replace(planned.performed, executed=executed))
-
-    async def _carry_one_out(
-        self, motion: Trajectory, seen: int, summary: str, report: Callable[[Progress], None]
-    ) -> Answer:
-        held_rad = self._held_rad()
-        whole = stitched(motion, held_rad, self._robot)
-        if isinstance(whole, PlanningFailure):
-            return Answer.of(whole)
-        group = _group_of(self._robot, whole)
-        others_rad = {name: value for name, value in held_rad.items() if name not in whole.joint_names}
-        now_seen = self._scene.scene.version
-        certified = Certified(group, whole, others_rad, now_seen, summary)
-        if whole is not motion or now_seen != seen:
-            contact = await self._unless_ended(self._watch.look(lambda: certified.question(0.0)))
-            if contact is not None:
-                return Answer.of(contact)
-        if self._end_reason:
-            return Answer(MoveItErrorCode.PREEMPTED, f"{self._end_reason} before the motion began")
-        return await self._player.play(certified, report)
-
-    async def _not_ready(self) -> PlanningFailure | None:
-        """Why no motion can begin; who steers the arm by velocities has to give way to a goal."""
-        await self._player.rest()
-        # A goal that comes while the server starts waits for the arm.
-        await self._unless_ended(self._arm.until_started(ARM_START_TIMEOUT_S))
-        if self._end_reason:
-            return PlanningFailure(MoveItErrorCode.PREEMPTED, f"{self._end_reason} before the motion began")
-        failure = unusable(self._arm)
-        if failure is None and not await self._arm.end_streams(STREAMS_TIMEOUT_S):
-            message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
-            return PlanningFailure(MoveItErrorCode.CONTROL_FAILED, message)
-        return failure
-
-    def _held_rad(self) -> dict[str, float]:
-        """What the arm holds, not where it droops to: the motion then starts without a step."""
-        held_rad = self._current.positions_rad()
-        if held_rad is None:
-            raise AssertionError("planning without a connected arm")
-        return held_rad
-
-    def _moved_since(self, before_rad: Positions) -> bool:
-        return any(abs(value - before_rad[name]) > STITCH_TOLERANCE_RAD for name, value in self._held_rad().items())
-
-    async def _unless_ended(self, work: Coroutine[Any, Any, End]) -> End | None:
-        """Wait for some work; None when the goal is ended before or meanwhile."""
-        if self._end_reason:
-            work.close()
-            return None
-        self._work = asyncio.create_task(work, name="goal in hand")
-        try:
-            await asyncio.wait([self._work])
-        finally:
-            # Reached with the work still going on only when the server itself is being ended.
-            self._work.cancel()
-        return None if self._work.cancelled() else self._work.result()
-
-
-async def _in_time(asking: Coroutine[Any, Any, End]) -> End | None:
-    """What comes of some work that is bounded, None when it takes too long."""
-    try:
-        return await asking
-    except TimeoutError:
-        return None
-
-
-def _group_of(robot: RobotModel, motion: Trajectory) -> str:
-    """The group that has just these joints, empty when there is none: planners then say what they want."""
-    return next((name for name, group in robot.groups.items() if group.joints == motion.joint_names), "")
-
-
-class Recorder:
-    """The readings since the last :meth:`start`."""
+class MotionRecorder:
+    """Recorder of the arm's states while a motion runs."""
 
     def __init__(self) -> None:
         self._states: list[ArmState] | None = None
 
     def start(self) -> None:
-        """Begin anew."""
+        """Start a new recording."""
         self._states = []
 
     def take_state(self, state: ArmState) -> None:
-        """Note a state of the arm, while a motion is being recorded."""
+        """Record a state of the arm, while a motion runs."""
         if self._states is None or state.position_rad is None or state.velocity_rad_s is None:
             return
         if len(self._states) < MAX_SAMPLES and (not self._states or state.stamp_s > self._states[-1].stamp_s):
             self._states.append(state)
 
     def finish(self, joint_names: tuple[str, ...]) -> Trajectory | None:
-        """End the recording; returns the way of these joints, or None when nothing was read.
+        """End the recording; return the trajectory of these joints, or None when no state came.
 
         The servos measure no accelerations: those are 0.
         """
@@ -343,3 +90,295 @@ class Recorder:
         positions_rad = np.array([state.position_rad for state in states])[:, columns]
         velocities_rad_s = np.array([state.velocity_rad_s for state in states])[:, columns]
         return Trajectory(joint_names, time_s, positions_rad, velocities_rad_s, np.zeros_like(positions_rad))
+
+
+class GoalExecutor:
+    """Executor of one goal at a time, from its motion to its answer.
+
+    Args:
+        arm: the arm.
+        robot: its description.
+        pool: the planners.
+        scene: the planning scene.
+        failed_goals: keeps goals that could not be planned; None to keep none.
+        show: called with every plan before it is executed.
+        confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
+        time_limits: of motions.
+
+    Attributes:
+        recorder: records the arm's states for the answers.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        robot: RobotModel,
+        pool: PlannerPool,
+        scene: SceneSource,
+        failed_goals: FailedGoals | None = None,
+        show: Callable[[Performed], None] = lambda _performed: None,
+        confirm: Confirm | None = None,
+        time_limits: TimeLimits | None = None,
+    ) -> None:
+        self._arm = arm
+        self._robot = robot
+        self._pool = pool
+        self._scene = scene
+        self._failed_goals = failed_goals
+        self._show = show
+        self._confirm = confirm
+        self._current = CurrentState(arm, robot)
+        self._alternatives = Alternatives(robot, pool)
+        self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
+        self.recorder = MotionRecorder()
+        self._player = Player(arm, self._scene_monitor, time_limits or TimeLimits())
+        self._work: asyncio.Task[Any] | None = None
+        self._cancel_reason = ""
+
+    # Methods for the queue.
+
+    async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
+        """Plan and play a motion; every wait is bounded, and every way out is an answer."""
+        self._cancel_reason = ""
+        match request:
+            case ExternalTrajectory():
+                return await _answered(self._play_external(request, report))
+            case PlannedMotion():
+                return await self._plan_and_play(request, report)
+
+    def cancel(self, reason: str) -> None:
+        """Cancel the active goal."""
+        self._cancel_work(reason)
+        self._player.stop(reason)
+
+    def preempt(self, reason: str) -> None:
+        """End the active goal for one that follows at once, which may replace its motion without a stop."""
+        self._cancel_work(reason)
+        self._player.preempt(reason)
+
+    def stop(self, reason: str) -> None:
+        """Cancel the active goal; the arm is stopped even when no goal is known, so that nothing keeps it moving."""
+        self.cancel(reason)
+        self._arm.stop()
+
+    def _cancel_work(self, reason: str) -> None:
+        self._cancel_reason = reason
+        if self._work is not None:
+            self._work.cancel()
+
+    # Attempts: from a motion to an answer.
+
+    async def _plan_and_play(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
+        answer = await self._replace_outgoing(request, report) or await _answered(self._attempt(request, report))
+        for _ in range(request.attempts - 1):
+            if self._cancel_reason or answer.code not in REPLANNED:
+                break
+            report(Progress(GoalState.PLANNING, f"planning anew: {answer.message}"))
+            await self._unless_cancelled(asyncio.sleep(request.delay_s))
+            answer = await _answered(self._attempt(request, report))
+        return answer
+
+    async def _replace_outgoing(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer | None:
+        """Replace the motion of a preempted goal without a stop; None where that is impossible."""
+        outgoing = self._player.outgoing
+        if outgoing is None or outgoing.splice_point is None or outgoing.ended.done():
+            return None
+        if len(request.steps) != 1 or request.scene is not None or request.confirm:
+            return None
+        point, scene = outgoing.splice_point, self._scene.scene
+        problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
+        if not isinstance(problem, PlanningProblem) or problem.group != outgoing.motion.group:
+            return None
+        report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
+        moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
+        asking = asyncio.wait_for(self._pool.ask(moving, scene), outgoing.until_s - time.monotonic())
+        plan = await self._unless_cancelled(_in_time(asking))
+        if not isinstance(plan, Plan):
+            return None
+        whole = replace(plan, trajectory=point.splice(plan.trajectory))
+        planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
+        self._show_soon(planned)
+        report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
+        self.recorder.start()
+        # A scene that has changed since the lead was found free is checked on the way.
+        version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
+        checked = CheckedMotion(problem.group, whole.trajectory, outgoing.motion.others_rad, version, planned.summary)
+        answer = await self._player.play(checked, report, point.from_s)
+        executed = self.recorder.finish(whole.trajectory.joint_names)
+        if answer.details.get("outcome") == Outcome.REFUSED.value:
+            return None
+        return replace(answer, performed=replace(planned.performed, executed=executed))
+
+    async def _attempt(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
+        await self._until_ready()
+        report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
+        version = self._scene.scene.version
+        planned = await self._plan(request)
+        if planned.failure is not None:
+            return Answer.of(planned.failure, planned.performed)
+        self._show_soon(planned)
+        discarded = await self._confirmed(planned, report) if request.confirm else None
+        return discarded or await self._play(planned, version, report)
+
+    async def _play_external(self, request: ExternalTrajectory, report: Callable[[Progress], None]) -> Answer:
+        await self._until_ready()
+        held_rad = self._held_rad()
+        motion = request.trajectory(held_rad)
+        if isinstance(motion, PlanningFailure):
+            raise RefusedError(motion)
+        planned = PlannedSequence(Performed(held_rad, (motion,)), ("as given",))
+        self._show_soon(planned)
+        return await self._play(planned, UNCHECKED, report)
+
+    # Steps of an attempt.
+
+    async def _until_ready(self) -> None:
+        """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal.
+
+        Raises:
+            RefusedError: none can begin, or the goal was cancelled.
+        """
+        await self._player.stop_outgoing()
+        # A goal that comes while the server starts waits for the arm.
+        await self._unless_cancelled(self._arm.until_started(ARM_START_TIMEOUT_S))
+        self._check_not_cancelled("before the motion began")
+        check_ready(self._arm)
+        if not await self._arm.end_streams(STREAMS_TIMEOUT_S):
+            message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
+            raise RefusedError(PlanningFailure(MoveItErrorCode.CONTROL_FAILED, message))
+
+    async def _plan(self, request: PlannedMotion) -> PlannedSequence:
+        """Plan from where the arm holds, and anew when it was moved meanwhile.
+
+        Raises:
+            RefusedError: there is no such scene, or the goal was cancelled.
+        """
+        planned = None
+        for _ in range(MAX_STARTS):
+            held_rad = self._held_rad()
+            scene = self._scene.scene if request.scene is None else request.scene(held_rad)
+            if isinstance(scene, PlanningFailure):
+                raise RefusedError(scene)
+            planned = await self._unless_cancelled(plan_sequence(request.steps, held_rad, scene, self._pool.ask))
+            if planned is None:
+                break
+            if planned.failure is not None:
+                await self._save(planned, scene)
+                return await self._with_alternative(planned, planned.failure, scene)
+            if not self._moved_since(held_rad):
+                break
+        if planned is None:
+            raise _preempted(f"{self._cancel_reason} while planning")
+        return planned
+
+    async def _with_alternative(
+        self, planned: PlannedSequence, failure: PlanningFailure, scene: Scene
+    ) -> PlannedSequence:
+        added = await self._unless_cancelled(self._alternatives.add_to(failure, planned.problem, scene))
+        return planned if added is None else replace(planned, failure=added)
+
+    async def _save(self, planned: PlannedSequence, scene: Scene) -> None:
+        problem, failure = planned.problem, planned.failure
+        if self._failed_goals is None or failure is None or not isinstance(problem, PlanningProblem):
+            return
+        if failure.code is not MoveItErrorCode.PREEMPTED:
+            await self._failed_goals.save(problem, scene, failure)
+
+    def _show_soon(self, planned: PlannedSequence) -> None:
+        """Show a plan when the arm has it: to write one down for viewers takes milliseconds."""
+        asyncio.get_running_loop().call_soon(self._show, planned.performed)
+
+    async def _confirmed(self, planned: PlannedSequence, report: Callable[[Progress], None]) -> Answer | None:
+        """Wait for the confirmation of a plan; return None when it is given, or the goal was cancelled."""
+        if self._confirm is None:
+            return None
+        report(Progress(GoalState.PLANNED, f"{planned.summary}; waits to be confirmed", 0.0, planned.duration_s))
+        answer = await self._unless_cancelled(self._confirm())
+        return None if answer is None else replace(answer, performed=planned.performed)
+
+    async def _play(self, planned: PlannedSequence, version: int, report: Callable[[Progress], None]) -> Answer:
+        """Play the motions one after the other.
+
+        Args:
+            planned: the motions.
+            version: of the scene in which they were planned.
+            report: called with the progress.
+        """
+        motions = planned.performed.planned
+        answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
+        report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
+        self.recorder.start()
+        for motion in motions:
+            if motion.duration_s > 0.0 and answer.code is MoveItErrorCode.SUCCESS:
+                answer = await _answered(self._play_one(motion, version, planned.summary, report))
+        executed = self.recorder.finish(motions[0].joint_names if motions else ())
+        message = "; ".join((answer.message, *planned.notes))
+        return replace(answer, message=message, performed=replace(planned.performed, executed=executed))
+
+    async def _play_one(
+        self, motion: Trajectory, version: int, summary: str, report: Callable[[Progress], None]
+    ) -> Answer:
+        held_rad = self._held_rad()
+        whole = with_lead_in(motion, held_rad, self._robot)
+        group = _group_of(self._robot, whole)
+        others_rad = {name: value for name, value in held_rad.items() if name not in whole.joint_names}
+        present_version = self._scene.scene.version
+        checked = CheckedMotion(group, whole, others_rad, present_version, summary)
+        if whole is not motion or present_version != version:
+            await self._unless_cancelled(self._scene_monitor.check(lambda: checked.question(0.0)))
+        self._check_not_cancelled("before the motion began")
+        return await self._player.play(checked, report)
+
+    # Positions, and the end of the active goal.
+
+    def _held_rad(self) -> dict[str, float]:
+        """Return the positions that the arm holds, not those it droops to: a motion then starts without a step."""
+        held_rad = self._current.positions_rad()
+        if held_rad is None:
+            raise AssertionError("planning without a connected arm")
+        return held_rad
+
+    def _moved_since(self, before_rad: Positions) -> bool:
+        return any(abs(value - before_rad[name]) > START_TOLERANCE_RAD for name, value in self._held_rad().items())
+
+    def _check_not_cancelled(self, phase: str) -> None:
+        if self._cancel_reason:
+            raise _preempted(f"{self._cancel_reason} {phase}")
+
+    async def _unless_cancelled(self, work: Coroutine[Any, Any, Result]) -> Result | None:
+        """Wait for some work; return None when the goal is cancelled before or meanwhile."""
+        if self._cancel_reason:
+            work.close()
+            return None
+        self._work = asyncio.create_task(work, name="active goal")
+        try:
+            await asyncio.wait([self._work])
+        finally:
+            # Reached with the work still going on only when the server itself is being ended.
+            self._work.cancel()
+        return None if self._work.cancelled() else self._work.result()
+
+
+async def _answered(attempt: Awaitable[Answer]) -> Answer:
+    """Return the answer of an attempt; a refusal on the way is the answer as well."""
+    try:
+        return await attempt
+    except RefusedError as error:
+        return Answer.of(error.failure)
+
+
+async def _in_time(asking: Coroutine[Any, Any, Result]) -> Result | None:
+    """Return the result of some work that is bounded, None when it takes too long."""
+    try:
+        return await asking
+    except TimeoutError:
+        return None
+
+
+def _preempted(message: str) -> RefusedError:
+    return RefusedError(PlanningFailure(MoveItErrorCode.PREEMPTED, message))
+
+
+def _group_of(robot: RobotModel, motion: Trajectory) -> str:
+    """Return the group that has just these joints; empty when there is none, and planners then reject it."""
+    return next((name for name, group in robot.groups.items() if group.joints == motion.joint_names), "")

@@ -1,4 +1,4 @@
-"""Goals that cannot be planned: files to plan them again, and what is free on the way to them."""
+"""Goals that cannot be planned: files for ``armbridge plan``, and free places on the way to them."""
 
 from __future__ import annotations
 
@@ -34,22 +34,21 @@ WRITING_TIMEOUT_S = 2.0
 
 PREFIX = "goal-"
 
-
-# Shares of the way that are looked at, the farthest first: nearer to the goal than the last makes no difference to see.
+# Checked shares of the way, the farthest first: a place nearer to the start than the last is no help.
 SHARES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3)
 
-# For each point of the tip; a refusal is not to wait longer than a tenth of a second for what would work instead.
-LOOK_S = 0.01
+# For each point of the tip: a rejection is to wait for its alternative no longer than a tenth of a second.
+CHECK_TIMEOUT_S = 0.01
 
 
 class FailedGoals:
-    """A directory of problem files.
+    """Directory of problem files.
 
     Args:
-        directory: where they go; made when it is not there.
+        directory: created with the first file.
         robot: the arm that was planned for.
         wall_clock: seconds since 1970, for the names.
-        max_files: how many are kept, of up to 3 MB with a scene of 10 000 objects; the oldest make room for new ones.
+        max_files: limit of files, of up to 3 MB each with a scene of 10 000 objects; the oldest make room for new ones.
     """
 
     def __init__(self, directory: Path, robot: RobotModel, wall_clock: Callable[[], float], max_files: int) -> None:
@@ -59,7 +58,7 @@ class FailedGoals:
         self._max_files = max_files
 
     async def save(self, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
-        """Write one; what goes wrong in that is only logged."""
+        """Write a problem file; errors are only logged."""
         now = datetime.fromtimestamp(self._wall_clock(), UTC)
         path = self._directory / f"{PREFIX}{now:%Y%m%dT%H%M%S.%fZ}-{failure.code.name}.json"
         try:
@@ -81,11 +80,11 @@ class FailedGoals:
 
 
 class Alternatives:
-    """Finds what would work instead.
+    """Search for free places on the way to a goal in collision.
 
     Args:
         robot: the arm.
-        pool: answers questions.
+        pool: the planners.
     """
 
     def __init__(self, robot: RobotModel, pool: PlannerPool) -> None:
@@ -93,15 +92,15 @@ class Alternatives:
         self._forward = ForwardPlacements(robot)
         self._pool = pool
 
-    async def added(
+    async def add_to(
         self, failure: PlanningFailure, problem: PlanningProblem | CartesianProblem | None, scene: Scene
     ) -> PlanningFailure:
-        """The failure, with the last free place before the goal as ``free_rad`` or ``free_m``, when there is one.
+        """Add the last free place before the goal, if there is one, to a failure: as its detail ``free_rad`` or ``free_m``.
 
         Args:
-            failure: why a problem has no plan.
+            failure: the reason why a problem has no plan.
             problem: the problem.
-            scene: where it was planned.
+            scene: in which it was planned.
         """
         if failure.code is not MoveItErrorCode.GOAL_IN_COLLISION or not isinstance(problem, PlanningProblem):
             return failure
@@ -129,7 +128,7 @@ class Alternatives:
         for share in SHARES:
             x, y, z = (tip + share * (end - tip) for tip, end in zip(tip_m, goal.position_m, strict=True))
             nearer = replace(goal, position_m=(x, y, z))
-            question = IkQuestion(problem.group, problem.start_rad, nearer, allowed_time_s=LOOK_S)
+            question = IkQuestion(problem.group, problem.start_rad, nearer, allowed_time_s=CHECK_TIMEOUT_S)
             if isinstance(await self._pool.ask(question, scene), IkAnswer):
                 return {"free_m": [round(x, 4), round(y, 4), round(z, 4)]}
         return {}

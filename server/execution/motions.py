@@ -21,15 +21,15 @@ Step: TypeAlias = Callable[[Positions], PlanningProblem | CartesianProblem | Pla
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """Motions to plan and then to carry out, one after the other.
+    """Sequence of motions to plan and then to execute.
 
     Attributes:
-        steps: each makes its problem from where the one before ends.
-        scene: the scene to plan in, for where the arm is; None for the present one.
-        attempts: how often is planned at most, when there is no motion or the scene gets in its way.
+        steps: each makes its problem from the end of the one before.
+        scene: makes the scene to plan in for the arm's positions; None for the present scene.
+        attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
         delay_s: pause before another attempt [s].
-        warnings: what was left out of account, a sentence each.
-        confirm: whether somebody is to confirm the plan before the arm moves.
+        warnings: parts of the request that were ignored, a sentence each.
+        confirm: true if a user is to confirm the plan before the arm moves.
     """
 
     steps: tuple[Step, ...]
@@ -41,21 +41,21 @@ class PlannedMotion:
 
 
 @dataclass(frozen=True)
-class GivenMotion:
-    """A motion that somebody else has planned.
+class ExternalTrajectory:
+    """Trajectory that a client has planned.
 
     Attributes:
-        trajectory: makes it for where the arm holds, or says why it cannot be made.
+        trajectory: makes it for the positions that the arm holds, or returns the failure.
     """
 
     trajectory: Callable[[Positions], Trajectory | PlanningFailure]
 
 
-Motion: TypeAlias = PlannedMotion | GivenMotion
+Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 
-class Ask(Protocol):
-    """Has a planner answer, as `planners.pool.PlannerPool.ask` does."""
+class AskPlanner(Protocol):
+    """Function that has a planner answer, as `planners.pool.PlannerPool.ask` does."""
 
     def __call__(
         self, request: PlanningProblem | CartesianProblem, scene: Scene, /
@@ -64,15 +64,15 @@ class Ask(Protocol):
 
 
 @dataclass(frozen=True)
-class Planned:
-    """What came of planning.
+class PlannedSequence:
+    """Result of planning a sequence.
 
     Attributes:
         performed: the motions that were found.
-        methods: how each was found.
-        notes: what of the goals could not be had, a sentence each.
-        failure: why there is no further one; None when there are all.
-        problem: the one that has no answer, when it came to that.
+        methods: the method that found each.
+        notes: deviations from the goals, a sentence each.
+        failure: the reason why the next motion is missing; None when all were found.
+        problem: the problem without a plan; None when there is none.
     """
 
     performed: Performed
@@ -83,18 +83,18 @@ class Planned:
 
     @property
     def duration_s(self) -> float:
-        """Of all motions together [s]."""
+        """Duration of all motions together [s]."""
         return sum(motion.duration_s for motion in self.performed.planned)
 
     @property
     def summary(self) -> str:
-        """How the motions were found, for people."""
+        """Methods and times, for people."""
         found = f"{', '.join(self.methods)}, {self.duration_s:.2f} s"
         planning_s = self.performed.planning_time_s
         return f"{found}, planned in {planning_s * 1e3:.0f} ms" if planning_s else found
 
-    def with_plan(self, plan: Plan | CartesianPlan) -> Planned:
-        """The same with one more motion."""
+    def with_plan(self, plan: Plan | CartesianPlan) -> PlannedSequence:
+        """Return the sequence with one more motion."""
         note = deviation_note(plan.deviation)
         performed = replace(
             self.performed,
@@ -102,41 +102,38 @@ class Planned:
             planning_time_s=self.performed.planning_time_s + plan.planning_time_s,
         )
         method = plan.method if isinstance(plan, Plan) else "path of the tip"
-        return Planned(performed, (*self.methods, method), (*self.notes, note) if note else self.notes)
+        return PlannedSequence(performed, (*self.methods, method), (*self.notes, note) if note else self.notes)
 
 
-async def plan_steps(steps: Sequence[Step], start_rad: Positions, scene: Scene, ask: Ask) -> Planned:
+async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scene, ask: AskPlanner) -> PlannedSequence:
     """Plan all steps, or those before the first that cannot be planned.
 
     Args:
         steps: make the problems.
-        start_rad: position of every movable joint at the first one's start [rad].
+        start_rad: position of every movable joint at the start of the first [rad].
         scene: to plan in.
         ask: plans one.
     """
-    now_rad, planned = dict(start_rad), Planned(Performed(start_rad))
+    now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
     for number, step in enumerate(steps):
         problem = step(now_rad)
         plan = problem if isinstance(problem, PlanningFailure) else await ask(problem, scene)
-        failure = _failure(plan)
+        failure = plan.stopped_by if isinstance(plan, CartesianPlan) else None
+        if isinstance(plan, PlanningFailure):
+            failure = plan
         if isinstance(plan, PlanningFailure) or failure is not None:
             named = failure if len(steps) == 1 or failure is None else _in_item(number, failure)
             return replace(planned, failure=named, problem=None if isinstance(problem, PlanningFailure) else problem)
         planned = planned.with_plan(plan)
         # A new mapping: the problem keeps the one it was made for.
-        now_rad = {**now_rad, **_end(plan.trajectory)}
+        now_rad = {**now_rad, **_end_positions(plan.trajectory)}
     return planned
 
 
-def _failure(plan: Plan | CartesianPlan | PlanningFailure) -> PlanningFailure | None:
-    if isinstance(plan, PlanningFailure):
-        return plan
-    return plan.stopped_by if isinstance(plan, CartesianPlan) else None
+def _end_positions(motion: Trajectory) -> dict[str, float]:
+    """Return the positions of a motion's joints at its end [rad]."""
+    return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
 
 
 def _in_item(number: int, failure: PlanningFailure) -> PlanningFailure:
     return replace(failure, message=f"items[{number}]: {failure.message}", details={**failure.details, "item": number})
-
-
-def _end(motion: Trajectory) -> dict[str, float]:
-    return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))

@@ -1,7 +1,7 @@
-"""Plays one motion on the arm: tells how it goes, and ends it when it overruns or the scene gets in its way.
+"""Player of one motion on the arm: reports its progress, and ends it when it overruns or the scene gets in its way.
 
-What a motion may take is counted on the arm's clock: a simulated arm that a busy machine slows down has all its time. A
-process that falls silent is ended by :class:`robot.arm.Arm`, and with it the motion.
+Time limits are counted on the arm's clock: a simulated arm that a busy machine slows down has all its time. A process
+that falls silent is ended by :class:`robot.arm.Arm`, and with it the motion.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from robot.arm import Arm
 from robot.messages import ArmState, Course, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.execution.queue import Answer, GoalState, Progress
-from server.execution.scene_monitor import SceneWatch
-from server.execution.splicing import HORIZON_S, SENDING_S, STATE_AGE_S, Branch, branch_of
-from server.execution.time_limits import Allowance, ArmTime, Patience
+from server.execution.scene_monitor import SceneMonitor
+from server.execution.splicing import HORIZON_S, SENDING_S, STATE_AGE_S, SplicePoint, splice_point_of
+from server.execution.time_limits import ArmClock, ExecutionDeadline, TimeLimits
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
 BRAKING_TIMEOUT_S = 2.0
@@ -41,15 +41,15 @@ CODE_OF_OUTCOME = {
 
 
 @dataclass(frozen=True)
-class Certified:
-    """A motion that was found free.
+class CheckedMotion:
+    """Motion that was found free of collisions.
 
     Attributes:
-        group: of its joints, which are all that the group has.
+        group: of its joints, which are all joints of the group.
         trajectory: the motion.
         others_rad: position of every other joint [rad].
         scene_version: of the scene in which it was found free.
-        summary: how it is called in the news.
+        summary: its name in progress reports.
     """
 
     group: str
@@ -59,91 +59,101 @@ class Certified:
     summary: str
 
     def question(self, from_s: float) -> RecheckQuestion:
-        """Ask whether it is free from a time of it on [s]."""
+        """Return the question to planners if the motion is free from a time of it on [s]."""
         return RecheckQuestion(self.group, self.trajectory, self.others_rad, from_s)
 
 
 @dataclass(frozen=True)
-class Left:
-    """A motion that goes on for a moment though its goal has ended: another is to take its place.
+class OutgoingMotion:
+    """Motion that goes on for a moment after its goal was preempted, so that another can replace it.
 
     Attributes:
         motion: the motion.
         ended: its one end.
-        branch: where the other can leave it; None for nowhere.
+        splice_point: the point at which another can replace it; None if there is none.
         until_s: monotonic time by which the other has to be sent [s].
     """
 
-    motion: Certified
+    motion: CheckedMotion
     ended: asyncio.Future[MotionEnded]
-    branch: Branch | None
+    splice_point: SplicePoint | None
     until_s: float
 
 
 class Player:
-    """Plays one motion at a time.
+    """Player of one motion at a time.
 
     Args:
         arm: the arm.
-        watch: guards the motion.
-        allowance: what a motion may take.
+        scene_monitor: monitors the motion.
+        time_limits: of motions.
         clock: monotonic time of this machine [s].
+
+    Attributes:
+        outgoing: the motion of a preempted goal; None if there is none.
     """
 
     def __init__(
-        self, arm: Arm, watch: SceneWatch, allowance: Allowance, clock: Callable[[], float] = time.monotonic
+        self,
+        arm: Arm,
+        scene_monitor: SceneMonitor,
+        time_limits: TimeLimits,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
-        self._watch = watch
-        self._allowance = allowance
+        self._scene_monitor = scene_monitor
+        self._time_limits = time_limits
         self._clock = clock
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._began_s = self._began_by_arm_s = 0.0
         self._end: Answer | None = None
-        self._leaving: asyncio.Future[None] | None = None
-        self.left: Left | None = None
+        self._preempted: asyncio.Future[None] | None = None
+        self.outgoing: OutgoingMotion | None = None
 
-    async def play(self, motion: Certified, report: Callable[[Progress], None], from_s: float | None = None) -> Answer:
+    async def play(
+        self, motion: CheckedMotion, report: Callable[[Progress], None], from_s: float | None = None
+    ) -> Answer:
         """Play a motion to its end; every wait is bounded.
 
         Args:
             motion: the motion.
-            report: called with how it goes.
-            from_s: the time on the motion that was left at which this one begins, to take its place [s]; None to begin
-                at rest.
+            report: called with its progress.
+            from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
         """
         self._end = None
-        self._leaving = asyncio.get_running_loop().create_future()
+        self._preempted = asyncio.get_running_loop().create_future()
         self._began_s, self._began_by_arm_s = self._clock(), self._arm.clock_s
-        if self.left is None or from_s is None:
+        if self.outgoing is None or from_s is None:
             self._motion = self._arm.execute(motion.trajectory)
         else:
-            self._motion = self._arm.execute(motion.trajectory, continues=(self.left.ended, from_s))
-        self._watch.begin(motion.scene_version, lambda: motion.question(self._from_s(motion)), self._on_contact)
+            self._motion = self._arm.execute(motion.trajectory, continues=(self.outgoing.ended, from_s))
+        self._scene_monitor.start(
+            motion.scene_version, lambda: motion.question(self._played_s(motion)), self._on_contact
+        )
         try:
-            return await self._until_ended(self._motion, self._leaving, motion, report)
+            return await self._until_ended(self._motion, self._preempted, motion, report)
         finally:
-            self._watch.end()
+            self._scene_monitor.stop()
             self._motion = None
 
     def stop(self, reason: str) -> None:
-        """Brake the motion along its path; nothing happens when there is none."""
+        """Brake the motion along its path; do nothing when there is none."""
         self._brake(Answer(MoveItErrorCode.PREEMPTED, reason))
-        if self.left is not None:
-            self._arm.stop(self.left.ended)
+        if self.outgoing is not None:
+            self._arm.stop(self.outgoing.ended)
 
-    def leave(self, reason: str) -> None:
-        """End :meth:`play` but not the motion, which is braked unless another soon takes its place."""
-        if self._leaving is not None and not self._leaving.done() and self._end is None:
+    def preempt(self, reason: str) -> None:
+        """End :meth:`play` but not the motion, which is braked unless another soon replaces it."""
+        if self._preempted is not None and not self._preempted.done() and self._end is None:
             self._end = Answer(MoveItErrorCode.PREEMPTED, reason)
-            self._leaving.set_result(None)
+            self._preempted.set_result(None)
 
-    async def rest(self) -> None:
-        """Brake a motion that was left, and wait for its end."""
-        left, self.left = self.left, None
-        if left is not None and not left.ended.done():
-            self._arm.stop(left.ended)
-            await self._arm.wait((left.ended,), BRAKING_TIMEOUT_S)
+    async def stop_outgoing(self) -> None:
+        """Brake the outgoing motion, and wait for its end."""
+        outgoing, self.outgoing = self.outgoing, None
+        if outgoing is not None and not outgoing.ended.done():
+            self._arm.stop(outgoing.ended)
+            await self._arm.wait((outgoing.ended,), BRAKING_TIMEOUT_S)
 
     def _on_contact(self, contact: PlanningFailure) -> None:
         self._brake(Answer.of(contact))
@@ -153,49 +163,49 @@ class Player:
             self._end = self._end or end
             self._arm.stop(self._motion)
 
-    def _from_s(self, motion: Certified) -> float:
-        """What is behind of the motion [s]; on the way back that may still be to come."""
+    def _played_s(self, motion: CheckedMotion) -> float:
+        """Return the part of the motion that is played for good [s]; on the way back all of it may be played again."""
         state = self._arm.state
         back = state.pace.course is Course.BACK or state.mode is not Mode.MOVING
         return 0.0 if back or self._just_begun else state.fraction * motion.trajectory.duration_s
 
     @property
     def _just_begun(self) -> bool:
-        """Whether the arm's state may still tell of the motion before: it is late where the arm or the server is."""
+        """True while the arm's state may still be of the motion before: it is late where arm or server are starved."""
         passed_s = min(self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s)
         return passed_s < STATE_AGE_S
 
     async def _until_ended(
         self,
         ended: asyncio.Future[MotionEnded],
-        leaving: asyncio.Future[None],
-        motion: Certified,
+        preempted: asyncio.Future[None],
+        motion: CheckedMotion,
         report: Callable[[Progress], None],
     ) -> Answer:
-        patience = Patience(motion.trajectory.duration_s, self._allowance)
-        arm_time = ArmTime(self._arm, self._clock)
-        ends: tuple[asyncio.Future[Any], ...] = (ended, leaving)
-        while not ended.done() and patience.end is None:
+        deadline = ExecutionDeadline(motion.trajectory.duration_s, self._time_limits)
+        arm_clock = ArmClock(self._arm, self._clock)
+        ends: tuple[asyncio.Future[Any], ...] = (ended, preempted)
+        while not ended.done() and deadline.exceeded is None:
             await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
-            if leaving.done() and not ended.done():
-                return self._left_behind(motion, ended)
+            if preempted.done() and not ended.done():
+                return self._hand_over(motion, ended)
             state = self._arm.state
-            patience.pass_time(arm_time.passed_s(), state.pace)
+            deadline.pass_time(arm_clock.elapsed_s(), state.pace)
             if not ended.done() and state.mode is Mode.MOVING:
                 report(Progress(GoalState.EXECUTING, motion.summary, state.fraction, state.remaining_s))
         if not ended.done():
-            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{patience.end}; {_lagging(self._arm.state)}"))
+            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{deadline.exceeded}; {_greatest_lag(self._arm.state)}"))
             await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
         if not ended.done():
-            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{patience.end}, and does not brake either")
+            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{deadline.exceeded}, and does not brake either")
         return self._answer(ended.result())
 
-    def _left_behind(self, motion: Certified, ended: asyncio.Future[MotionEnded]) -> Answer:
+    def _hand_over(self, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
         if self._end is None:
-            raise AssertionError("a motion is left for no reason")
-        branch = None if self._just_begun else branch_of(motion.trajectory, self._arm.state, self._arm.state_age_s)
-        self.left = Left(motion, ended, branch, self._clock() + HORIZON_S - SENDING_S)
-        # Whatever becomes of the other motion; one that has ended by then is not concerned.
+            raise AssertionError("a motion is preempted without a reason")
+        point = None if self._just_begun else splice_point_of(motion.trajectory, self._arm.state, self._arm.state_age_s)
+        self.outgoing = OutgoingMotion(motion, ended, point, self._clock() + HORIZON_S - SENDING_S)
+        # Braked then, whatever becomes of the other motion; one that has been replaced by then is not concerned.
         asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
         return self._end
 
@@ -207,8 +217,8 @@ class Player:
         return Answer(self._end.code, f"{self._end.message}: {ended.message}", self._end.details)
 
 
-def _lagging(state: ArmState) -> str:
-    """Which joint is farthest from where it should be."""
+def _greatest_lag(state: ArmState) -> str:
+    """Return a sentence that names the joint that is farthest from its goal."""
     if state.goal_rad is None or state.position_rad is None:
         return "where its joints are is not known"
     error_rad = np.abs(state.goal_rad - state.position_rad)

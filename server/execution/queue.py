@@ -22,11 +22,11 @@ log = logging.getLogger("armbridge.goals")
 Request = TypeVar("Request")
 Request_contra = TypeVar("Request_contra", contravariant=True)
 
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
+_NO_MESSAGE: Mapping[str, Any] = MappingProxyType({})
 
 
 class GoalPolicy(StrEnum):
-    """What happens to a goal that comes while another one is worked on."""
+    """Treatment of a goal that arrives while another one is being worked on."""
 
     QUEUE = "queue"
     REJECT = "reject"
@@ -34,7 +34,7 @@ class GoalPolicy(StrEnum):
 
 
 class GoalState(StrEnum):
-    """Where a goal is on its way."""
+    """Stages of a goal."""
 
     QUEUED = "queued"
     PLANNING = "planning"
@@ -45,7 +45,7 @@ class GoalState(StrEnum):
 
 @dataclass(frozen=True)
 class Progress:
-    """News of a goal: ``fraction`` of the motion that is done, and the time left to its end [s]."""
+    """Progress of a goal: ``fraction`` of the motion that is done, and the time left to its end [s]."""
 
     state: GoalState
     message: str
@@ -55,12 +55,12 @@ class Progress:
 
 @dataclass(frozen=True)
 class Performed:
-    """What was planned and done for a goal.
+    """Motions planned and executed for a goal.
 
     Attributes:
-        start_rad: position of every movable joint when the first motion was to begin [rad].
+        start_rad: position of every movable joint at the start of the first motion [rad].
         planned: the motions, one after the other.
-        executed: where the arm was on the way, by its readings; None when it did not move.
+        executed: the path of the arm by its readings; None when it did not move.
         planning_time_s: time spent on planning [s].
     """
 
@@ -72,13 +72,13 @@ class Performed:
 
 @dataclass(frozen=True)
 class Answer:
-    """The one final answer to a goal.
+    """Final answer to a goal; there is exactly one.
 
     Attributes:
-        code: how it ended.
+        code: MoveIt's code of the end.
         message: one sentence.
-        details: what was found, as in `PlanningFailure`.
-        performed: what was done for it; None when it did not come to that.
+        details: diagnostic details, as in `PlanningFailure`.
+        performed: the motions; None when nothing was planned.
     """
 
     code: MoveItErrorCode
@@ -88,22 +88,22 @@ class Answer:
 
     @classmethod
     def of(cls, failure: PlanningFailure, performed: Performed | None = None) -> Answer:
-        """The answer that tells a planning failure."""
+        """Return the answer that reports a planning failure."""
         return cls(failure.code, failure.message, failure.details, performed)
 
 
 @dataclass(frozen=True)
 class QueuedGoal(Generic[Request]):
-    """A goal.
+    """Goal in the queue.
 
     Attributes:
         goal_id: unique in the life of the server.
-        source: the topic or action it came by.
-        request: what is asked for; None when the goal was refused before it could be asked for.
-        on_progress: called with its news.
+        source: topic or action of its client.
+        request: the motion; None when the goal was rejected before it was queued.
+        on_progress: called with its progress.
         on_answer: called once.
-        asked: the message it came as; empty when there is none that can be read.
-        only_for: who alone is told of it; None for everybody.
+        message: the message of its client; empty when there is none, or none that can be read.
+        only_for: the one client that is informed; None for all.
     """
 
     goal_id: str
@@ -111,34 +111,34 @@ class QueuedGoal(Generic[Request]):
     request: Request | None
     on_progress: Callable[[Progress], None] = lambda _progress: None
     on_answer: Callable[[Answer], None] = lambda _answer: None
-    asked: Mapping[str, Any] = field(default_factory=dict)
+    message: Mapping[str, Any] = field(default_factory=dict)
     only_for: Node | None = None
 
 
 class GoalRunner(Protocol[Request_contra]):
-    """Works on one goal."""
+    """Runner of one goal at a time."""
 
     async def run(self, request: Request_contra, report: Callable[[Progress], None]) -> Answer:
-        """Carry the goal out; ends with an answer, also after :meth:`end` and :meth:`stop`."""
+        """Execute the goal; end with an answer, also after :meth:`cancel`, :meth:`preempt` and :meth:`stop`."""
 
-    def end(self, reason: str) -> None:
-        """End the goal in hand: no more planning, and its motion braked along its path."""
+    def cancel(self, reason: str) -> None:
+        """Cancel the active goal: stop planning, and brake its motion along its path."""
 
-    def give_way(self, reason: str) -> None:
-        """End the goal in hand for another that follows at once; its motion may go over into the other's."""
+    def preempt(self, reason: str) -> None:
+        """End the active goal for another that follows at once and may replace its motion without a stop."""
 
     def stop(self, reason: str) -> None:
-        """End the goal in hand and every motion of the arm, whoever began it."""
+        """End the active goal and every motion of the arm, whoever began it."""
 
 
 class GoalQueue(Generic[Request]):
-    """A bounded queue before one runner.
+    """Bounded queue before one runner.
 
     Args:
-        runner: does the work.
-        policy: what happens to a goal that comes while another one is worked on, unless it comes with its own policy.
-        capacity: how many goals may wait.
-        on_progress: called with the news of every goal.
+        runner: executes goals.
+        policy: treatment of a goal that arrives while another one is active, unless it comes with its own policy.
+        capacity: limit of waiting goals.
+        on_progress: called with the progress of every goal.
         on_answer: called once a goal.
     """
 
@@ -164,11 +164,11 @@ class GoalQueue(Generic[Request]):
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Begin to work on goals."""
+        """Start to execute goals."""
         self._task = asyncio.create_task(self._work(), name="goal queue")
 
     async def close(self, timeout_s: float) -> None:
-        """Stop the goal in hand, answer every goal and end, at the latest after ``timeout_s``."""
+        """Stop the active goal, answer every goal and end, at the latest after ``timeout_s``."""
         self.stop("the server is shutting down")
         try:
             with contextlib.suppress(TimeoutError):
@@ -180,7 +180,7 @@ class GoalQueue(Generic[Request]):
                 await self._task
 
     def _abandon(self) -> None:
-        """Work no more; a goal that is still in hand is answered all the same."""
+        """End the work; a goal that is still active is answered all the same."""
         if self._task is not None:
             self._task.cancel()
         goal, self._active = self._active, None
@@ -190,14 +190,14 @@ class GoalQueue(Generic[Request]):
 
     @property
     def busy(self) -> str:
-        """Which goal is worked on, in words; empty when there is none."""
+        """Sentence that names the active goal; empty when there is none."""
         return (
             f"goal {self._active.goal_id} from {self._active.source} is worked on" if self._active is not None else ""
         )
 
     @property
     def waiting_count(self) -> int:
-        """How many goals wait for their turn."""
+        """Number of goals that wait for their turn."""
         return len(self._waiting)
 
     def submit(
@@ -208,19 +208,19 @@ class GoalQueue(Generic[Request]):
         policy: GoalPolicy | None = None,
         on_progress: Callable[[Progress], None] = lambda _progress: None,
         on_answer: Callable[[Answer], None] = lambda _answer: None,
-        asked: Mapping[str, Any] = _NOTHING,
+        message: Mapping[str, Any] = _NO_MESSAGE,
     ) -> str:
-        """Take a goal in; returns its id.
+        """Queue a goal; return its id.
 
         Args:
-            source: the topic or action it came by.
-            request: what is asked for.
-            policy: what happens to it while another goal is worked on; None for the queue's own policy.
-            on_progress: called with its news, besides who hears of all goals.
+            source: topic or action of its client.
+            request: the motion.
+            policy: its treatment while another goal is active; None for the queue's own policy.
+            on_progress: called with its progress, besides the queue's own.
             on_answer: called once, likewise, perhaps before this returns.
-            asked: the message it came as.
+            message: the message of its client.
         """
-        goal = QueuedGoal(self._next_id(), source, request, on_progress, on_answer, asked)
+        goal = QueuedGoal(self._next_id(), source, request, on_progress, on_answer, message)
         policy = policy or self._policy
         if policy is GoalPolicy.REJECT and self._active is not None:
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, f"goal {self._active.goal_id} is still being worked on"))
@@ -228,7 +228,7 @@ class GoalQueue(Generic[Request]):
             reason = f"preempted by goal {goal.goal_id} from {source}"
             self._clear(reason)
             if self._active is not None:
-                self._runner.give_way(reason)
+                self._runner.preempt(reason)
             self._enqueue(goal)
         elif len(self._waiting) >= self._capacity:
             limit = f"{self._capacity} goals are waiting already, the limit"
@@ -237,41 +237,41 @@ class GoalQueue(Generic[Request]):
             self._enqueue(goal)
         return goal.goal_id
 
-    def refuse(
+    def reject(
         self,
         source: str,
         failure: PlanningFailure,
-        asked: Mapping[str, Any] = _NOTHING,
+        message: Mapping[str, Any] = _NO_MESSAGE,
         only_for: Node | None = None,
     ) -> str:
-        """Answer a goal that cannot be asked for, at once and past the queue; returns its id.
+        """Answer a goal that cannot be executed, at once and past the queue; return its id.
 
         Args:
-            source: the topic or action it came by.
-            failure: why it cannot.
-            asked: the message it came as.
-            only_for: who alone is told; None for everybody.
+            source: topic or action of its client.
+            failure: the reason.
+            message: the message of its client.
+            only_for: the one client that is informed; None for all.
         """
-        goal: QueuedGoal[Request] = QueuedGoal(self._next_id(), source, None, asked=asked, only_for=only_for)
+        goal: QueuedGoal[Request] = QueuedGoal(self._next_id(), source, None, message=message, only_for=only_for)
         self._finish(goal, Answer.of(failure))
         return goal.goal_id
 
     def cancel(self, goal_id: str, reason: str) -> None:
-        """End one goal, in hand or waiting; nothing happens when it has been answered."""
+        """Cancel one goal, active or waiting; do nothing when it has been answered."""
         if self._active is not None and self._active.goal_id == goal_id:
-            self._runner.end(reason)
+            self._runner.cancel(reason)
         for goal in [goal for goal in self._waiting if goal.goal_id == goal_id]:
             self._waiting.remove(goal)
             self._finish(goal, _before_its_turn(reason))
 
-    def end_all(self, reason: str) -> None:
-        """End the goal in hand and all that wait; each is answered PREEMPTED."""
+    def cancel_all(self, reason: str) -> None:
+        """Cancel the active goal and all that wait; each is answered PREEMPTED."""
         self._clear(reason)
         if self._active is not None:
-            self._runner.end(reason)
+            self._runner.cancel(reason)
 
     def stop(self, reason: str) -> None:
-        """End the goal in hand and all that wait, each answered PREEMPTED, and every motion of the arm."""
+        """End the active goal and all that wait, each answered PREEMPTED, and every motion of the arm."""
         self._clear(reason)
         self._runner.stop(reason)
 
@@ -287,7 +287,7 @@ class GoalQueue(Generic[Request]):
     def _enqueue(self, goal: QueuedGoal[Request]) -> None:
         ahead = len(self._waiting) + (self._active is not None)
         self._waiting.append(goal)
-        self._tell(goal, Progress(GoalState.QUEUED, f"{ahead} goals ahead" if ahead else "next"))
+        self._report(goal, Progress(GoalState.QUEUED, f"{ahead} goals ahead" if ahead else "next"))
         self._arrived.set()
 
     async def _work(self) -> None:
@@ -307,14 +307,14 @@ class GoalQueue(Generic[Request]):
 
     async def _run(self, goal: QueuedGoal[Request]) -> Answer:
         if goal.request is None:
-            raise AssertionError("a refused goal was queued")
+            raise AssertionError("a rejected goal was queued")
         try:
-            return await self._runner.run(goal.request, lambda progress: self._tell(goal, progress))
+            return await self._runner.run(goal.request, lambda progress: self._report(goal, progress))
         except Exception as error:  # a bug must cost this goal only, and never its answer
             log.exception("goal %s from %s failed", goal.goal_id, goal.source)
             return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
 
-    def _tell(self, goal: QueuedGoal[Request], progress: Progress) -> None:
+    def _report(self, goal: QueuedGoal[Request], progress: Progress) -> None:
         with _contained(goal):
             self._on_progress(goal, progress)
         with _contained(goal):
@@ -329,11 +329,11 @@ class GoalQueue(Generic[Request]):
 
 @contextlib.contextmanager
 def _contained(goal: QueuedGoal[Any]) -> Iterator[None]:
-    """Keep a bug in those who are told from the queue and from one another."""
+    """Keep a bug in a listener from the queue and from other listeners."""
     try:
         yield
     except Exception:
-        log.exception("goal %s from %s could not be told of", goal.goal_id, goal.source)
+        log.exception("goal %s from %s could not be reported", goal.goal_id, goal.source)
 
 
 def _before_its_turn(reason: str) -> Answer:

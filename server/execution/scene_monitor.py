@@ -1,4 +1,4 @@
-"""Looks again at the rest of a motion that runs, whenever the scene changes."""
+"""Monitor that checks the rest of the motion under way again whenever the scene changes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from typing import Protocol
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
+from server.errors import RefusedError
 
 log = logging.getLogger("armbridge.execution")
 
 
-class WatchedScene(Protocol):
-    """What is asked of the planning scene here."""
+class SceneSource(Protocol):
+    """The planning scene, as `server.moveit.scene.state.SceneState`."""
 
     @property
     def scene(self) -> Scene:
@@ -26,87 +27,92 @@ class WatchedScene(Protocol):
         """Have this called after every change."""
 
 
-class SceneWatch:
-    """Guards one motion at a time.
+class SceneMonitor:
+    """Monitor of one motion at a time.
 
     Args:
-        pool: who looks.
-        state: the planning scene.
-        patience_s: for how long a planner that does not answer in time is asked again [s]; as long as the arm may be
-            silent, for a busy machine keeps both from the cores.
+        pool: the planners, which check.
+        source: the planning scene.
+        retry_for_s: time during which a planner that does not answer in time is asked again [s]; as long as the arm
+            may be silent, for a busy machine keeps both from the cores.
         clock: monotonic time [s].
     """
 
     def __init__(
         self,
         pool: PlannerPool,
-        state: WatchedScene,
-        patience_s: float = 0.0,
+        source: SceneSource,
+        retry_for_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pool = pool
-        self._state = state
-        self._patience_s = patience_s
+        self._source = source
+        self._retry_for_s = retry_for_s
         self._clock = clock
-        self._seen = 0
+        self._checked_version = 0
         self._question: Callable[[], RecheckQuestion] | None = None
         self._on_contact: Callable[[PlanningFailure], None] = lambda _contact: None
         self._task: asyncio.Task[None] | None = None
-        state.on_change(self._changed)
+        source.on_change(self._on_change)
 
-    async def look(self, question: Callable[[], RecheckQuestion]) -> PlanningFailure | None:
-        """Tell what a motion would touch in the present scene, or why that cannot be told; None when it is free.
+    async def check(self, question: Callable[[], RecheckQuestion]) -> None:
+        """Check a motion in the present scene.
 
         Args:
-            question: asks about what is left of the motion.
+            question: asks about the rest of the motion.
+
+        Raises:
+            RefusedError: the motion would touch something, or the planners cannot check it.
         """
-        until_s = self._clock() + self._patience_s
+        until_s = self._clock() + self._retry_for_s
         while True:
-            scene = self._state.scene
+            scene = self._source.scene
             answer = await self._pool.ask(question(), scene)
-            if not _too_late(answer) or self._clock() >= until_s:
+            if not _is_late(answer) or self._clock() >= until_s:
                 break
-        self._seen = scene.version
+        self._checked_version = scene.version
         if isinstance(answer, PlanningFailure):
             message = f"whether the motion is free cannot be told: {answer.message}"
-            return PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details)
-        return answer.contact
+            raise RefusedError(PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details))
+        if answer.contact is not None:
+            raise RefusedError(answer.contact)
 
-    def begin(
-        self, seen: int, question: Callable[[], RecheckQuestion], on_contact: Callable[[PlanningFailure], None]
+    def start(
+        self, version: int, question: Callable[[], RecheckQuestion], on_contact: Callable[[PlanningFailure], None]
     ) -> None:
-        """Guard a motion until :meth:`end`.
+        """Monitor a motion until :meth:`stop`.
 
         Args:
-            seen: version of the scene in which it was found free.
-            question: asks about what is left of it.
-            on_contact: called when that is no longer free; the motion is not looked at any more.
+            version: of the scene in which the motion was found free.
+            question: asks about the rest of it.
+            on_contact: called once, when the motion is no longer free; the monitor then stops.
         """
-        self._seen, self._question, self._on_contact = seen, question, on_contact
-        self._changed()
+        self._checked_version, self._question, self._on_contact = version, question, on_contact
+        self._on_change()
 
-    def end(self) -> None:
-        """Guard no motion any more."""
+    def stop(self) -> None:
+        """Stop the monitor."""
         self._question = None
         if self._task is not None:
             self._task.cancel()
             self._task = None
 
-    def _changed(self) -> None:
+    def _on_change(self) -> None:
         if self._question is not None and self._task is None:
-            self._task = asyncio.create_task(self._look_on(), name="look at the rest of the motion")
+            self._task = asyncio.create_task(self._check_changes(), name="check the rest of the motion")
 
-    async def _look_on(self) -> None:
-        """Look until the scene no longer changes meanwhile."""
-        contact = None
-        while self._question is not None and contact is None and self._state.scene.version != self._seen:
-            contact = await self.look(self._question)
+    async def _check_changes(self) -> None:
+        """Check until the scene no longer changes meanwhile."""
+        try:
+            while self._question is not None and self._source.scene.version != self._checked_version:
+                await self.check(self._question)
+        except RefusedError as error:
+            if self._question is not None:
+                self._question = None
+                log.warning("the scene has changed: %s", error)
+                self._on_contact(error.failure)
         self._task = None
-        if contact is not None and self._question is not None:
-            self._question = None
-            log.warning("the scene has changed: %s", contact.message)
-            self._on_contact(contact)
 
 
-def _too_late(answer: RecheckAnswer | PlanningFailure) -> bool:
+def _is_late(answer: RecheckAnswer | PlanningFailure) -> bool:
     return isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT

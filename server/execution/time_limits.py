@@ -1,4 +1,4 @@
-"""How long a motion may take before it is given up, at whatever pace it is played."""
+"""Time limits of motions, at whatever speed they are played and however busy the machine is."""
 
 from __future__ import annotations
 
@@ -10,41 +10,42 @@ from typing import Protocol
 from robot.messages import Course, Pace
 
 # A slower motion counts as paused: at this share of its speed a motion of 3 s takes a minute.
-LEAST_SPEED_FACTOR = 0.05
+MIN_SPEED_FACTOR = 0.05
 
 
 @dataclass(frozen=True)
-class Allowance:
-    """What motions may take.
+class TimeLimits:
+    """Limits of the execution time of motions.
 
     Attributes:
-        scaling: of the time that a motion takes as planned; 2.2 is MoveIt's 1.1 at the half speed of a hot arm.
+        scaling: multiple of the planned duration; 2.2 is MoveIt's allowed_execution_duration_scaling of 1.1 at the
+            half speed of a hot arm.
         margin_s: time on top, in which the arm settles [s].
-        paused_s: all the time that a goal may spend paused or going back, together [s].
+        paused_s: limit of the time that a motion is paused or moves backwards, in total [s].
     """
 
     scaling: float = 2.2
     margin_s: float = 2.0
     paused_s: float = 600.0
 
-    def of(self, duration_s: float) -> float:
-        """What a motion may take that takes ``duration_s`` as planned [s]."""
+    def allowed_s(self, duration_s: float) -> float:
+        """Return the allowed execution time of a motion with a planned duration [s]."""
         return duration_s * self.scaling + self.margin_s
 
 
 class TimedArm(Protocol):
-    """The arm, as `robot.arm.Arm`."""
+    """Arm with a clock, as `robot.arm.Arm`."""
 
     @property
     def clock_s(self) -> float:
-        """Time of the arm's control loop, as its latest state tells it [s]."""
+        """Time of the arm's control loop by its latest state [s]."""
 
 
-class ArmTime:
-    """Time that passes for an arm while something is waited for: that of its clock, and no more than passes here.
+class ArmClock:
+    """Stopwatch on the arm's clock, which runs no faster than this machine's.
 
-    A busy machine slows a simulated arm's clock down. A server that stood still itself hears of all the arm's time at
-    once, also of what passed before the arm was told to do something.
+    A busy machine slows a simulated arm's clock down. A server that stood still itself receives all the arm's time at
+    once, also the time before the arm was told to do something.
 
     Args:
         arm: the arm.
@@ -55,52 +56,53 @@ class ArmTime:
         self._arm = arm
         self._clock = clock
         self._began_s, self._began_by_arm_s = clock(), arm.clock_s
-        # By how much the arm's clock has ever been behind; what it catches up later are states that came late.
-        self._behind_s = 0.0
-        self._told_s = 0.0
+        # Greatest lag of the arm's clock so far; the time that it catches up later are states that came late.
+        self._lag_s = 0.0
+        self._total_s = 0.0
 
-    def passed_s(self) -> float:
-        """Return what has passed since this was last asked [s]."""
+    def elapsed_s(self) -> float:
+        """Return the time since the last call, or since the construction [s]."""
         here_s, by_arm_s = self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s
-        self._behind_s = max(self._behind_s, here_s - by_arm_s)
-        told_s, self._told_s = self._told_s, max(here_s - self._behind_s, self._told_s)
-        return self._told_s - told_s
+        self._lag_s = max(self._lag_s, here_s - by_arm_s)
+        before_s, self._total_s = self._total_s, max(here_s - self._lag_s, self._total_s)
+        return self._total_s - before_s
 
 
-class Patience:
-    """Counts what time a motion has used of its allowance.
+class ExecutionDeadline:
+    """Deadline of one motion, counted in the motion's own time.
 
     Args:
-        duration_s: what the motion takes as planned [s].
-        allowance: what it may take.
+        duration_s: the planned duration [s].
+        limits: of execution times.
     """
 
-    def __init__(self, duration_s: float, allowance: Allowance) -> None:
-        self._allowed_s = allowance.of(duration_s)
-        self._may_pause_s = allowance.paused_s
+    def __init__(self, duration_s: float, limits: TimeLimits) -> None:
+        self._allowed_s = limits.allowed_s(duration_s)
+        self._allowed_paused_s = limits.paused_s
         self._used_s = 0.0
         self._paused_s = 0.0
 
     def pass_time(self, elapsed_s: float, pace: Pace) -> None:
-        """Let time pass.
+        """Count time.
 
         Args:
-            elapsed_s: how much [s].
-            pace: how the motion was played meanwhile; a slow one uses its allowance up as slowly.
+            elapsed_s: the time that passed [s].
+            pace: of the motion meanwhile; a slow motion uses its time up as slowly.
         """
-        if pace.course is Course.FORWARD and pace.speed_factor >= LEAST_SPEED_FACTOR:
+        if pace.course is Course.FORWARD and pace.speed_factor >= MIN_SPEED_FACTOR:
             self._used_s += elapsed_s * pace.speed_factor
             return
         self._paused_s += elapsed_s
         if pace.course is Course.BACK:
-            # What the arm goes back it has to come again.
+            # The arm has to repeat the part that it moves back.
             self._used_s = max(self._used_s - elapsed_s * pace.speed_factor, 0.0)
 
     @property
-    def end(self) -> str | None:
-        """Why the motion is to be given up; None while it may go on."""
+    def exceeded(self) -> str | None:
+        """Sentence that names the exceeded limit; None while there is time left."""
         if self._used_s > self._allowed_s:
             return f"the arm did not end the motion within {self._allowed_s:.1f} s"
-        if self._paused_s > self._may_pause_s:
-            return f"the motion was paused or going back for {self._paused_s:.0f} s (limit {self._may_pause_s:g} s)"
+        if self._paused_s > self._allowed_paused_s:
+            paused_s, limit_s = self._paused_s, self._allowed_paused_s
+            return f"the motion was paused or going back for {paused_s:.0f} s (limit {limit_s:g} s)"
         return None

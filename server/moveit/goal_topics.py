@@ -89,17 +89,17 @@ class GoalTopics:
             asked = publication.msg
             motion = translate(asked)
             if isinstance(motion, PlanningFailure):
-                queue.refuse(topic, motion, asked)
+                queue.reject(topic, motion, asked)
                 return
             for warning in motion.warnings:
                 log.warning("%s: %s", topic, warning)
-            queue.submit(topic, replace(motion, confirm=self._confirmation.wanted), asked=asked)
+            queue.submit(topic, replace(motion, confirm=self._confirmation.wanted), message=asked)
 
         def refused(error: MessageError) -> None:
-            queue.refuse(topic, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))
+            queue.reject(topic, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))
 
         def turned_away(asked: Mapping[str, Any], sender: Node, reason: str) -> None:
-            queue.refuse(topic, PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason), asked, only_for=sender)
+            queue.reject(topic, PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason), asked, only_for=sender)
 
         self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, refused, turned_away))
 
@@ -109,7 +109,7 @@ class GoalTopics:
 
     def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
         """Log the end of a goal and publish its last status, then the one result of one that came by a topic."""
-        instead = suggestion(goal.asked, answer.details, self._robot)
+        instead = suggestion(goal.message, answer.details, self._robot)
         message = answer.message if instead is None else f"{answer.message}; what would work: {instead.words}"
         succeeded = answer.code is MoveItErrorCode.SUCCESS
         level = logging.INFO if succeeded else logging.WARNING
@@ -135,8 +135,8 @@ class GoalTopics:
             "fraction": f"{progress.fraction:.3f}",
             "seconds_left": f"{progress.remaining_s:.2f}",
         }
-        if "header" in goal.asked:
-            stamp = goal.asked["header"]["stamp"]
+        if "header" in goal.message:
+            stamp = goal.message["header"]["stamp"]
             values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
         status = {
             "level": level,

@@ -19,9 +19,10 @@ from robot.messages import MotionEnded, Outcome
 from robot.model import Joint
 from robot.trapezoid import rest_to_rest
 from server.action_goals import Goal, GoalStatus
-from server.execution.current_state import ARM_START_TIMEOUT_S, unusable
+from server.errors import RefusedError
+from server.execution.current_state import ARM_START_TIMEOUT_S, check_ready
 from server.execution.player import BRAKING_TIMEOUT_S
-from server.execution.time_limits import Allowance, ArmTime
+from server.execution.time_limits import ArmClock, TimeLimits
 from server.graph import Graph
 from server.node import Node
 
@@ -76,7 +77,7 @@ class Gripper:
         joint: the gripper's joint; its limits are kept.
         velocity_scaling: share of the joint's velocity limit that motions use.
         acceleration_scaling: share of its acceleration limit.
-        allowance: what motions may take.
+        time_limits: what motions may take.
         torque_limit: share of full motor duty that the gripper may use.
         clock: monotonic time of this machine [s].
     """
@@ -87,7 +88,7 @@ class Gripper:
         joint: Joint,
         velocity_scaling: float,
         acceleration_scaling: float,
-        allowance: Allowance,
+        time_limits: TimeLimits,
         torque_limit: float,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -95,7 +96,7 @@ class Gripper:
         self._joint = joint
         self._max_velocity = velocity_scaling * joint.max_velocity
         self._max_acceleration = acceleration_scaling * joint.max_acceleration
-        self._allowance = allowance
+        self._time_limits = time_limits
         self._torque_limit = torque_limit
         self._clock = clock
         self._newest = 0
@@ -143,16 +144,17 @@ class Gripper:
             self._arm.stop(self._motion)
 
     async def _play(self, command: GripperCommand, tell: Callable[[GripperReading], None]) -> MotionEnded:
-        failure = unusable(self._arm)
-        if failure is not None:
-            return MotionEnded(0, Outcome.REFUSED, failure.message)
+        try:
+            check_ready(self._arm)
+        except RefusedError as error:
+            return MotionEnded(0, Outcome.REFUSED, str(error))
         velocity = min(command.max_velocity_rad_s or self._max_velocity, self._max_velocity)
         trajectory = rest_to_rest(
             self._joint.name, self._goal_rad(), command.position_rad, velocity, self._max_acceleration
         )
         share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
         self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share)
-        ended = await self._until_ended(self._motion, self._allowance.of(trajectory.duration_s), tell)
+        ended = await self._until_ended(self._motion, self._time_limits.allowed_s(trajectory.duration_s), tell)
         if ended.outcome is Outcome.GRIPPED:
             await self._until_squeezed()
         return ended
@@ -160,10 +162,10 @@ class Gripper:
     async def _until_ended(
         self, motion: asyncio.Future[MotionEnded], left_s: float, tell: Callable[[GripperReading], None]
     ) -> MotionEnded:
-        arm_time = ArmTime(self._arm, self._clock)
+        arm_clock = ArmClock(self._arm, self._clock)
         while not motion.done() and left_s > 0.0:
             await asyncio.wait([motion], timeout=FEEDBACK_PERIOD_S)
-            left_s -= arm_time.passed_s()
+            left_s -= arm_clock.elapsed_s()
             reading = self.reading()
             if not motion.done() and reading is not None:
                 tell(reading)

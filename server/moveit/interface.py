@@ -18,7 +18,7 @@ from server.execution.executor import GoalExecutor
 from server.execution.failures import FailedGoals
 from server.execution.motions import Motion
 from server.execution.queue import Answer, GoalQueue, Progress, QueuedGoal
-from server.execution.time_limits import Allowance
+from server.execution.time_limits import TimeLimits
 from server.graph import Graph
 from server.moveit.actions.motion_actions import MotionActions
 from server.moveit.description import RobotDescription
@@ -42,7 +42,7 @@ from server.operations.goal_tally import GoalTally
 QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 
-class MoveItFace:
+class MoveItInterface:
     """Everything that MoveIt's clients talk to.
 
     Args:
@@ -87,7 +87,7 @@ class MoveItFace:
         simple_layer, goals = self._simple_layer, self._settings.goals
         confirm, show = simple_layer.confirmation.ask, self._display.performed
         self._executor = GoalExecutor(
-            arm, self._robot, pool, self._scene, self._failed_goals, show, confirm, self._allowance()
+            arm, self._robot, pool, self._scene, self._failed_goals, show, confirm, self._time_limits()
         )
         self.queue = GoalQueue(self._executor, goals.policy, goals.capacity, simple_layer.on_progress, self._on_answer)
         self.queue.start()
@@ -157,13 +157,13 @@ class MoveItFace:
         moveit = self._settings.moveit
         torque_limit = self._settings.arm.guards.gripper_torque_limit
         return Gripper(
-            arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling, self._allowance(), torque_limit
+            arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling, self._time_limits(), torque_limit
         )
 
-    def _allowance(self) -> Allowance:
+    def _time_limits(self) -> TimeLimits:
         moveit = self._settings.moveit
         scaling, margin_s = moveit.allowed_execution_duration_scaling, moveit.allowed_goal_duration_margin
-        return Allowance(scaling, margin_s, self._settings.goals.max_paused_s)
+        return TimeLimits(scaling, margin_s, self._settings.goals.max_paused_s)
 
 
 class SimpleLayer:

@@ -37,14 +37,14 @@ class ActionDesk(ServiceRig):
         self._end = asyncio.get_running_loop().create_future()
         return await self._end
 
-    def end(self, reason: str) -> None:
+    def cancel(self, reason: str) -> None:
         self.finish(Answer(MoveItErrorCode.PREEMPTED, reason))
 
-    def give_way(self, reason: str) -> None:
-        self.end(reason)
+    def preempt(self, reason: str) -> None:
+        self.cancel(reason)
 
     def stop(self, reason: str) -> None:
-        self.end(reason)
+        self.cancel(reason)
 
     def finish(self, answer: Answer = THERE) -> None:
         if self._end is not None and not self._end.done():

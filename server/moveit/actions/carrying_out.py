@@ -60,7 +60,7 @@ def refuse(
     result: Callable[[Answer], Message],
 ) -> None:
     """Answer a goal that cannot be asked for; what moves goes on."""
-    queue.refuse(goal.action, failure)
+    queue.reject(goal.action, failure)
     finish(goal, Answer.of(failure), result)
 
 

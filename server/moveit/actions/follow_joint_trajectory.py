@@ -107,17 +107,17 @@ class ArmController:
         return refusal_of(trajectory, self._group, self._robot, self._current.positions_rad(), time.time())
 
     def _refuse(self, goal: Goal, refused: Refused) -> None:
-        self._queue.refuse(goal.action, refused.failure)
+        self._queue.reject(goal.action, refused.failure)
         goal.finish(GoalStatus.ABORTED, result(refused.code, refused.failure.message))
 
     def _take_trajectory(self, publication: Publication) -> None:
         """Play a trajectory that nobody waits for; one without points stops the arm, as ROS 1's controllers do."""
         trajectory = publication.msg
         if not trajectory["points"]:
-            self._queue.end_all(f"stopped by an empty trajectory on {self._topic}")
+            self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}")
             return
         refused = self._refusal(trajectory)
         if refused is not None:
-            self._queue.refuse(self._topic, refused.failure)
+            self._queue.reject(self._topic, refused.failure)
             return
         self._queue.submit(self._topic, given_motion(trajectory, self._robot), policy=GoalPolicy.PREEMPT)

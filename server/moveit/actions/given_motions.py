@@ -9,12 +9,12 @@ from robot.control.acceptance import refusal
 from robot.limits import JointBounds
 from robot.model import Group, RobotModel
 from robot.trajectory import Trajectory
-from server.execution.motions import GivenMotion, Positions
+from server.execution.motions import ExternalTrajectory, Positions
 from server.moveit.actions.carrying_out import Message
 from server.moveit.requests.trajectories import from_joint_trajectory
 
 
-def given_motion(message: Message, robot: RobotModel) -> GivenMotion:
+def given_motion(message: Message, robot: RobotModel) -> ExternalTrajectory:
     """A motion to play, from a trajectory_msgs/JointTrajectory.
 
     Joints of its group that it does not name keep the position that the arm holds.
@@ -30,7 +30,7 @@ def given_motion(message: Message, robot: RobotModel) -> GivenMotion:
         whole = of_group(motion, group, held_rad)
         return _beyond_limits(whole, robot) or whole
 
-    return GivenMotion(trajectory)
+    return ExternalTrajectory(trajectory)
 
 
 def smallest_group(robot: RobotModel, joint_names: tuple[str, ...]) -> Group | None:

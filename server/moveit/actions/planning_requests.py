@@ -9,7 +9,7 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
 from server.action_goals import Goal
 from server.errors import RefusedError
-from server.execution.motions import PlannedMotion, Positions, plan_steps
+from server.execution.motions import PlannedMotion, Positions, plan_sequence
 from server.execution.queue import Answer
 from server.moveit.actions.carrying_out import Message
 from server.moveit.actions.planning_options import Options, options_of
@@ -89,7 +89,7 @@ async def planned_only(goal: Goal, asked: Asked, context: PlanningContext) -> An
     refusal = _refusal(asked.requests, situation.start_rad, context, warnings)
     if refusal is not None:
         return Answer.of(refusal)
-    planned = await plan_steps(
+    planned = await plan_sequence(
         tuple(context.step(request) for request in asked.requests), situation.start_rad, scene, context.pool.ask
     )
     if planned.failure is not None:

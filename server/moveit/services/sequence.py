@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from server.execution.current_state import state_message
-from server.execution.motions import plan_steps
+from server.execution.motions import plan_sequence
 from server.moveit.requests.codes import failure_code, success
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import required
@@ -27,7 +27,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     requests = required(requests_of(asked))
     steps = [context.step(one) for one in requests]
     situation = context.situation(requests[0]["start_state"], caller)
-    planned = await plan_steps(steps, situation.start_rad, situation.scene, context.pool.ask)
+    planned = await plan_sequence(steps, situation.start_rad, situation.scene, context.pool.ask)
     root, performed = context.robot.root_link, planned.performed
     context.display.planned(performed.planned, situation.start_rad)
     failure = planned.failure

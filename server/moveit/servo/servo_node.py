@@ -13,7 +13,8 @@ from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
 from robot.model import RobotModel
-from server.execution.current_state import unusable
+from server.errors import RefusedError
+from server.execution.current_state import check_ready
 from server.graph import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.state import SceneState
@@ -78,8 +79,11 @@ class ServoNode:
         timeout_s = parameters.incoming_command_timeout
 
         def closed() -> str:
-            failure = unusable(arm)
-            return busy() if failure is None else failure.message
+            try:
+                check_ready(arm)
+            except RefusedError as error:
+                return str(error)
+            return busy()
 
         gate = Gate(self._present, timeout_s, closed)
         group = self._group

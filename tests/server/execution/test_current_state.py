@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -13,7 +12,8 @@ from protocol.registry import Registry
 from robot import model
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
-from server.execution.current_state import CurrentState, state_message, unusable
+from server.errors import RefusedError
+from server.execution.current_state import CurrentState, check_ready, state_message
 
 ROBOT = model.builtin()
 NAMES = ("shoulder_pan", "gripper")
@@ -79,15 +79,14 @@ class Read:
 
 @pytest.mark.parametrize(("state", "code", "words"), UNUSABLE.values(), ids=UNUSABLE.keys())
 def test_an_arm_that_cannot_move_says_why_and_what_to_do(state: ArmState, code: MoveItErrorCode, words: str) -> None:
-    failure = unusable(Read(state))
-    assert failure is not None
-    assert failure.code is code
-    assert re.search(words, failure.message)
+    with pytest.raises(RefusedError, match=words) as refused:
+        check_ready(Read(state))
+    assert refused.value.failure.code is code
 
 
 @pytest.mark.parametrize("mode", [Mode.HOLDING, Mode.MOVING])
 def test_an_arm_that_holds_or_moves_takes_motions(mode: Mode) -> None:
-    assert unusable(Read(ArmState(0.0, mode, (), goal_rad=GOAL))) is None
+    check_ready(Read(ArmState(0.0, mode, (), goal_rad=GOAL)))
 
 
 HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
@@ -95,11 +94,11 @@ HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
 
 @pytest.mark.parametrize(("age_s", "max_age_s"), [(1.5, METAL_MAX_AGE_S), (5.5, SIMULATED_MAX_AGE_S)])
 def test_a_state_that_is_old_is_not_relied_on(age_s: float, max_age_s: float) -> None:
-    failure = unusable(Read(HOLDING, age_s, max_age_s))
-    assert failure is not None
-    assert failure.code is MoveItErrorCode.ROBOT_STATE_STALE
-    assert failure.message == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
+    with pytest.raises(RefusedError) as refused:
+        check_ready(Read(HOLDING, age_s, max_age_s))
+    assert refused.value.failure.code is MoveItErrorCode.ROBOT_STATE_STALE
+    assert str(refused.value) == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
 
 
 def test_a_simulated_arm_that_a_busy_machine_starves_is_waited_for() -> None:
-    assert unusable(Read(HOLDING, 4.5, SIMULATED_MAX_AGE_S)) is None
+    check_ready(Read(HOLDING, 4.5, SIMULATED_MAX_AGE_S))

@@ -24,12 +24,12 @@ from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmState, Mode
 from robot.model import RobotModel
 from robot.trajectory import Trajectory
-from server.execution.executor import MAX_SAMPLES, GoalExecutor, Recorder
+from server.execution.executor import MAX_SAMPLES, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
-from server.execution.motions import GivenMotion, PlannedMotion, Positions
+from server.execution.motions import ExternalTrajectory, PlannedMotion, Positions
 from server.execution.queue import GoalState, Progress
 from server.execution.splicing import STATE_AGE_S
-from server.execution.time_limits import Allowance
+from server.execution.time_limits import TimeLimits
 from server.moveit.scene.state import SceneState
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
@@ -139,10 +139,10 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
 
 
 def test_motions_are_played_with_the_allowance_that_is_set() -> None:
-    robot, allowance = model.builtin(), Allowance(scaling=9.0)
+    robot, time_limits = model.builtin(), TimeLimits(scaling=9.0)
     arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
-    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), allowance=allowance)
-    assert executor._player._allowance is allowance
+    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), time_limits=time_limits)
+    assert executor._player._time_limits is time_limits
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_planners_are_waited_for_as_long_as_the_arm_while_it_moves(hardware: Har
     robot = model.builtin()
     arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
-    assert executor._watch._patience_s == arm.state_max_age_s
+    assert executor._scene_monitor._retry_for_s == arm.state_max_age_s
 
 
 ARM = model.builtin().groups["arm"].joints
@@ -198,7 +198,7 @@ class Stage:
         still = all(start_rad == end_rad for start_rad, end_rad in moves.values())
         return Plan(standing(moves) if still else smooth_move(moves, 1.0), "straight line", 0.01)
 
-    async def begin(self, motion: PlannedMotion | GivenMotion) -> None:
+    async def begin(self, motion: PlannedMotion | ExternalTrajectory) -> None:
         self.running = asyncio.create_task(self.executor.run(motion, self.news.append))
         await settle()
 
@@ -218,9 +218,9 @@ async def stage() -> Stage:
     return Stage()
 
 
-def given(start_rad: float, end_rad: float) -> GivenMotion:
+def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
     motion = smooth_move(dict.fromkeys(ARM, (start_rad, end_rad)), 2.0)
-    return GivenMotion(lambda _held_rad: motion)
+    return ExternalTrajectory(lambda _held_rad: motion)
 
 
 async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(stage: Stage) -> None:
@@ -354,7 +354,7 @@ async def test_a_given_motion_that_starts_elsewhere_or_touches_something_is_not_
 
 async def test_ending_the_goal_in_hand_leaves_other_motions_alone(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.end("preempted by a test")
+    stage.executor.cancel("preempted by a test")
     answer = await stage.answer()
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "preempted by a test: stopped half-way")
     assert None not in stage.arm.stops
@@ -378,7 +378,7 @@ async def test_a_goal_that_holds_already_moves_nothing(stage: Stage) -> None:
 async def test_a_goal_is_ended_while_it_is_planned(stage: Stage) -> None:
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.end("ended by a test")
+    stage.executor.cancel("ended by a test")
     assert (await stage.answer()).message == "ended by a test while planning"
     assert stage.arm.played == []
 
@@ -400,7 +400,7 @@ async def under_way(stage: Stage) -> None:
     await asyncio.sleep(2.0 * STATE_AGE_S)
     stage.arm.pass_time(2.0 * STATE_AGE_S)
     stage.arm.show(0.5)
-    stage.executor.give_way("preempted by a test")
+    stage.executor.preempt("preempted by a test")
     assert (await stage.answer()).message == "preempted by a test"
 
 
@@ -419,9 +419,9 @@ async def test_a_goal_goes_on_from_the_motion_that_gave_way_to_it(stage: Stage) 
 
 
 def be_nowhere_to_leave(stage: Stage) -> None:
-    left = stage.executor._player.left
-    assert left is not None
-    stage.executor._player.left = replace(left, branch=None)
+    outgoing = stage.executor._player.outgoing
+    assert outgoing is not None
+    stage.executor._player.outgoing = replace(outgoing, splice_point=None)
 
 
 OTHERWISE: dict[str, Callable[[Stage], object]] = {
@@ -452,7 +452,7 @@ async def test_a_given_motion_begins_at_rest(stage: Stage) -> None:
     held = stage.arm.state.goal_rad
     assert held is not None
     motion = smooth_move({name: (held_rad, 0.5) for name, held_rad in zip(ARM, held.tolist(), strict=False)}, 2.0)
-    await stage.begin(GivenMotion(lambda _held_rad: motion))
+    await stage.begin(ExternalTrajectory(lambda _held_rad: motion))
     assert len(stage.arm.stops) == 1
     stage.arm.end()
     assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
@@ -463,13 +463,13 @@ async def test_a_goal_that_is_cancelled_before_it_goes_on_leaves_the_arm_at_rest
     await under_way(stage)
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=-0.2))
-    stage.executor.end("cancelled by a test")
+    stage.executor.cancel("cancelled by a test")
     assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
     assert stage.arm.stops
 
 
 def test_what_was_read_since_the_start_is_a_trajectory_from_time_0() -> None:
-    recorder = Recorder()
+    recorder = MotionRecorder()
     recorder.take_state(STATE)
     recorder.start()
     for stamp_s in (6.0, 6.5):
@@ -482,7 +482,7 @@ def test_what_was_read_since_the_start_is_a_trajectory_from_time_0() -> None:
 
 
 def test_an_arm_that_was_not_read_has_no_way() -> None:
-    recorder = Recorder()
+    recorder = MotionRecorder()
     recorder.start()
     recorder.take_state(replace(STATE, position_rad=None))
     assert recorder.finish(("a",)) is None
@@ -490,7 +490,7 @@ def test_an_arm_that_was_not_read_has_no_way() -> None:
 
 
 def test_times_increase_though_a_clock_was_set_back() -> None:
-    recorder = Recorder()
+    recorder = MotionRecorder()
     recorder.start()
     for stamp_s in (6.0, 5.0, 6.0, 7.0):
         recorder.take_state(replace(STATE, stamp_s=stamp_s))
@@ -500,7 +500,7 @@ def test_times_increase_though_a_clock_was_set_back() -> None:
 
 
 def test_a_recording_is_bounded() -> None:
-    recorder = Recorder()
+    recorder = MotionRecorder()
     recorder.start()
     for number in range(MAX_SAMPLES + 10):
         recorder.take_state(replace(STATE, stamp_s=float(number)))

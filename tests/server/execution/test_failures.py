@@ -65,7 +65,7 @@ async def found(goal: Goal) -> tuple[PlanningProblem, PlanningFailure]:
     pool = DirectPool()
     failure = await pool.ask(problem, WALL)
     assert isinstance(failure, PlanningFailure)
-    return problem, await Alternatives(ROBOT, pool).added(failure, problem, WALL)  # type: ignore[arg-type]
+    return problem, await Alternatives(ROBOT, pool).add_to(failure, problem, WALL)  # type: ignore[arg-type]
 
 
 async def planned(goal: Goal) -> Any:
@@ -88,6 +88,6 @@ async def test_a_point_in_collision_comes_with_a_free_one_that_can_be_planned() 
 async def test_other_failures_stay_as_they_are() -> None:
     failure = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
     alternatives = Alternatives(ROBOT, DirectPool())  # type: ignore[arg-type]
-    assert await alternatives.added(failure, PlanningProblem("arm", HOME, JointGoal({})), WALL) is failure
+    assert await alternatives.add_to(failure, PlanningProblem("arm", HOME, JointGoal({})), WALL) is failure
     in_collision = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "touches")
-    assert await alternatives.added(in_collision, None, WALL) is in_collision
+    assert await alternatives.add_to(in_collision, None, WALL) is in_collision

@@ -11,7 +11,7 @@ from planners.problem import (
     PlanningProblem,
 )
 from planners.scene import EMPTY_SCENE, Scene
-from server.execution.motions import Positions, Step, plan_steps
+from server.execution.motions import Positions, Step, plan_sequence
 from tests.helpers.trajectories import smooth_move
 
 START = {"a": 0.0, "b": 0.5}
@@ -47,7 +47,7 @@ class Planning:
 
 async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
     planning = Planning()
-    planned = await plan_steps([to(0.3), to(0.7)], START, EMPTY_SCENE, planning.ask)
+    planned = await plan_sequence([to(0.3), to(0.7)], START, EMPTY_SCENE, planning.ask)
     assert planning.starts == [START, {"a": 0.3, "b": 0.5}]
     assert planned.failure is None
     assert len(planned.performed.planned) == 2
@@ -56,7 +56,7 @@ async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
 
 
 async def test_the_motions_before_a_failure_are_kept_and_the_item_is_named() -> None:
-    planned = await plan_steps([to(0.3), to(2.0), to(0.1)], START, EMPTY_SCENE, Planning().ask)
+    planned = await plan_sequence([to(0.3), to(2.0), to(0.1)], START, EMPTY_SCENE, Planning().ask)
     assert len(planned.performed.planned) == 1
     assert planned.failure is not None
     assert planned.failure.message == "items[1]: there is a wall"
@@ -65,18 +65,18 @@ async def test_the_motions_before_a_failure_are_kept_and_the_item_is_named() -> 
 
 
 async def test_a_single_step_fails_in_its_own_words() -> None:
-    planned = await plan_steps([to(2.0)], START, EMPTY_SCENE, Planning().ask)
+    planned = await plan_sequence([to(2.0)], START, EMPTY_SCENE, Planning().ask)
     assert planned.failure == WALL
 
 
 async def test_a_step_that_makes_no_problem_is_not_asked() -> None:
     planning = Planning()
-    planned = await plan_steps([lambda _start_rad: WALL], START, EMPTY_SCENE, planning.ask)
+    planned = await plan_sequence([lambda _start_rad: WALL], START, EMPTY_SCENE, planning.ask)
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 
 async def test_what_could_not_be_had_is_told() -> None:
-    planned = await plan_steps([to(0.3)], START, EMPTY_SCENE, Planning(Deviation(0.0, 0.5)).ask)
+    planned = await plan_sequence([to(0.3)], START, EMPTY_SCENE, Planning(Deviation(0.0, 0.5)).ask)
     assert len(planned.notes) == 1
     assert "28.6 degrees" in planned.notes[0]
 
@@ -85,4 +85,4 @@ async def test_half_a_path_of_the_tip_is_a_failure() -> None:
     async def half(_request: object, _scene: Scene) -> CartesianPlan:
         return CartesianPlan(smooth_move({"a": (0.0, 0.1)}, 1.0), 0.5, WALL, 0.1)
 
-    assert (await plan_steps([to(0.3)], START, EMPTY_SCENE, half)).failure == WALL
+    assert (await plan_sequence([to(0.3)], START, EMPTY_SCENE, half)).failure == WALL

@@ -11,44 +11,46 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
 from robot.messages import Course, MotionEnded, Outcome, Pace
 from server.execution import player
-from server.execution.player import CODE_OF_OUTCOME, Certified, Player
+from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, Player
 from server.execution.queue import Answer, Progress
-from server.execution.time_limits import Allowance
+from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
 
 pytestmark = pytest.mark.stepped_time
 
-MOTION = Certified("arm", smooth_move(dict.fromkeys(JOINTS, (0.0, 0.5)), 1.0), {}, EMPTY_SCENE.version, "as planned")
+MOTION = CheckedMotion(
+    "arm", smooth_move(dict.fromkeys(JOINTS, (0.0, 0.5)), 1.0), {}, EMPTY_SCENE.version, "as planned"
+)
 CONTACT = PlanningFailure(
     MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall", {"pairs": ["wall"]}
 )
 
 
-class Watch:
-    """Guards nothing until a test finds a contact."""
+class FakeSceneMonitor:
+    """Monitors nothing until a test finds a contact."""
 
     def __init__(self) -> None:
-        self.guarding = False
+        self.monitoring = False
         self.found: Any = None
         self.question: Any = None
 
-    def begin(self, _seen: int, question: Any, on_contact: Any) -> None:
-        self.guarding, self.question, self.found = True, question, on_contact
+    def start(self, _version: int, question: Any, on_contact: Any) -> None:
+        self.monitoring, self.question, self.found = True, question, on_contact
 
-    def end(self) -> None:
-        self.guarding = False
+    def stop(self) -> None:
+        self.monitoring = False
 
 
-ALLOWANCE = Allowance(scaling=3.0)
+LIMITS = TimeLimits(scaling=3.0)
 
 
 class Stage:
     def __init__(self, arm: PlayedArm | None = None) -> None:
-        self.arm, self.watch = arm or PlayedArm(), Watch()
+        self.arm, self.scene_monitor = arm or PlayedArm(), FakeSceneMonitor()
         self.clock = FakeClock()
-        self.player = Player(self.arm, self.watch, ALLOWANCE, self.clock)  # type: ignore[arg-type]
+        self.player = Player(self.arm, self.scene_monitor, LIMITS, self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
         self.running: asyncio.Task[Answer] | None = None
 
@@ -78,7 +80,7 @@ async def test_every_end_has_its_code_and_its_own_words(stage: Stage, outcome: O
     stage.arm.end(outcome, "that is how it went")
     answer = await stage.answer()
     assert answer == Answer(CODE_OF_OUTCOME[outcome], "that is how it went", {"outcome": outcome.value})
-    assert not stage.watch.guarding
+    assert not stage.scene_monitor.monitoring
 
 
 async def test_a_stop_is_told_with_its_reason(stage: Stage) -> None:
@@ -87,7 +89,7 @@ async def test_a_stop_is_told_with_its_reason(stage: Stage) -> None:
 
 
 async def test_a_contact_on_the_way_stops_the_motion_with_its_own_code_and_data(stage: Stage) -> None:
-    stage.watch.found(CONTACT)
+    stage.scene_monitor.found(CONTACT)
     stage.player.stop("too late")
     answer = await stage.answer()
     assert (answer.code, answer.details) == (CONTACT.code, CONTACT.details)
@@ -105,19 +107,19 @@ async def test_only_the_motion_in_hand_is_stopped(stage: Stage) -> None:
 async def test_the_question_is_about_what_is_left(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace())
-    assert stage.watch.question().from_s == 0.25
+    assert stage.scene_monitor.question().from_s == 0.25
 
 
 async def test_on_the_way_back_all_of_the_path_may_still_come(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(course=Course.BACK))
-    assert stage.watch.question().from_s == 0.0
+    assert stage.scene_monitor.question().from_s == 0.0
 
 
 async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(player, "Patience", worn)
+    monkeypatch.setattr(player, "ExecutionDeadline", worn)
     stage = Stage()
     await stage.begin()
     answer = await stage.answer()
@@ -143,7 +145,7 @@ async def stubborn() -> Stage:
 
 LOOKS_S = 10.0 * player.PROGRESS_PERIOD_S
 BRAKING_S = player.BRAKING_TIMEOUT_S
-ALLOWED_S = ALLOWANCE.of(MOTION.trajectory.duration_s)
+ALLOWED_S = LIMITS.allowed_s(MOTION.trajectory.duration_s)
 
 
 async def test_an_arm_that_a_busy_machine_starves_has_all_its_time_by_its_own_clock(stubborn: Stage) -> None:
@@ -193,9 +195,9 @@ async def test_a_server_that_stood_still_gives_the_arm_its_time_to_brake(stubbor
 
 
 async def test_a_motion_that_was_left_is_waited_for_by_the_arms_clock(stubborn: Stage) -> None:
-    stubborn.player.leave("preempted by a test")
+    stubborn.player.preempt("preempted by a test")
     await stubborn.answer()
-    resting = asyncio.create_task(stubborn.player.rest())
+    resting = asyncio.create_task(stubborn.player.stop_outgoing())
     await asyncio.sleep(LOOKS_S)
     stubborn.arm.pass_time(0.9 * BRAKING_S)
     await asyncio.sleep(LOOKS_S)
@@ -211,20 +213,20 @@ async def test_an_arm_that_says_nothing_any_more_is_not_waited_for(stubborn: Sta
     assert (await stubborn.answer()).code is MoveItErrorCode.COMMUNICATION_FAILURE
 
 
-def worn(_duration_s: float, allowance: Allowance) -> Worn:
-    assert allowance is ALLOWANCE
+def worn(_duration_s: float, limits: TimeLimits) -> Worn:
+    assert limits is LIMITS
     return Worn()
 
 
 class Worn:
-    """Patience that has come to its end."""
+    """Deadline that is exceeded."""
 
-    end = "the arm did not end the motion"
+    exceeded = "the arm did not end the motion"
 
 
 async def test_right_after_the_beginning_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
     stage.arm.state = replace(stage.arm.state, fraction=0.25)
-    assert stage.watch.question().from_s == 0.0
+    assert stage.scene_monitor.question().from_s == 0.0
 
 
 @pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])
@@ -234,26 +236,26 @@ async def test_where_arm_or_server_are_starved_the_state_may_be_of_the_motion_be
     stage.clock.advance(machine_s)
     stage.arm.pass_time(arm_s)
     stage.arm.state = replace(stage.arm.state, fraction=0.25)
-    assert stage.watch.question().from_s == 0.0
+    assert stage.scene_monitor.question().from_s == 0.0
 
 
 async def test_a_motion_that_is_left_goes_on_until_another_takes_its_place(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.show(0.4)
-    stage.player.leave("preempted by a test")
+    stage.player.preempt("preempted by a test")
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")
-    left = stage.player.left
-    assert left is not None
-    assert left.branch is not None
+    outgoing = stage.player.outgoing
+    assert outgoing is not None
+    assert outgoing.splice_point is not None
     assert stage.arm.stops == []
-    stage.running = asyncio.create_task(stage.player.play(MOTION, stage.news.append, left.branch.from_s))
+    stage.running = asyncio.create_task(stage.player.play(MOTION, stage.news.append, outgoing.splice_point.from_s))
     await settle()
-    assert stage.arm.continued == [left.branch.from_s]
-    assert left.ended.done()
+    assert stage.arm.continued == [outgoing.splice_point.from_s]
+    assert outgoing.ended.done()
 
 
 async def test_a_motion_that_is_left_is_braked_when_no_other_comes(stage: Stage) -> None:
-    stage.player.leave("preempted by a test")
+    stage.player.preempt("preempted by a test")
     await stage.answer()
     async with asyncio.timeout(5.0):
         while not stage.arm.stops:
@@ -261,14 +263,14 @@ async def test_a_motion_that_is_left_is_braked_when_no_other_comes(stage: Stage)
 
 
 async def test_a_motion_that_is_left_can_be_brought_to_rest_and_stopped(stage: Stage) -> None:
-    stage.player.leave("preempted by a test")
+    stage.player.preempt("preempted by a test")
     await stage.answer()
-    await stage.player.rest()
+    await stage.player.stop_outgoing()
     assert len(stage.arm.stops) == 1
-    assert stage.player.left is None
+    assert stage.player.outgoing is None
 
 
 async def test_a_motion_that_brakes_already_is_not_left(stage: Stage) -> None:
     stage.player.stop("a test")
-    stage.player.leave("too late")
+    stage.player.preempt("too late")
     assert (await stage.answer()).message == "a test: stopped half-way"

@@ -27,15 +27,15 @@ class ScriptedRunner:
         self._end = asyncio.get_running_loop().create_future()
         return await self._end
 
-    def end(self, reason: str) -> None:
+    def cancel(self, reason: str) -> None:
         self.finish(Answer(MoveItErrorCode.PREEMPTED, reason))
 
-    def give_way(self, reason: str) -> None:
-        self.end(reason)
+    def preempt(self, reason: str) -> None:
+        self.cancel(reason)
 
     def stop(self, reason: str) -> None:
         self.stopped.append(reason)
-        self.end(reason)
+        self.cancel(reason)
 
     def finish(self, answer: Answer = DONE) -> None:
         if self._end is not None and not self._end.done():
@@ -117,7 +117,7 @@ async def test_a_goal_over_the_capacity_is_refused_with_the_limit(desk: Desk) ->
 async def test_a_refused_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
     desk.queue.submit("/goal", "a")
     await settle()
-    goal_id = desk.queue.refuse("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
+    goal_id = desk.queue.reject("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
     assert desk.codes() == [(goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
     assert desk.runner.started == ["a"]
 

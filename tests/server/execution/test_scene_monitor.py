@@ -8,7 +8,7 @@ import pytest
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
-from server.execution.scene_monitor import SceneWatch
+from server.execution.scene_monitor import SceneMonitor
 from tests.helpers.clock import FakeClock
 from tests.helpers.played_arm import settle
 from tests.helpers.trajectories import smooth_move
@@ -43,11 +43,11 @@ class Place:
         return self.answer
 
 
-def watching(place: Place) -> SceneWatch:
+def watching(place: Place) -> SceneMonitor:
     pool: PlannerPool = place  # type: ignore[assignment]
-    watch = SceneWatch(pool, place)
-    watch.begin(1, lambda: QUESTION, place.contacts.append)
-    return watch
+    monitor = SceneMonitor(pool, place)
+    monitor.start(1, lambda: QUESTION, place.contacts.append)
+    return monitor
 
 
 @pytest.fixture
@@ -85,12 +85,12 @@ async def test_changes_that_come_while_it_looks_are_looked_at_together(place: Pl
 
 
 async def test_a_motion_that_has_ended_is_looked_at_no_more(place: Place) -> None:
-    watch = watching(place)
+    monitor = watching(place)
     place.slow = True
     place.answer = RecheckAnswer(WALL, 0.5)
     place.change()
     await settle()
-    watch.end()
+    monitor.stop()
     place.go_on.set()
     place.change()
     await settle()
@@ -123,8 +123,8 @@ TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answe
 
 
 def watching_patiently(place: StarvedPlace) -> None:
-    watch = SceneWatch(place, place, 5.0, place.clock)  # type: ignore[arg-type]
-    watch.begin(1, lambda: QUESTION, place.contacts.append)
+    monitor = SceneMonitor(place, place, 5.0, place.clock)  # type: ignore[arg-type]
+    monitor.start(1, lambda: QUESTION, place.contacts.append)
 
 
 async def test_planners_that_a_busy_machine_starves_are_asked_again() -> None:

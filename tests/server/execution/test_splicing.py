@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,19 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from robot import model
 from robot.control.acceptance import refusal
 from robot.limits import JointBounds
 from robot.messages import ArmState, Course, Mode, Pace
+from server.errors import RefusedError
 from server.execution.splicing import (
     HORIZON_S,
-    SAME_RAD,
-    STITCH_SHARE,
-    STITCH_TOLERANCE_RAD,
-    Branch,
-    branch_of,
-    stitched,
+    LEAD_IN_SCALING,
+    SAME_START_RAD,
+    START_TOLERANCE_RAD,
+    SplicePoint,
+    splice_point_of,
+    with_lead_in,
 )
 from tests.helpers.trajectories import smooth_move
 
@@ -33,28 +35,28 @@ HOME = dict.fromkeys(JOINTS, 0.0)
 BOUNDS = JointBounds.of(ROBOT, JOINTS)
 GIVEN = smooth_move(dict.fromkeys(JOINTS, (0.0, 0.4)), 2.0)
 
-NEAR = st.floats(-STITCH_TOLERANCE_RAD, STITCH_TOLERANCE_RAD)
+NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
 
 
 @given(st.floats(0.0, 0.9), st.floats(0.0, 1.0), st.floats(0.1, 1.0))
 def test_the_lead_is_the_same_curve_as_the_motion_up_to_where_it_is_left(
     fraction: float, share: float, speed: float
 ) -> None:
-    branch = branch_of(UNDER_WAY, replace(MOVING, fraction=fraction, pace=Pace(speed)), 0.0)
-    assert branch is not None
-    time_s = share * branch.lead.duration_s
+    splice_point = splice_point_of(UNDER_WAY, replace(MOVING, fraction=fraction, pace=Pace(speed)), 0.0)
+    assert splice_point is not None
+    time_s = share * splice_point.lead.duration_s
     # Each derivative of a short piece has more of the rounding.
     for order, (ours, theirs) in enumerate(
-        zip(branch.lead.sample(time_s), UNDER_WAY.sample(branch.from_s + time_s), strict=True)
+        zip(splice_point.lead.sample(time_s), UNDER_WAY.sample(splice_point.from_s + time_s), strict=True)
     ):
         np.testing.assert_allclose(ours, theirs, atol=(1e-9, 1e-6, 1e-3)[order])
     # There is the whole horizon to plan in, at whatever speed the motion is played.
-    left_s = branch.from_s + branch.lead.duration_s - fraction * UNDER_WAY.duration_s
+    left_s = splice_point.from_s + splice_point.lead.duration_s - fraction * UNDER_WAY.duration_s
     assert left_s == pytest.approx(HORIZON_S * speed)
 
 
 def test_the_age_of_the_state_counts() -> None:
-    fresh, old = branch_of(UNDER_WAY, MOVING, 0.0), branch_of(UNDER_WAY, MOVING, 0.05)
+    fresh, old = splice_point_of(UNDER_WAY, MOVING, 0.0), splice_point_of(UNDER_WAY, MOVING, 0.05)
     assert fresh is not None
     assert old is not None
     assert old.from_s - fresh.from_s == pytest.approx(0.05)
@@ -71,47 +73,45 @@ STILL = {
 
 @pytest.mark.parametrize("state", STILL.values(), ids=STILL.keys())
 def test_a_motion_that_cannot_be_left_has_no_branch(state: ArmState) -> None:
-    assert branch_of(UNDER_WAY, state, 0.0) is None
+    assert splice_point_of(UNDER_WAY, state, 0.0) is None
 
 
 def test_the_next_motion_begins_where_the_lead_ends() -> None:
-    branch = branch_of(UNDER_WAY, MOVING, 0.0)
-    assert isinstance(branch, Branch)
-    start = branch.positions_rad
-    whole = branch.into(smooth_move({"a": (start["a"], 2.0), "b": (start["b"], 0.0)}, 1.0))
+    splice_point = splice_point_of(UNDER_WAY, MOVING, 0.0)
+    assert isinstance(splice_point, SplicePoint)
+    start = splice_point.positions_rad
+    whole = splice_point.splice(smooth_move({"a": (start["a"], 2.0), "b": (start["b"], 0.0)}, 1.0))
     assert (np.diff(whole.time_s) > 0.0).all()
-    assert whole.duration_s == pytest.approx(branch.lead.duration_s + 1.0)
+    assert whole.duration_s == pytest.approx(splice_point.lead.duration_s + 1.0)
     np.testing.assert_allclose(whole.positions_rad[-1], [2.0, 0.0])
-    assert branch.velocities_rad_s["a"] > 0.0 > branch.velocities_rad_s["b"]
+    assert splice_point.velocities_rad_s["a"] > 0.0 > splice_point.velocities_rad_s["b"]
 
 
 def test_a_motion_from_where_the_arm_holds_stays_as_it_is() -> None:
-    assert stitched(GIVEN, dict.fromkeys(JOINTS, SAME_RAD), ROBOT) is GIVEN
+    assert with_lead_in(GIVEN, dict.fromkeys(JOINTS, SAME_START_RAD), ROBOT) is GIVEN
 
 
 @given(st.lists(NEAR, min_size=len(JOINTS), max_size=len(JOINTS)))
 def test_a_motion_from_nearby_is_led_in_within_the_limits(held: list[float]) -> None:
-    whole = stitched(GIVEN, dict(zip(JOINTS, held, strict=True)), ROBOT)
-    assert not isinstance(whole, PlanningFailure)
+    whole = with_lead_in(GIVEN, dict(zip(JOINTS, held, strict=True)), ROBOT)
     assert not refusal(whole, JOINTS, BOUNDS, np.array(held))
     lead_s = whole.duration_s - GIVEN.duration_s
     speeds = [whole.sample(time_s)[1] for time_s in np.linspace(0.0, lead_s, 20)]
-    assert (np.abs(speeds) <= STITCH_SHARE * BOUNDS.max_velocity + 1e-9).all()
+    assert (np.abs(speeds) <= LEAD_IN_SCALING * BOUNDS.max_velocity + 1e-9).all()
     np.testing.assert_allclose(whole.sample(lead_s + 1.0)[0], GIVEN.sample(1.0)[0], atol=1e-9)
 
 
 def test_slow_joints_are_led_in_slowly() -> None:
     slow = {name: replace(joint, max_velocity=0.05) for name, joint in ROBOT.joints.items()}
-    whole = stitched(GIVEN, dict.fromkeys(JOINTS, 0.04), replace(ROBOT, joints=slow))
-    assert not isinstance(whole, PlanningFailure)
+    whole = with_lead_in(GIVEN, dict.fromkeys(JOINTS, 0.04), replace(ROBOT, joints=slow))
     lead_s = whole.duration_s - GIVEN.duration_s
     speeds = np.abs([whole.sample(time_s)[1] for time_s in np.linspace(0.0, lead_s, 20)])
-    assert speeds.max() <= STITCH_SHARE * 0.05 + 1e-9
+    assert speeds.max() <= LEAD_IN_SCALING * 0.05 + 1e-9
 
 
 @pytest.mark.parametrize("away_rad", [0.06, -1.0])
 def test_a_motion_from_far_away_is_refused_with_joint_and_numbers(away_rad: float) -> None:
-    refused = stitched(GIVEN, {**HOME, "elbow_flex": away_rad}, ROBOT)
-    assert isinstance(refused, PlanningFailure)
-    assert refused.code is MoveItErrorCode.CONTROL_FAILED
-    assert f"elbow_flex at 0.0000 rad, but the arm holds it at {away_rad:.4f} rad" in refused.message
+    sentence = f"elbow_flex at 0.0000 rad, but the arm holds it at {away_rad:.4f} rad"
+    with pytest.raises(RefusedError, match=re.escape(sentence)) as refused:
+        with_lead_in(GIVEN, {**HOME, "elbow_flex": away_rad}, ROBOT)
+    assert refused.value.failure.code is MoveItErrorCode.CONTROL_FAILED

@@ -3,46 +3,46 @@ from __future__ import annotations
 import pytest
 
 from robot.messages import Course, Pace
-from server.execution.time_limits import LEAST_SPEED_FACTOR, Allowance, ArmTime, Patience
+from server.execution.time_limits import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.played_arm import PlayedArm
 
 DURATION_S = 3.0
-ALLOWANCE = Allowance(scaling=3.0, margin_s=4.0, paused_s=50.0)
+LIMITS = TimeLimits(scaling=3.0, margin_s=4.0, paused_s=50.0)
 ALLOWED_S = 13.0
 
 
 def test_a_motion_may_take_its_allowance_and_no_longer() -> None:
-    patience = Patience(DURATION_S, ALLOWANCE)
-    patience.pass_time(ALLOWED_S, Pace())
-    assert patience.end is None
-    patience.pass_time(0.1, Pace())
-    assert f"{ALLOWED_S:.1f} s" in str(patience.end)
+    deadline = ExecutionDeadline(DURATION_S, LIMITS)
+    deadline.pass_time(ALLOWED_S, Pace())
+    assert deadline.exceeded is None
+    deadline.pass_time(0.1, Pace())
+    assert f"{ALLOWED_S:.1f} s" in str(deadline.exceeded)
 
 
 def test_a_slow_motion_uses_its_allowance_up_as_slowly() -> None:
-    patience = Patience(DURATION_S, ALLOWANCE)
-    patience.pass_time(ALLOWED_S * 3.9, Pace(0.25))
-    assert patience.end is None
-    patience.pass_time(ALLOWED_S * 0.2, Pace(0.25))
-    assert patience.end is not None
+    deadline = ExecutionDeadline(DURATION_S, LIMITS)
+    deadline.pass_time(ALLOWED_S * 3.9, Pace(0.25))
+    assert deadline.exceeded is None
+    deadline.pass_time(ALLOWED_S * 0.2, Pace(0.25))
+    assert deadline.exceeded is not None
 
 
 def test_what_is_gone_back_may_be_gone_again() -> None:
-    patience = Patience(DURATION_S, ALLOWANCE)
-    patience.pass_time(ALLOWED_S, Pace())
-    patience.pass_time(2.0, Pace(1.0, Course.BACK))
-    patience.pass_time(1.9, Pace())
-    assert patience.end is None
+    deadline = ExecutionDeadline(DURATION_S, LIMITS)
+    deadline.pass_time(ALLOWED_S, Pace())
+    deadline.pass_time(2.0, Pace(1.0, Course.BACK))
+    deadline.pass_time(1.9, Pace())
+    assert deadline.exceeded is None
 
 
-@pytest.mark.parametrize("pace", [Pace(1.0, Course.PAUSED), Pace(1.0, Course.BACK), Pace(LEAST_SPEED_FACTOR / 2)])
+@pytest.mark.parametrize("pace", [Pace(1.0, Course.PAUSED), Pace(1.0, Course.BACK), Pace(MIN_SPEED_FACTOR / 2)])
 def test_no_motion_stands_or_goes_back_for_ever(pace: Pace) -> None:
-    patience = Patience(DURATION_S, ALLOWANCE)
-    patience.pass_time(50.0, pace)
-    assert patience.end is None
-    patience.pass_time(1.0, pace)
-    assert "limit 50 s" in str(patience.end)
+    deadline = ExecutionDeadline(DURATION_S, LIMITS)
+    deadline.pass_time(50.0, pace)
+    assert deadline.exceeded is None
+    deadline.pass_time(1.0, pace)
+    assert "limit 50 s" in str(deadline.exceeded)
 
 
 LAPS = {
@@ -59,20 +59,20 @@ def test_an_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
     here_s: float, by_arm_s: float, passed_s: float
 ) -> None:
     arm, clock = PlayedArm(), FakeClock()
-    time = ArmTime(arm, clock)
+    time = ArmClock(arm, clock)
     for _ in range(2):
         clock.advance(here_s)
         arm.pass_time(by_arm_s)
-        assert time.passed_s() == pytest.approx(passed_s)
-    assert time.passed_s() == 0.0
+        assert time.elapsed_s() == pytest.approx(passed_s)
+    assert time.elapsed_s() == 0.0
 
 
 def test_states_that_come_unevenly_are_counted_as_one_delay() -> None:
     arm, clock = PlayedArm(), FakeClock()
-    time = ArmTime(arm, clock)
+    time = ArmClock(arm, clock)
     passed_s = 0.0
     for at_s in range(100):
         clock.advance(0.1)
         arm.pass_time(0.12 if at_s % 2 else 0.08)
-        passed_s += time.passed_s()
+        passed_s += time.elapsed_s()
     assert passed_s == pytest.approx(10.0 - 0.02)

@@ -39,10 +39,10 @@ class Obedient:
         await self.go_on.wait()
         return self.answer
 
-    def end(self, reason: str) -> None:
+    def cancel(self, reason: str) -> None:
         self.stop(reason)
 
-    def give_way(self, reason: str) -> None:
+    def preempt(self, reason: str) -> None:
         self.stop(reason)
 
     def stop(self, reason: str) -> None:

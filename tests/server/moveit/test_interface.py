@@ -14,9 +14,9 @@ from protocol.registry import Registry
 from robot.model import RobotModel, builtin, parse
 from server.arm_guard_settings import GuardSettings
 from server.config import ArmSettings, GoalSettings, Settings
-from server.execution.time_limits import Allowance
+from server.execution.time_limits import TimeLimits
 from server.graph import Graph
-from server.moveit.interface import MoveItFace
+from server.moveit.interface import MoveItInterface
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import seven_joint_arm
 from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
@@ -126,16 +126,16 @@ def test_what_is_set_reaches_its_place() -> None:
         ),
         goals=GoalSettings(max_paused_s=5.0),
     )
-    face = MoveItFace(Graph(Registry.load()), builtin(), settings, lambda _name, _value: None)
+    face = MoveItInterface(Graph(Registry.load()), builtin(), settings, lambda _name, _value: None)
     gripper = face._gripper(PlayedArm(), builtin().joints["gripper"])  # type: ignore[arg-type]
-    assert face._allowance() == gripper._allowance == Allowance(3.0, 4.0, 5.0)
+    assert face._time_limits() == gripper._time_limits == TimeLimits(3.0, 4.0, 5.0)
     assert gripper._torque_limit == 0.3
     assert face._transforms._period_s == 0.1
     assert face._scene_interface._monitored._period_s == 0.5
 
 
-def face_of(robot: RobotModel) -> MoveItFace:
-    return MoveItFace(Graph(Registry.load()), robot, Settings(), lambda _name, _value: None)
+def face_of(robot: RobotModel) -> MoveItInterface:
+    return MoveItInterface(Graph(Registry.load()), robot, Settings(), lambda _name, _value: None)
 
 
 def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:

@@ -4,7 +4,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from server.execution.motions import GivenMotion
+from server.execution.motions import ExternalTrajectory
 from server.moveit.actions.execute_trajectory import EXECUTE_ACTION, ExecuteTrajectory
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_services import ROBOT
@@ -26,7 +26,7 @@ def trajectory(position_rad: float) -> dict[str, object]:
 
 async def test_a_trajectory_is_played_and_answered(desk: ActionDesk) -> None:
     await desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
-    assert isinstance(desk.asked[0], GivenMotion)
+    assert isinstance(desk.asked[0], ExternalTrajectory)
     desk.finish()
     await settle()
     assert desk.results[0].values["error_code"]["val"] == 1

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from server.action_goals import GoalStatus
-from server.execution.motions import GivenMotion
+from server.execution.motions import ExternalTrajectory
 from server.execution.queue import GoalState, Progress
 from server.moveit.actions.follow_joint_trajectory import INDUSTRIAL_ACTION, ArmController
 from server.moveit.actions.followed_goal import FollowCode
@@ -52,7 +52,7 @@ async def desk() -> AsyncIterator[Desk]:
 @pytest.mark.parametrize("action", [ACTION, INDUSTRIAL_ACTION])
 async def test_a_trajectory_is_played_under_both_names(desk: Desk, action: str) -> None:
     await desk.send(action, trajectory=TRAJECTORY)
-    assert isinstance(desk.asked[0], GivenMotion)
+    assert isinstance(desk.asked[0], ExternalTrajectory)
     desk.report(MOVING)
     desk.finish()
     await settle()

@@ -98,7 +98,6 @@ class App:
         self._diagnostics = Diagnostics(self._graph, description.robot.name)
         self._arm_services = ArmServices(self._graph)
         self._arm_pace = ArmPace(self._graph)
-        self._face = MoveItInterface(self._graph, description.robot, settings, self._rosapi.parameters.keep)
         self._listener = Listener(
             self._graph,
             settings.server.host,
@@ -114,6 +113,9 @@ class App:
         self._cluster = planning_cluster(planning, description.robot, self._pool)
         self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
+        self._moveit = MoveItInterface(
+            self._graph, description.robot, settings, self._rosapi.parameters.keep, self._arm, self._pool
+        )
 
     async def run(self) -> None:
         """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
@@ -171,24 +173,24 @@ class App:
         self._arm_state.open()
         self._diagnostics.open()
         self._arm_state.take_state(self._arm.state)
-        self._face.open(self._arm, self._pool)
-        self._arm_services.open(self._arm, self._face.stop)
+        self._moveit.start()
+        self._arm_services.open(self._arm, self._moveit.stop)
         self._arm_pace.open(self._arm)
-        self._control.open(lambda: self._face.busy)
+        self._control.open(lambda: self._moveit.queue.busy)
 
     def _show_parts(self) -> None:
         """Let operations tell of all that is open now."""
         parts = self._operations.parts
         parts.traffic, parts.arm, parts.planners = self._listener.traffic, self._arm, self._pool
         parts.refused_connections = self._listener.refused_connections
-        parts.goal_tally, parts.queue = self._face.goal_tally, self._face.queue
+        parts.goal_tally, parts.queue = self._moveit.goal_tally, self._moveit.queue
         parts.recorder, parts.zenoh = self._recorder, self._bridge
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
         self._arm_state.take_state(state)
         self._diagnostics.take_state(state)
-        self._face.take_state(state)
+        self._moveit.take_state(state)
 
     def _on_health(self, health: ArmHealth) -> None:
         self._arm_state.take_health(health)
@@ -199,7 +201,7 @@ class App:
         """The arm first, brought to its end state; then the clients; then what nothing needs any more."""
         relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
         return [
-            Step("goals", self._face.close, 1.1),
+            Step("goals", self._moveit.close, 1.1),
             Step("the arm", self._arm.close, 0.8 + relaxing_s),
             Step("clients", self._close_clients, 0.6),
             Step("other machines", self._close_bridge, 0.4),

@@ -95,7 +95,7 @@ class Alternatives:
     async def add_to(
         self, failure: PlanningFailure, problem: PlanningProblem | CartesianProblem | None, scene: Scene
     ) -> PlanningFailure:
-        """Add the last free place before the goal, if there is one, to a failure: as its detail ``free_rad`` or ``free_m``.
+        """Add the last free place before the goal to a failure, if there is one: its detail ``free_rad`` or ``free_m``.
 
         Args:
             failure: the reason why a problem has no plan.

@@ -9,13 +9,14 @@ from typing import Protocol, TypeAlias
 from planners.problem import CartesianPlan, CartesianProblem, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.trajectory import Trajectory
+from server.errors import RefusedError
 from server.execution.queue import Performed
 from server.moveit.requests.codes import deviation_note
 
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]
 
-# Makes a problem for a start; when a goal's turn comes the arm may hold elsewhere than when the goal came.
+# Makes a problem for a start, or refuses; when a goal's turn comes the arm may hold elsewhere than when the goal came.
 Step: TypeAlias = Callable[[Positions], PlanningProblem | CartesianProblem | PlanningFailure]
 
 
@@ -25,7 +26,7 @@ class PlannedMotion:
 
     Attributes:
         steps: each makes its problem from the end of the one before.
-        scene: makes the scene to plan in for the arm's positions; None for the present scene.
+        scene: makes the scene to plan in for the arm's positions, or refuses; None for the present scene.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
         delay_s: pause before another attempt [s].
         warnings: parts of the request that were ignored, a sentence each.
@@ -45,7 +46,7 @@ class ExternalTrajectory:
     """Trajectory that a client has planned.
 
     Attributes:
-        trajectory: makes it for the positions that the arm holds, or returns the failure.
+        trajectory: makes it for the positions that the arm holds, or refuses.
     """
 
     trajectory: Callable[[Positions], Trajectory | PlanningFailure]
@@ -116,14 +117,13 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
     """
     now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
     for number, step in enumerate(steps):
-        problem = step(now_rad)
-        plan = problem if isinstance(problem, PlanningFailure) else await ask(problem, scene)
-        failure = plan.stopped_by if isinstance(plan, CartesianPlan) else None
-        if isinstance(plan, PlanningFailure):
-            failure = plan
-        if isinstance(plan, PlanningFailure) or failure is not None:
-            named = failure if len(steps) == 1 or failure is None else _in_item(number, failure)
-            return replace(planned, failure=named, problem=None if isinstance(problem, PlanningFailure) else problem)
+        problem = None
+        try:
+            problem = _problem(step, now_rad)
+            plan = await _plan(problem, scene, ask)
+        except RefusedError as error:
+            failure = error.failure if len(steps) == 1 else _in_item(number, error.failure)
+            return replace(planned, failure=failure, problem=problem)
         planned = planned.with_plan(plan)
         # A new mapping: the problem keeps the one it was made for.
         now_rad = {**now_rad, **_end_positions(plan.trajectory)}
@@ -133,6 +133,32 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
 def _end_positions(motion: Trajectory) -> dict[str, float]:
     """Return the positions of a motion's joints at its end [rad]."""
     return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
+
+
+def _problem(step: Step, start_rad: Positions) -> PlanningProblem | CartesianProblem:
+    """Return the problem of a step.
+
+    Raises:
+        RefusedError: there is none.
+    """
+    problem = step(start_rad)
+    if isinstance(problem, PlanningFailure):
+        raise RefusedError(problem)
+    return problem
+
+
+async def _plan(problem: PlanningProblem | CartesianProblem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
+    """Plan one motion to its end.
+
+    Raises:
+        RefusedError: there is no plan, or only one of the beginning.
+    """
+    plan = await ask(problem, scene)
+    if isinstance(plan, PlanningFailure):
+        raise RefusedError(plan)
+    if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
+        raise RefusedError(plan.stopped_by)
+    return plan
 
 
 def _in_item(number: int, failure: PlanningFailure) -> PlanningFailure:

@@ -1,4 +1,4 @@
-"""The robot's description as clients load it: latched topics, parameters, and the files that the URDF names.
+"""Description of the robot for clients: latched topics, parameters, and the files that the URDF names.
 
 MoveIt's clients read the URDF and SRDF from latched topics (ROS 2) or parameters (ROS 1), and fetch meshes by
 ``package://`` URLs from file_server's service ``/file_server/get_file`` (compas_robots, ros-sharp). Those that fetch
@@ -28,11 +28,10 @@ URDF_TOPIC = "/robot_description"
 SRDF_TOPIC = "/robot_description_semantic"
 FILE_SERVICE = "/file_server/get_file"
 
-
 # A mesh of a million triangles is 50 MB; a link's has a thousandth of it. Base64 makes it a third more on the wire.
 MAX_FILE_BYTES = 20 << 20
 
-# Meshes and their textures. A URDF may lie in somebody's home, and whoever reaches the port reads what is served.
+# Meshes and their textures. A URDF may be in a user's home, and every client of the port can read the served files.
 SUFFIXES = frozenset(
     (".stl", ".dae", ".obj", ".mtl", ".ply", ".gltf", ".glb", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif")
 )
@@ -42,7 +41,7 @@ _SCHEME = re.compile(r"^[a-z][a-z0-9+.-]*://")
 
 
 class RobotDescription:
-    """Publishes the description and serves its files.
+    """Topics, parameters and file service of the description.
 
     Args:
         graph: where topics and service are.
@@ -57,7 +56,7 @@ class RobotDescription:
         self._node = Node("robot description")
 
     def open(self) -> None:
-        """Publish, and offer the service."""
+        """Publish the description, and offer the service."""
         package = package_name(self._robot)
         texts = {URDF_TOPIC: with_package_urls(self._robot.urdf, package), SRDF_TOPIC: self._robot.srdf}
         for topic, text in texts.items():
@@ -76,16 +75,16 @@ class RobotDescription:
 
 
 def package_name(robot: RobotModel) -> str:
-    """Name of the package under which the robot's files are served, as ROS packages are named."""
+    """Return the name of the package under which the robot's files are served, in the style of ROS packages."""
     return f"{re.sub(r'[^a-z0-9_]+', '_', robot.name.lower())}_description"
 
 
 def with_package_urls(urdf: str, package: str) -> str:
-    """The URDF with every mesh that is named by a path, such as ``assets/base.stl``, named by a package URL instead.
+    """Return the URDF with a package URL in place of every mesh path, such as ``assets/base.stl``.
 
     Args:
         urdf: the text.
-        package: whose files they are said to be.
+        package: of the URLs.
     """
     root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.model
     meshes = [mesh for mesh in root.iter("mesh") if not _SCHEME.match(mesh.get("filename", ""))]
@@ -97,7 +96,7 @@ def with_package_urls(urdf: str, package: str) -> str:
 
 
 def find_file(directory: Path | None, package: str, name: str) -> Path:
-    """Where one of the robot's files is.
+    """Find one of the robot's files.
 
     Args:
         directory: that of the URDF; nothing outside it is served.
@@ -105,8 +104,8 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
         name: a ``package://`` URL, or a path within the directory.
 
     Raises:
-        ServiceError: no such file, one of another kind, or one outside the directory.
-        FileTooLargeError: it is too large.
+        ServiceError: there is no such file, or it is of another kind or outside the directory.
+        FileTooLargeError: the file is too large.
     """
     if directory is None:
         raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")
@@ -139,12 +138,12 @@ def read_file(directory: Path | None, package: str, name: str) -> bytes:
 
 
 def _hidden(path: Path) -> bool:
-    """Whether a file or a folder above it is hidden, as those of programs in somebody's home."""
+    """Return true if a file or a folder above it is hidden, as those of programs in a user's home."""
     return any(part.startswith(".") for part in path.parts)
 
 
 def _within(root: Path, package: str, name: str) -> str:
-    """The path below the directory that a name means."""
+    """Return the path below the directory that a name means."""
     if not name.startswith(_PACKAGE):
         return name
     inner = name.removeprefix(_PACKAGE)

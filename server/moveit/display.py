@@ -42,7 +42,7 @@ EARLY_S = 0.005
 
 
 class DisplayTopics:
-    """Publishes what viewers show.
+    """Topics of planned motions, contacts and the pipeline's state.
 
     Args:
         graph: where the topics are.
@@ -61,7 +61,7 @@ class DisplayTopics:
         self._graph.advertise(self._node, PIPELINE_TOPIC, "moveit_msgs/PipelineState")
 
     def performed(self, performed: Performed) -> None:
-        """Show what is about to be carried out."""
+        """Show motions that are about to be executed."""
         self.planned(performed.planned, performed.start_rad)
 
     def planned(self, motions: Sequence[Trajectory], start_rad: Mapping[str, float]) -> None:
@@ -80,7 +80,7 @@ class DisplayTopics:
         self._graph.publish(self._node, PATH_TOPIC, message)
 
     def pipeline(self, request: Message, response: Message) -> None:
-        """Tell what was asked of the planners and what they answered, to whoever listens.
+        """Publish a request to the planners and its response, if there are subscribers.
 
         Args:
             request: a moveit_msgs/MotionPlanRequest.
@@ -91,16 +91,16 @@ class DisplayTopics:
             self._graph.publish(self._node, PIPELINE_TOPIC, state)
 
     def contacts_of(self, details: Mapping[str, Any]) -> None:
-        """Show what touches, by the details of a failure; nothing changes when that was not why."""
+        """Show the contacts in the details of a failure; do nothing when there are none."""
         pairs = details.get("pairs")
         if pairs:
             self.contacts(pairs)
 
     def contacts(self, pairs: Sequence[Mapping[str, Any]]) -> None:
-        """Show where things touch; those shown before go.
+        """Show contacts in place of those before.
 
         Args:
-            pairs: as planners tell them in the details of a failure: ``first``, ``second``, ``depth_m``, ``point_m``.
+            pairs: as in the details of a failure: ``first``, ``second``, ``depth_m``, ``point_m``.
         """
         header = {"stamp": Stamp(0, 0).as_message(), "frame_id": self._robot.root_link}
         clear = {"header": header, "ns": "", "action": DELETE_ALL}
@@ -109,7 +109,7 @@ class DisplayTopics:
 
 
 def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> dict[str, Any]:
-    """A ball where two things touch; the namespace names them."""
+    """Return a sphere at a contact; its namespace names the two bodies."""
     position = dict(zip("xyz", pair["point_m"], strict=True))
     return {
         "header": header,
@@ -125,12 +125,12 @@ def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> d
 
 
 class TransformsTopics:
-    """Publishes the arm's transforms: those of joints that move with the joint states, the others once.
+    """Transforms of the arm: those of movable joints with the joint states, the others once.
 
     Args:
         graph: where the topics are.
         robot: the arm.
-        rate_hz: how often at most those that move are told [Hz].
+        rate_hz: limit of the rate of those that move [Hz].
     """
 
     def __init__(self, graph: Graph, robot: RobotModel, rate_hz: float) -> None:
@@ -144,7 +144,7 @@ class TransformsTopics:
         self._published_s = 0.0
 
     def open(self, now_s: float) -> None:
-        """Advertise, and publish the transforms that never change.
+        """Advertise the topics, and publish the transforms that never change.
 
         Args:
             now_s: wall-clock time [s since the epoch].
@@ -154,7 +154,7 @@ class TransformsTopics:
         self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, now_s))
 
     def take_state(self, state: ArmState) -> None:
-        """Publish a state of the arm, when somebody listens and it is time."""
+        """Publish a state of the arm, if there are subscribers and it is due."""
         if state.position_rad is None or not self._graph.subscribers(TRANSFORMS_TOPIC):
             return
         # A clock that was set back must not silence the topic.
@@ -180,7 +180,7 @@ class TransformsTopics:
 
 
 def _transform(transform: Vector) -> dict[str, Any]:
-    """The geometry_msgs/Transform of a matrix, shape (4, 4) [m]."""
+    """Return the geometry_msgs/Transform of a matrix, shape (4, 4) [m]."""
     pose = pose_of(transform)
     return {
         "translation": dict(zip("xyz", pose.position_m, strict=True)),

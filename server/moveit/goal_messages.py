@@ -1,41 +1,53 @@
-"""Goal messages on ``/moveit_goal_*``: their translation into motions, and the suggestion of a goal that would work."""
+"""Goal messages on ``/moveit_goal_*``: their translation into motions, and suggestions of goals that would work."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose
 from robot.model import RobotModel
+from server.errors import RefusedError
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, read_pose
+from server.moveit.requests.refusals import required
 
 Message: TypeAlias = Mapping[str, Any]
-
-# Pose of a frame in the root link, for positions of the joints [rad].
-Resolve: TypeAlias = Callable[[str, Positions], Pose | PlanningFailure]
-
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
 POSE_TOPIC, POSE_TYPE = "/moveit_goal_pose", "geometry_msgs/PoseStamped"
 
 
+class FrameSource(Protocol):
+    """Frames of the arm and the scene, as `server.moveit.scene.frames.Frames`."""
+
+    def resolve(self, frame_id: str, positions_rad: Positions, /) -> Pose | PlanningFailure:
+        """Return the pose of a frame in the root link, for positions of the joints [rad]."""
+
+
+class PositionSource(Protocol):
+    """Positions of the arm, as `server.execution.current_state.CurrentState`."""
+
+    def positions_rad(self) -> Positions | None:
+        """Return the position of every movable joint [rad]; None while they are unknown."""
+
+
 class GoalTranslator:
-    """Reads goal messages for one robot.
+    """Translator of goal messages for one robot.
 
     Args:
         robot: the arm.
-        parameters: how goals are planned, and group, link, frame and tolerances of the goals.
+        parameters: of planning; also group, link, frame and tolerances of the goals.
         states: the named states.
-        resolve: knows the frames.
-        present: position of every movable joint now [rad], None while it is not known.
+        frames: resolve frame names.
+        current: the positions of the arm.
 
     Attributes:
         tip: the link that pose goals are for.
@@ -46,95 +58,107 @@ class GoalTranslator:
         robot: RobotModel,
         parameters: MoveItParameters,
         states: NamedStates,
-        resolve: Resolve,
-        present: Callable[[], Positions | None],
+        frames: FrameSource,
+        current: PositionSource,
     ) -> None:
         self._parameters = parameters
         self._states = states
-        self._resolve = resolve
-        self._present = present
+        self._frames = frames
+        self._current = current
         self._group = robot.groups[parameters.group_name]
         self.tip = parameters.end_effector_link or self._group.tip_link
 
-    def named(self, message: Message) -> PlannedMotion | PlanningFailure:
-        """A named state of the group, from a std_msgs/String; case and blanks do not matter."""
+    def named(self, message: Message) -> PlannedMotion:
+        """Translate a std_msgs/String with the name of a state; case and blanks do not matter.
+
+        Raises:
+            RefusedError: there is no such state, or it has no joint of the group.
+        """
         found = self._states.find(message["data"])
         if found is None:
             names = self._states.names
             text = f"there is no named target {message['data']!r}; known are: {', '.join(names) or 'none'}"
             nearest = self._states.nearest_name(message["data"])
-            return _invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))
+            raise _invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))
         name, positions_rad = found
         goal_rad = {joint: value for joint, value in positions_rad.items() if joint in self._group.joints}
         if not goal_rad:
-            return _invalid(f"the named target {name!r} has no joint of group {self._group.name}", name=name)
+            raise _invalid(f"the named target {name!r} has no joint of group {self._group.name}", name=name)
         return self._motion(lambda _start_rad: JointGoal(goal_rad, self._parameters.joint_tolerance))
 
-    def joints(self, message: Message) -> PlannedMotion | PlanningFailure:
-        """Joint positions, from a sensor_msgs/JointState; joints that are not named keep their position."""
+    def joints(self, message: Message) -> PlannedMotion:
+        """Translate a sensor_msgs/JointState; joints that are not named keep their position.
+
+        Raises:
+            RefusedError: names and positions do not fit, or a position is not finite.
+        """
         names, positions = message["name"], message["position"]
         if len(names) != len(positions):
-            return _invalid(f"name has {len(names)} entries and position {len(positions)}; they must be as many")
+            raise _invalid(f"name has {len(names)} entries and position {len(positions)}; they must be as many")
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
-            return _invalid(f"the joint {repeated[0]} is named more than once")
+            raise _invalid(f"the joint {repeated[0]} is named more than once")
         known = {name: value for name, value in zip(names, positions, strict=True) if name in self._group.joints}
         if not known:
-            return _invalid(
+            raise _invalid(
                 f"no joint of group {self._group.name} is named; it has {', '.join(self._group.joints)}",
                 known=list(self._group.joints),
             )
         for name, value in known.items():
             if not math.isfinite(value):
-                return _invalid(f"joint {name}: position must be a finite number, not {value}", joint=name)
+                raise _invalid(f"joint {name}: position must be a finite number, not {value}", joint=name)
         ignored = [name for name in names if name not in known]
         warning = f"ignored joints that are not in group {self._group.name}: {', '.join(ignored)}"
         goal = JointGoal(known, self._parameters.joint_tolerance)
         return self._motion(lambda _start_rad: goal, (warning,) if ignored else ())
 
-    def pose(self, message: Message) -> PlannedMotion | PlanningFailure:
-        """The position of a geometry_msgs/PoseStamped; five joints cannot choose an orientation as well.
+    def pose(self, message: Message) -> PlannedMotion:
+        """Translate the position of a geometry_msgs/PoseStamped; five joints cannot choose an orientation as well.
 
-        A frame that moves with the arm is taken where it is when the goal's turn comes.
+        A frame that moves with the arm is resolved when the goal's turn comes.
+
+        Raises:
+            RefusedError: a number is not finite, or there is no such frame.
         """
         frame = self._frame(message)
         point = message["pose"]["position"]
         for axis in "xyz":
             if not math.isfinite(point[axis]):
-                return _invalid(f"pose.position.{axis} must be a finite number, not {point[axis]}")
+                raise _invalid(f"pose.position.{axis} must be a finite number, not {point[axis]}")
         pose = Pose((float(point["x"]), float(point["y"]), float(point["z"])))
 
-        def goal(start_rad: Positions) -> Goal | PlanningFailure:
-            placed = self._resolve(frame, start_rad)
-            if isinstance(placed, PlanningFailure):
-                return placed
-            return PositionGoal(self.tip, composed(placed, pose).position_m, self._parameters.position_tolerance)
+        def goal(start_rad: Positions) -> Goal:
+            place = composed(self._resolve(frame, start_rad), pose)
+            return PositionGoal(self.tip, place.position_m, self._parameters.position_tolerance)
 
-        # A frame that is not known is told at once, not when the goal's turn comes.
-        present_rad = self._present()
-        refusal = None if present_rad is None else self._resolve(frame, present_rad)
-        return refusal if isinstance(refusal, PlanningFailure) else self._motion(goal)
+        # An unknown frame is rejected at once, not when the goal's turn comes.
+        present_rad = self._current.positions_rad()
+        if present_rad is not None:
+            self._resolve(frame, present_rad)
+        return self._motion(goal)
 
-    def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose | PlanningFailure:
-        """The whole pose of a geometry_msgs/PoseStamped in the root link, for positions of the joints [rad]."""
-        pose = read_pose(message["pose"], "pose")
-        if isinstance(pose, PlanningFailure):
-            return pose
-        placed = self._resolve(self._frame(message), positions_rad)
-        return placed if isinstance(placed, PlanningFailure) else composed(placed, pose)
+    def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose:
+        """Return the whole pose of a geometry_msgs/PoseStamped in the root link.
+
+        Args:
+            message: the pose.
+            positions_rad: of the joints, for frames that move with the arm [rad].
+
+        Raises:
+            RefusedError: a number is not finite, or there is no such frame.
+        """
+        pose = required(read_pose(message["pose"], "pose"))
+        return composed(self._resolve(self._frame(message), positions_rad), pose)
+
+    def _resolve(self, frame: str, positions_rad: Positions) -> Pose:
+        return required(self._frames.resolve(frame, positions_rad))
 
     def _frame(self, message: Message) -> str:
         frame: str = message["header"]["frame_id"] or self._parameters.planning_frame
         return frame
 
-    def _motion(
-        self, goal: Callable[[Positions], Goal | PlanningFailure], warnings: tuple[str, ...] = ()
-    ) -> PlannedMotion:
-        def problem(start_rad: Positions) -> PlanningProblem | PlanningFailure:
-            wanted = goal(start_rad)
-            return wanted if isinstance(wanted, PlanningFailure) else self._problem(wanted, start_rad)
-
-        return PlannedMotion((problem,), warnings=warnings)
+    def _motion(self, goal: Callable[[Positions], Goal], warnings: tuple[str, ...] = ()) -> PlannedMotion:
+        return PlannedMotion((lambda start_rad: self._problem(goal(start_rad), start_rad),), warnings=warnings)
 
     def _problem(self, goal: Goal, start_rad: Positions) -> PlanningProblem:
         parameters = self._parameters
@@ -151,18 +175,18 @@ class GoalTranslator:
         )
 
 
-def _invalid(message: str, **details: Any) -> PlanningFailure:
-    return PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, details)
+def _invalid(message: str, **details: Any) -> RefusedError:
+    return RefusedError(PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, details))
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A goal of the simple layer.
+    """Goal message that would work instead of a rejected one.
 
     Attributes:
-        topic: where to publish it.
+        topic: of the message.
         type_name: of the topic.
-        msg: the message.
+        msg: the message, ready to be published.
         words: the goal in a sentence.
     """
 
@@ -172,16 +196,16 @@ class Suggestion:
     words: str
 
     def as_data(self) -> dict[str, Any]:
-        """The fields of rosbridge's operations advertise and publish."""
+        """Return the fields of rosbridge's operations advertise and publish."""
         return {"topic": self.topic, "type": self.type_name, "msg": self.msg}
 
 
-def suggestion(asked: Mapping[str, Any], details: Mapping[str, Any], robot: RobotModel) -> Suggestion | None:
-    """The goal that would work, from what a refusal found; None when it found none.
+def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) -> Suggestion | None:
+    """Return the goal that would work by the details of a failure; None when they name none.
 
     Args:
-        asked: the message that was refused; empty when it could not be read.
-        details: what was found, as in `planners.problem.PlanningFailure`.
+        message: the rejected message; empty when it could not be read.
+        details: as in `planners.problem.PlanningFailure`.
         robot: the arm.
     """
     if "nearest_name" in details:
@@ -193,8 +217,8 @@ def suggestion(asked: Mapping[str, Any], details: Mapping[str, Any], robot: Robo
         return _point(details["free_m"], robot.root_link, "the last free point on the way there")
     if "nearest_m" in details:
         return _point(details["nearest_m"], robot.root_link, "the nearest point")
-    if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in asked.get("name", ()):
-        return _within_limits(asked, robot)
+    if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in message.get("name", ()):
+        return _within_limits(message, robot)
     return None
 
 
@@ -211,9 +235,10 @@ def _joints(positions_rad: Mapping[str, float], what: str) -> Suggestion:
     return Suggestion(JOINTS_TOPIC, JOINTS_TYPE, msg, f"{what}, {listed} rad")
 
 
-def _within_limits(asked: Mapping[str, Any], robot: RobotModel) -> Suggestion:
-    """The joint goal with every joint within its limits."""
-    known = {name: value for name, value in zip(asked["name"], asked["position"], strict=True) if name in robot.joints}
+def _within_limits(message: Message, robot: RobotModel) -> Suggestion:
+    """Return the joint goal with every joint within its limits."""
+    named = zip(message["name"], message["position"], strict=True)
+    known = {name: value for name, value in named if name in robot.joints}
     limits = {name: (robot.joints[name].lower, robot.joints[name].upper) for name in known}
     return _joints(
         {name: min(max(known[name], low), high) for name, (low, high) in limits.items()}, "within the limits"

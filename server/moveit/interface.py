@@ -11,21 +11,21 @@ from robot.arm import Arm
 from robot.calibration import GRIPPER_JOINT
 from robot.forward import ForwardPlacements
 from robot.messages import ArmState
-from robot.model import Joint, RobotModel
+from robot.model import RobotModel
 from server.config import Settings
 from server.execution.current_state import CurrentState
 from server.execution.executor import GoalExecutor
 from server.execution.failures import FailedGoals
 from server.execution.motions import Motion
-from server.execution.queue import Answer, GoalQueue, Progress, QueuedGoal
+from server.execution.queue import Answer, GoalQueue, QueuedGoal
 from server.execution.time_limits import TimeLimits
 from server.graph import Graph
 from server.moveit.actions.motion_actions import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
-from server.moveit.goal_checks import GoalChecks, GoalReports, ShownScene
-from server.moveit.goal_messages import GoalTranslator, Resolve
-from server.moveit.goal_topics import Confirmation, GoalTopics
+from server.moveit.goal_checks import GoalChecks, GoalReports
+from server.moveit.goal_messages import GoalTranslator
+from server.moveit.goal_topics import Confirmation, GoalStatusTopics, GoalTopics
 from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
 from server.moveit.named_states import NamedStates, NamedStatesFile, NamedStatesServices, default_path
 from server.moveit.parameters import PlannerParameters
@@ -36,184 +36,143 @@ from server.moveit.scene.state import SceneState
 from server.moveit.services.offer import offer_services
 from server.moveit.services.planning_context import PlanningContext
 from server.moveit.servo.servo_node import ServoNode
+from server.node import Node
 from server.operations.goal_tally import GoalTally
 
-# The queue waits this long for the arm to brake; the arm process has its own deadline after that.
+# The queue waits so long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 
 class MoveItInterface:
-    """Everything that MoveIt's clients talk to.
+    """All topics, services and actions of MoveIt's clients, and those of clients that know only topics.
 
     Args:
-        graph: where they talk.
-        robot: the arm.
-        settings: everything that can be chosen.
+        graph: where they are.
+        robot: the arm's description.
+        settings: of the server.
         keep_parameter: keeps a parameter for rosapi, its value as JSON text.
+        arm: the arm; started before goals are executed.
+        pool: the planners; likewise.
 
     Attributes:
-        goal_tally: how goals have ended.
-        queue: goals on their way; None until it is opened.
+        goal_tally: counts the ends of goals.
+        queue: of goals.
     """
 
     def __init__(
-        self, graph: Graph, robot: RobotModel, settings: Settings, keep_parameter: Callable[[str, str], None]
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        settings: Settings,
+        keep_parameter: Callable[[str, str], None],
+        arm: Arm,
+        pool: PlannerPool,
     ) -> None:
+        moveit, goals = settings.moveit, settings.goals
         self._graph = graph
-        self._robot = robot
-        self._settings = settings
+        self._arm = arm
+        self._pool = pool
+        self._current = CurrentState(arm, robot)
         self._scene = SceneState(robot)
-        self._frames = Frames(robot, self._scene)
-        self._assumed = AssumedStates(robot)
-        self._scene_interface = SceneInterface(graph, robot, self._scene, self._assumed, settings.moveit)
-        self._parameters = PlannerParameters(settings.moveit)
-        self._display = DisplayTopics(graph, robot)
+        frames = Frames(robot, self._scene)
+        assumed = AssumedStates(robot)
+        self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, moveit)
         self._description = RobotDescription(graph, robot, keep_parameter)
+        self._display = DisplayTopics(graph, robot)
         self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
-        self._simple_layer = SimpleLayer(graph, robot, settings)
-        gripper = robot.joints.get(GRIPPER_JOINT)
-        # Another arm's gripper is not known by its description.
-        self._gripper_joint = gripper if gripper is not None and gripper.movable else None
-        directory, keep = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
-        self._failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, keep)
-        self._servo = ServoNode(graph, robot, settings.moveit, self._scene, self._frames.resolve)
-        self.goal_tally = GoalTally()
-        self.queue: GoalQueue[Motion] | None = None
-        self._executor: GoalExecutor | None = None
-        self._actions: MotionActions | None = None
 
-    def open(self, arm: Arm, pool: PlannerPool) -> None:
-        """Begin to take requests, for a started arm and started planners."""
-        simple_layer, goals = self._simple_layer, self._settings.goals
-        confirm, show = simple_layer.confirmation.ask, self._display.performed
-        self._executor = GoalExecutor(
-            arm, self._robot, pool, self._scene, self._failed_goals, show, confirm, self._time_limits()
+        # The way of a goal: from a topic or an action to the queue, and from there to the arm.
+        time_limits = TimeLimits(
+            moveit.allowed_execution_duration_scaling, moveit.allowed_goal_duration_margin, goals.max_paused_s
         )
-        self.queue = GoalQueue(self._executor, goals.policy, goals.capacity, simple_layer.on_progress, self._on_answer)
+        directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
+        failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, max_files)
+        self._confirmation = Confirmation(graph, wanted=goals.confirm, timeout_s=goals.confirm_timeout_s)
+        self._executor = GoalExecutor(
+            arm,
+            robot,
+            pool,
+            self._scene,
+            failed_goals,
+            self._display.performed,
+            self._confirmation.wait,
+            time_limits,
+        )
+        node = Node("moveit")
+        self.goal_tally = GoalTally()
+        self._goal_status = GoalStatusTopics(graph, node, robot)
+        self.queue: GoalQueue[Motion] = GoalQueue(
+            self._executor, goals.policy, goals.capacity, self._goal_status.publish_progress, self._on_answer
+        )
+
+        # Goals of clients that know only topics.
+        states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
+        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.save)
+        self._named_states = NamedStatesServices(graph, robot, states, self._current)
+        translator = GoalTranslator(robot, moveit, states, frames, self._current)
+        self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
+        reports = GoalReports(robot, moveit, translator.tip)
+        self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
+
+        # Goals, requests and commands of MoveIt's clients.
+        self._context = PlanningContext(
+            robot=robot,
+            pool=pool,
+            forward=ForwardPlacements(robot),
+            frames=frames,
+            scene_state=self._scene,
+            current=self._current,
+            assumed=assumed,
+            parameters=PlannerParameters(moveit),
+            display=self._display,
+        )
+        self._actions = MotionActions(graph, self._context, arm, self.queue)
+        self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve)
+        self._gripper = None
+        self._gripper_actions = None
+        joint = robot.joints.get(GRIPPER_JOINT)
+        # The gripper of another arm is not known by its description.
+        if joint is not None and joint.movable:
+            scalings = moveit.max_velocity_scaling, moveit.max_acceleration_scaling
+            torque_limit = settings.arm.guards.gripper_torque_limit
+            self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)
+            self._gripper_actions = GripperActions(graph, joint, self._gripper)
+
+    def start(self) -> None:
+        """Take requests; goals wait until arm and planners have started."""
         self.queue.start()
         self._description.open()
         self._transforms.open(time.time())
-        self._scene_interface.open(CurrentState(arm, self._robot))
-        simple_layer.open(self.queue, pool, CurrentState(arm, self._robot), self._frames.resolve, self._scene)
-        gripper_actions = () if self._gripper_joint is None else self._open_gripper(arm, self._gripper_joint)
+        self._scene_interface.open(self._current)
+        self._confirmation.open()
+        self._goal_status.open()
+        self._goal_topics.open()
+        self._named_states.open()
+        self._goal_checks.open()
+        if self._gripper_actions is not None:
+            self._gripper_actions.open()
         self._display.open()
-        context = self._planning_context(arm, pool)
-        offer_services(self._graph, context)
-        self._actions = MotionActions(self._graph, context, arm, self.queue)
-        self._actions.open(gripper_actions)
-        queue = self.queue
-        self._servo.open(arm, pool, lambda: queue.busy)
-
-    def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
-        self.goal_tally.take(goal.source, answer)
-        self._display.contacts_of(answer.details)
-        self._simple_layer.on_answer(goal, answer)
-
-    def _planning_context(self, arm: Arm, pool: PlannerPool) -> PlanningContext:
-        """What the services that plan and compute work with."""
-        return PlanningContext(
-            robot=self._robot,
-            pool=pool,
-            forward=ForwardPlacements(self._robot),
-            frames=self._frames,
-            scene_state=self._scene,
-            current=CurrentState(arm, self._robot),
-            assumed=self._assumed,
-            parameters=self._parameters,
-            display=self._display,
-        )
+        offer_services(self._graph, self._context)
+        self._actions.open(() if self._gripper_actions is None else (GRIPPER_ACTION, PARALLEL_ACTION))
+        self._servo.open(self._arm, self._pool, lambda: self.queue.busy)
 
     def take_state(self, state: ArmState) -> None:
-        """Pass the arm's latest state on to the parts that tell of it."""
+        """Pass the arm's latest state on to the parts that publish or record it."""
         self._transforms.take_state(state)
-        if self._executor is not None and self._actions is not None:
-            self._executor.recorder.take_state(state)
-            self._actions.take_state(state)
-
-    @property
-    def busy(self) -> str:
-        """Which goal is worked on, in words; empty when there is none."""
-        return "" if self.queue is None else self.queue.busy
+        self._executor.recorder.take_state(state)
+        self._actions.take_state(state)
 
     def stop(self, reason: str) -> None:
-        """End the goal in hand and all that wait, and stop every motion."""
-        if self.queue is None:
-            raise AssertionError("stopped before it was opened")
+        """End the active goal and all that wait, and stop every motion."""
         self.queue.stop(reason)
 
     async def close(self) -> None:
         """Answer every goal, and bring the arm to rest."""
         self._scene_interface.close()
         await self._servo.close()
-        if self.queue is not None:
-            await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
+        await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
 
-    def _open_gripper(self, arm: Arm, joint: Joint) -> tuple[str, ...]:
-        """Offer the gripper's actions; returns their names."""
-        GripperActions(self._graph, joint).open(self._gripper(arm, joint))
-        return GRIPPER_ACTION, PARALLEL_ACTION
-
-    def _gripper(self, arm: Arm, joint: Joint) -> Gripper:
-        moveit = self._settings.moveit
-        torque_limit = self._settings.arm.guards.gripper_torque_limit
-        return Gripper(
-            arm, joint, moveit.max_velocity_scaling, moveit.max_acceleration_scaling, self._time_limits(), torque_limit
-        )
-
-    def _time_limits(self) -> TimeLimits:
-        moveit = self._settings.moveit
-        scaling, margin_s = moveit.allowed_execution_duration_scaling, moveit.allowed_goal_duration_margin
-        return TimeLimits(scaling, margin_s, self._settings.goals.max_paused_s)
-
-
-class SimpleLayer:
-    """What a client needs that knows no MoveIt.
-
-    Args:
-        graph: where topics and services are.
-        robot: the arm.
-        settings: everything that can be chosen.
-
-    Attributes:
-        confirmation: the gate between plan and motion.
-    """
-
-    def __init__(self, graph: Graph, robot: RobotModel, settings: Settings) -> None:
-        self._graph = graph
-        self._robot = robot
-        self._parameters = settings.moveit
-        file = NamedStatesFile(settings.goals.named_states_file or default_path(robot, os.environ))
-        self._states = NamedStates(robot, settings.moveit.group_name, file.load(), file.save)
-        goals = settings.goals
-        self.confirmation = Confirmation(graph, wanted=goals.confirm, timeout_s=goals.confirm_timeout_s)
-        self._topics = GoalTopics(graph, robot, self.confirmation)
-
-    def open(
-        self, queue: GoalQueue[Motion], pool: PlannerPool, current: CurrentState, resolve: Resolve, scene: ShownScene
-    ) -> None:
-        """Begin to take requests.
-
-        Args:
-            queue: where goals go.
-            pool: checks goals.
-            current: where the arm is.
-            resolve: knows the frames.
-            scene: what is in the way.
-        """
-        present = current.positions_rad
-        translator = GoalTranslator(self._robot, self._parameters, self._states, resolve, present)
-        self.confirmation.open()
-        self._topics.open(queue, translator)
-        NamedStatesServices(self._graph, self._robot, self._states).open(current)
-        reports = GoalReports(self._robot, self._parameters, translator.tip)
-        GoalChecks(self._graph, reports).open(translator, present, pool, scene)
-
-    @property
-    def on_progress(self) -> Callable[[QueuedGoal[Motion], Progress], None]:
-        """Takes the news of goals."""
-        return self._topics.on_progress
-
-    @property
-    def on_answer(self) -> Callable[[QueuedGoal[Motion], Answer], None]:
-        """Takes the ends of goals."""
-        return self._topics.on_answer
+    def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+        self.goal_tally.take(goal.source, answer)
+        self._display.contacts_of(answer.details)
+        self._goal_status.publish_answer(goal, answer)

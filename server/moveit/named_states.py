@@ -6,6 +6,7 @@ Names and types of the services are those of moveit_ros_warehouse's node warehou
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import difflib
 import json
 import logging
@@ -27,15 +28,14 @@ from server.execution.motions import Positions
 from server.graph import Graph
 from server.node import Node
 
+log = logging.getLogger("armbridge.named_states")
+
 # More than anyone tells apart by name; the file stays small enough to be written within milliseconds.
 MAX_STATES = 1000
 MAX_NAME_LENGTH = 100
 
-# Names less alike than this are not what somebody meant.
-LEAST_LIKENESS = 0.6
-
-
-log = logging.getLogger("armbridge.named_states")
+# Names less alike than this are no slips.
+MIN_SIMILARITY = 0.6
 
 # A thousand states of a large robot; what comes after it in the file makes it invalid JSON.
 MAX_FILE_BYTES = 10_000_000
@@ -43,26 +43,24 @@ MAX_FILE_BYTES = 10_000_000
 # A memory card that takes longer is at its end.
 WRITING_TIMEOUT_S = 5.0
 
-States: TypeAlias = dict[str, dict[str, float]]
-
-
 NAMED_STATES_TOPIC = "/named_states"
 
 # Matching goes back and forth: without groups and with two repeats it takes at most a few thousand steps a name.
 MAX_PATTERN_LENGTH = 100
 MAX_REPEATS = 2
 
-Request = dict[str, Any]
+States: TypeAlias = dict[str, dict[str, float]]
+Request: TypeAlias = dict[str, Any]
 
 
 class NamedStates:
-    """The states by name; case and blanks of names do not matter.
+    """Store of the states by name; case and blanks of names do not matter.
 
     Args:
         robot: the arm; its SRDF's states cannot be changed.
         group: planning group whose states of the SRDF count.
         saved: those saved before, name -> positions.
-        keep: keeps all that are saved, after every change.
+        keep: keeps all saved states, after every change.
     """
 
     def __init__(
@@ -79,26 +77,28 @@ class NamedStates:
         self._listeners: list[Callable[[], None]] = []
         self._saved: dict[str, Positions] = {}
         for name, positions_rad in saved.items():
-            if self._refusal(name, positions_rad) is None:
+            # A file may have states of another arm of the same name.
+            with contextlib.suppress(ServiceError):
+                self._check(name, positions_rad)
                 self._saved[name] = dict(positions_rad)
 
     @property
     def described(self) -> Mapping[str, Positions]:
-        """The states of the SRDF."""
+        """States of the SRDF."""
         return self._described
 
     @property
     def saved(self) -> Mapping[str, Positions]:
-        """The states that people saved."""
+        """States that users saved."""
         return self._saved
 
     @property
     def names(self) -> list[str]:
-        """All names, in alphabetical order."""
+        """Names of all states, in alphabetical order."""
         return sorted((*self._described, *self._saved))
 
     def find(self, name: str) -> tuple[str, Positions] | None:
-        """The state of this name, and how the name is spelled; None when there is none."""
+        """Return the spelling of a name and its state; None when there is no such state."""
         for states in (self._described, self._saved):
             for spelled, positions_rad in states.items():
                 if _key(spelled) == _key(name):
@@ -106,9 +106,9 @@ class NamedStates:
         return None
 
     def nearest_name(self, name: str) -> str | None:
-        """The name that is most like one that does not exist, None when none is."""
+        """Return the name that is most similar to one that does not exist; None when none is."""
         by_key = {_key(known): known for known in self.names}
-        alike = difflib.get_close_matches(_key(name), by_key, 1, LEAST_LIKENESS)
+        alike = difflib.get_close_matches(_key(name), by_key, 1, MIN_SIMILARITY)
         return by_key[alike[0]] if alike else None
 
     def on_change(self, listener: Callable[[], None]) -> None:
@@ -116,15 +116,13 @@ class NamedStates:
         self._listeners.append(listener)
 
     async def save(self, name: str, positions_rad: Positions) -> None:
-        """Keep a state, in place of one of the same name.
+        """Save a state, in place of one of the same name.
 
         Raises:
-            ServiceError: a name or position that cannot be kept, named with its limit.
+            ServiceError: the name or a position is invalid; the sentence names the limit.
         """
         spelled = " ".join(name.split())
-        refusal = self._refusal(spelled, positions_rad)
-        if refusal is not None:
-            raise ServiceError(refusal)
+        self._check(spelled, positions_rad)
         async with self._changing:
             others = {known: state for known, state in self._saved.items() if _key(known) != _key(spelled)}
             if len(others) >= MAX_STATES:
@@ -132,33 +130,31 @@ class NamedStates:
             await self._change({**others, spelled: dict(positions_rad)})
 
     async def delete(self, name: str) -> None:
-        """Forget a state.
+        """Delete a state.
 
         Raises:
-            ServiceError: no such state, or one of the SRDF.
+            ServiceError: there is no such state, or it is of the SRDF.
         """
         async with self._changing:
             spelled, _ = self._own(name)
             await self._change({known: state for known, state in self._saved.items() if known != spelled})
 
     async def rename(self, old_name: str, new_name: str) -> None:
-        """Give a state another name.
+        """Rename a state.
 
         Raises:
-            ServiceError: no such state, one of the SRDF, or a name that is taken or cannot be had.
+            ServiceError: there is no such state, it is of the SRDF, or the new name is taken or invalid.
         """
         async with self._changing:
             spelled, positions_rad = self._own(old_name)
             taken = self.find(new_name)
             if taken is not None and taken[0] != spelled:
                 raise ServiceError(f"new_name: there is a state {taken[0]!r} already")
-            refusal = self._refusal(new := " ".join(new_name.split()), positions_rad)
-            if refusal is not None:
-                raise ServiceError(refusal)
+            self._check(new := " ".join(new_name.split()), positions_rad)
             await self._change({new if known == spelled else known: state for known, state in self._saved.items()})
 
     def _own(self, name: str) -> tuple[str, Positions]:
-        """A saved state, to be changed."""
+        """Return the spelling of a saved state's name and the state, to change it."""
         found = self.find(name)
         if found is None:
             raise ServiceError(f"name: there is no state {name!r}; known are: {', '.join(self.names)}")
@@ -172,21 +168,28 @@ class NamedStates:
         for listener in self._listeners:
             listener()
 
-    def _refusal(self, name: str, positions_rad: Positions) -> str | None:
-        """Why a state cannot be kept under a name, or None."""
+    def _check(self, name: str, positions_rad: Positions) -> None:
+        """Check that a state can be saved under a name.
+
+        Raises:
+            ServiceError: the name or a position is invalid.
+        """
         if not 1 <= len(name) <= MAX_NAME_LENGTH or not name.isprintable():
-            return f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"
+            raise ServiceError(
+                f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"
+            )
         if any(_key(described) == _key(name) for described in self._described):
-            return f"name: {name!r} is a state of the SRDF, which is not changed here"
+            raise ServiceError(f"name: {name!r} is a state of the SRDF, which is not changed here")
         if not positions_rad:
-            return "state: names no joint of the robot"
+            raise ServiceError("state: names no joint of the robot")
         for joint_name, position_rad in positions_rad.items():
             joint = self._joints.get(joint_name)
             if joint is None:
-                return f"state: the robot has no joint {joint_name!r}; it has {', '.join(self._joints)}"
+                raise ServiceError(f"state: the robot has no joint {joint_name!r}; it has {', '.join(self._joints)}")
             if not math.isfinite(position_rad):
-                return f"state: the position of joint {joint_name} must be a finite number, not {position_rad}"
-        return None
+                raise ServiceError(
+                    f"state: the position of joint {joint_name} must be a finite number, not {position_rad}"
+                )
 
 
 def _key(name: str) -> str:
@@ -200,10 +203,10 @@ class _Content(BaseModel):
 
 
 def default_path(robot: RobotModel, environment: Mapping[str, str]) -> Path:
-    """Where a robot's states are kept when no setting says otherwise: the XDG base directory for data.
+    """Return the default path of a robot's states, in the XDG base directory for data.
 
     Args:
-        robot: the arm, which gives the file its name.
+        robot: the arm, whose name is in that of the file.
         environment: environment variables.
     """
     data_home = environment.get("XDG_DATA_HOME") or str(
@@ -214,17 +217,17 @@ def default_path(robot: RobotModel, environment: Mapping[str, str]) -> Path:
 
 
 class NamedStatesFile:
-    """The file.
+    """JSON file of saved states: joint positions by state and joint [rad].
 
     Args:
-        path: where it is; made with the first state.
+        path: of the file; created with the first state.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def load(self) -> States:
-        """Read the states; a file that cannot be understood is set aside under another name, and told of."""
+        """Read the states; rename an invalid file, and log it."""
         try:
             with self._path.open("rb") as file:
                 text = file.read(MAX_FILE_BYTES)
@@ -239,7 +242,7 @@ class NamedStatesFile:
         return {}
 
     async def save(self, states: Mapping[str, Mapping[str, float]]) -> None:
-        """Write the states, so that a crash leaves the file as it was or as it shall be.
+        """Write the states; a crash leaves the old file or the new one.
 
         Raises:
             ServiceError: they cannot be written.
@@ -271,31 +274,29 @@ class NamedStatesFile:
 
 
 class NamedStatesServices:
-    """Offers the services and publishes the states at every change.
+    """MoveIt's warehouse services, and the latched topic ``/named_states``.
 
     Args:
         graph: where they are.
         robot: the arm.
         states: the states.
+        current: the positions of the arm, to be saved.
     """
 
-    def __init__(self, graph: Graph, robot: RobotModel, states: NamedStates) -> None:
+    def __init__(self, graph: Graph, robot: RobotModel, states: NamedStates, current: CurrentState) -> None:
         self._graph = graph
         self._robot = robot
         self._states = states
+        self._current = current
         self._node = Node("named states")
 
-    def open(self, current: CurrentState) -> None:
-        """Offer and publish.
-
-        Args:
-            current: where the arm is.
-        """
+    def open(self) -> None:
+        """Offer the services, and publish the states now and at every change."""
         self._graph.advertise(self._node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
         self._publish()
         self._states.on_change(self._publish)
         self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list)
-        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", lambda request: self._save(request, current))
+        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save)
         self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get)
         self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has)
         self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename)
@@ -328,13 +329,13 @@ class NamedStatesServices:
             raise ServiceError(f"regex: {pattern!r} is no regular expression: {error}") from error
         return {"states": [name for name in self._states.names if wanted.fullmatch(name)]}
 
-    async def _save(self, request: Request, current: CurrentState) -> Request:
-        """Save the state in the request; of one without joints, where the arm is."""
+    async def _save(self, request: Request) -> Request:
+        """Save the state in the request; without joints, the present positions of the arm."""
         given = request["state"]["joint_state"]
         names, positions = given["name"], given["position"]
         if len(names) != len(positions):
             raise ServiceError(f"state.joint_state: {len(names)} names and {len(positions)} positions")
-        positions_rad: Positions | None = dict(zip(names, positions, strict=True)) or current.positions_rad()
+        positions_rad: Positions | None = dict(zip(names, positions, strict=True)) or self._current.positions_rad()
         if positions_rad is None:
             raise ServiceError("state: has no joints, and where the arm is is not known")
         await self._states.save(request["name"], positions_rad)

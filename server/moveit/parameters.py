@@ -11,11 +11,11 @@ from planners.problem import PLANNER_IDS, planner_name
 from server.errors import ServiceError
 from server.moveit.servo.parameters import ServoParameters
 
-# A planner process is taken for as long; whoever asks for more has not understood what takes so long.
+# A planner process is occupied for as long.
 MAX_ALLOWED_PLANNING_TIME_S = 60.0
 MAX_PLANNING_ATTEMPTS = 100
 
-# Nobody waits longer for an inverse kinematics.
+# No client waits longer for an inverse kinematics.
 MAX_KINEMATICS_TIMEOUT_S = 10.0
 
 
@@ -23,7 +23,7 @@ MAX_KINEMATICS_TIMEOUT_S = 10.0
 MAX_KEYS = 200
 MAX_CONFIGURATIONS = 100
 
-# Those of the parameters that say how is planned, and may be set while the server runs.
+# Parameters of planning that clients may set while the server runs.
 KNOWN_KEYS = (
     "allowed_planning_time",
     "joint_tolerance",
@@ -35,7 +35,7 @@ KNOWN_KEYS = (
 
 
 class MoveItParameters(BaseModel):
-    """How goals are planned when they do not say it themselves.
+    """Parameters of goals that do not name their own.
 
     Attributes:
         group_name: planning group of the SRDF.
@@ -91,12 +91,12 @@ class MoveItParameters(BaseModel):
 
 
 class PlannerParameters:
-    """The parameters that requests are read with.
+    """Parameters of planners, kept in memory by planning group and planner.
 
-    Keys other than `KNOWN_KEYS`, such as those of OMPL's planners, are kept and told, and change nothing.
+    Keys other than `KNOWN_KEYS`, such as those of OMPL's planners, are kept and returned, and have no effect.
 
     Args:
-        configured: those of the configuration.
+        configured: the parameters of the configuration.
     """
 
     def __init__(self, configured: MoveItParameters) -> None:
@@ -104,16 +104,16 @@ class PlannerParameters:
         self._set: dict[tuple[str, str], dict[str, str]] = {}
 
     def of(self, group: str = "", planner: str = "") -> MoveItParameters:
-        """The parameters of a planner in a group; empty names mean the configured ones.
+        """Return the parameters of a planner in a group; empty names mean the configured ones.
 
-        What is set for all groups, or all planners, counts where nothing else is.
+        Parameters that are set for all groups, or all planners, apply where no others are set.
         """
         texts = self.texts(group or self._configured.group_name, planner or self._configured.planner_id)
         known = {key: value for key, value in texts.items() if key in KNOWN_KEYS}
         return self._changed(known)
 
     def texts(self, group: str, planner: str) -> Mapping[str, str]:
-        """Every parameter as text."""
+        """Return every parameter as text."""
         texts = {key: str(getattr(self._configured, key)) for key in KNOWN_KEYS}
         for scope in (("", ""), (group, ""), (group, planner)):
             texts |= self._set.get(scope, {})
@@ -123,13 +123,13 @@ class PlannerParameters:
         """Set parameters.
 
         Args:
-            group: for which group; empty for all.
-            planner: for which planner; empty for all.
+            group: name of the group; empty for all.
+            planner: name of the planner; empty for all.
             values: by name.
-            replace: whether what was set there before is forgotten.
+            replace: true to delete the parameters that were set there before.
 
         Raises:
-            ServiceError: a known parameter whose value cannot be, or too many; nothing is changed.
+            ServiceError: a known parameter has an invalid value, or there are too many; nothing is changed.
         """
         scope = (group, planner)
         kept = {} if replace else self._set.get(scope, {})

@@ -1,4 +1,4 @@
-"""Poses: geometry_msgs/Pose, the planners' Pose and 4 x 4 matrices, one into the other."""
+"""Conversions of poses: geometry_msgs/Pose, the planners' Pose and 4 x 4 matrices."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robot.trajectory import Vector
 Message = Mapping[str, Any]
 
 # A quaternion shorter than this says nothing about an orientation; ROS 1 clients leave it all zero for "none".
-LEAST_NORM = 1e-6
+MIN_NORM = 1e-6
 
 
 def read_pose(message: Message, where: str) -> Pose | PlanningFailure:
@@ -23,19 +23,19 @@ def read_pose(message: Message, where: str) -> Pose | PlanningFailure:
 
     Args:
         message: the pose.
-        where: path of the field, for the refusal.
+        where: path of the field, for the sentence.
     """
     point, quaternion = message["position"], message["orientation"]
     if not all(map(math.isfinite, (*point.values(), *quaternion.values()))):
         return _not_finite(message, where)
     x, y, z, w = (quaternion[axis] for axis in "xyzw")
     norm = math.hypot(x, y, z, w)
-    turned = (x / norm, y / norm, z / norm, w / norm) if norm > LEAST_NORM else (0.0, 0.0, 0.0, 1.0)
+    turned = (x / norm, y / norm, z / norm, w / norm) if norm > MIN_NORM else (0.0, 0.0, 0.0, 1.0)
     return Pose((float(point["x"]), float(point["y"]), float(point["z"])), turned)
 
 
 def write_pose(pose: Pose) -> dict[str, Any]:
-    """The geometry_msgs/Pose of a pose."""
+    """Return the geometry_msgs/Pose of a pose."""
     return {
         "position": dict(zip("xyz", pose.position_m, strict=True)),
         "orientation": dict(zip("xyzw", pose.orientation, strict=True)),
@@ -43,7 +43,7 @@ def write_pose(pose: Pose) -> dict[str, Any]:
 
 
 def matrix_of(pose: Pose) -> Vector:
-    """The transform from the pose's frame to the one it is given in, shape (4, 4) [m]."""
+    """Return the transform from the pose's frame to the one it is given in, shape (4, 4) [m]."""
     x, y, z, w = pose.orientation
     transform = np.eye(4)
     transform[:3, :3] = [
@@ -56,7 +56,7 @@ def matrix_of(pose: Pose) -> Vector:
 
 
 def pose_of(transform: Vector) -> Pose:
-    """The pose of a transform, shape (4, 4); the quaternion by Shepperd's method, its w not negative."""
+    """Return the pose of a transform, shape (4, 4); the quaternion by Shepperd's method, its w not negative."""
     (a, b, c, px), (d, e, f, py), (g, h, i, pz), _ = transform.tolist()
     # Four times the quaternion, each time multiplied by another of its components: the greatest loses no precision.
     scaled = (
@@ -72,12 +72,12 @@ def pose_of(transform: Vector) -> Pose:
 
 
 def composed(outer: Pose, inner: Pose) -> Pose:
-    """The pose of a frame that is given by ``inner`` in the frame that ``outer`` gives."""
+    """Return the pose ``inner``, given in the frame ``outer``, in the frame in which ``outer`` is given."""
     return pose_of(matrix_of(outer) @ matrix_of(inner))
 
 
 def inverse(pose: Pose) -> Pose:
-    """The pose of the frame, in which a pose is given, as seen from that pose."""
+    """Return the pose of the reference frame in the frame of a pose."""
     transform = matrix_of(pose)
     back = np.eye(4)
     back[:3, :3] = transform[:3, :3].T
@@ -86,7 +86,7 @@ def inverse(pose: Pose) -> Pose:
 
 
 def _not_finite(message: Message, where: str) -> PlanningFailure:
-    """Refuse a pose by the first of its numbers that is not finite."""
+    """Return the failure that names the first number of a pose that is not finite."""
     field, axis, value = next(
         (field, axis, value)
         for field in ("position", "orientation")

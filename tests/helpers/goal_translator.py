@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from robot import model
@@ -20,11 +21,21 @@ async def keep_nothing(_states: Mapping[str, Positions]) -> None:
     """States live as long as the test."""
 
 
+@dataclass
+class At:
+    """An arm that is somewhere, as `server.execution.current_state.CurrentState`."""
+
+    present_rad: Mapping[str, float] | None
+
+    def positions_rad(self) -> Mapping[str, float] | None:
+        return self.present_rad
+
+
 def translator(present_rad: Mapping[str, float] | None = HOME_RAD, **parameters: Any) -> GoalTranslator:
     """Reads goals of an arm that is somewhere."""
     states = NamedStates(ROBOT, "arm", {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}, keep_nothing)
     frames = Frames(ROBOT, SceneState(ROBOT))
-    return GoalTranslator(ROBOT, MoveItParameters(**parameters), states, frames.resolve, lambda: present_rad)
+    return GoalTranslator(ROBOT, MoveItParameters(**parameters), states, frames, At(present_rad))
 
 
 TRANSLATOR = translator()

@@ -19,9 +19,9 @@ from server.moveit import goal_checks
 from server.moveit.goal_checks import (
     GOAL_TIME_S,
     MAX_GOALS,
-    NOT_ASKED,
-    NOT_KNOWN,
+    NOT_CHECKED,
     SERVICE,
+    UNKNOWN,
     GoalChecks,
     GoalReports,
     answers_in_time,
@@ -30,7 +30,7 @@ from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, pose_of
 from server.moveit.scene.state import SceneState
 from server.node import Node
-from tests.helpers.goal_translator import TRANSLATOR
+from tests.helpers.goal_translator import TRANSLATOR, At
 from tests.helpers.moveit_services import DirectPool
 
 CLIENT = Node("client")
@@ -50,9 +50,9 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.scene = SceneState(ROBOT)
-        self.present_rad: dict[str, float] | None = HOME
+        self.current = At(HOME)
         reports = GoalReports(ROBOT, MoveItParameters(), TRANSLATOR.tip)
-        GoalChecks(self.graph, reports).open(TRANSLATOR, lambda: self.present_rad, DirectPool(), self.scene)  # type: ignore[arg-type]
+        GoalChecks(self.graph, reports, TRANSLATOR, self.current, DirectPool(), self.scene).open()  # type: ignore[arg-type]
 
     async def check(self, **request: Any) -> Response:
 
@@ -98,7 +98,7 @@ async def test_more_goals_than_allowed_are_refused_with_the_limit(desk: Desk) ->
 
 
 async def test_nothing_can_be_told_while_nobody_knows_where_the_arm_is(desk: Desk) -> None:
-    desk.present_rad = None
+    desk.current.present_rad = None
     answer = await desk.check(poses=[point(0.3, 0.0, 0.2)])
     assert not answer.ok
     assert "not known" in answer.values
@@ -146,7 +146,7 @@ async def test_goals_that_are_all_hard_are_looked_at_once_within_their_time(monk
 async def test_a_call_does_not_wait_for_ever_for_busy_planners(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = await Slow(lambda _asked: FOUND_AT_HOME, busy_s=1.0).answers(monkeypatch, 100)
     assert answers[0] is FOUND_AT_HOME
-    assert answers[-1] is NOT_ASKED
+    assert answers[-1] is NOT_CHECKED
 
 
 def test_a_goal_that_can_be_had_is_told_with_error_time_and_configuration() -> None:
@@ -183,7 +183,7 @@ def test_a_refusal_tells_what_is_known_of_it(code: MoveItErrorCode, flags: tuple
     assert (told["reachable"], told["decided"]) == flags
     assert not told["free"]
     assert (told["code"], told["message"]) == (int(code), "why")
-    assert (told["position_error_m"], told["duration_s"]) == (0.04, NOT_KNOWN)
+    assert (told["position_error_m"], told["duration_s"]) == (0.04, UNKNOWN)
 
 
 def test_a_point_out_of_reach_is_told_with_the_configuration_that_comes_nearest() -> None:

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
@@ -12,6 +12,7 @@ from planners.scene import Pose
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from robot.forward import ForwardPlacements
+from server.errors import RefusedError
 from server.execution.motions import PlannedMotion
 from server.moveit.goal_messages import suggestion
 from tests.helpers.goal_translator import HOME_RAD, ROBOT, TRANSLATOR, translator
@@ -28,19 +29,15 @@ def pose_stamped(frame: str, **position: float) -> dict[str, Any]:
     return complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0))
 
 
-def refusal(answer: PlannedMotion | PlanningFailure) -> PlanningFailure:
-    assert isinstance(answer, PlanningFailure)
-    return answer
+def refusal(translate: Callable[[Any], PlannedMotion], message: dict[str, Any]) -> PlanningFailure:
+    with pytest.raises(RefusedError) as refused:
+        translate(message)
+    return refused.value.failure
 
 
-def motion(answer: PlannedMotion | PlanningFailure) -> PlannedMotion:
-    assert isinstance(answer, PlannedMotion)
-    return answer
-
-
-def goal(answer: PlannedMotion | PlanningFailure, start_rad: Mapping[str, float] | None = None) -> Any:
+def goal(motion: PlannedMotion, start_rad: Mapping[str, float] | None = None) -> Any:
     """What is planned when the goal's turn comes."""
-    problem = motion(answer).steps[0](start_rad or HOME_RAD)
+    problem = motion.steps[0](start_rad or HOME_RAD)
     assert isinstance(problem, PlanningProblem)
     return problem.goal
 
@@ -58,7 +55,7 @@ def test_a_saved_state_is_a_named_target_with_its_joints_of_the_group() -> None:
 
 @pytest.mark.parametrize("name", ["", "redy", "home2"])
 def test_an_unknown_named_target_is_answered_with_those_that_exist(name: str) -> None:
-    failure = refusal(TRANSLATOR.named({"data": name}))
+    failure = refusal(TRANSLATOR.named, {"data": name})
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert repr(name) in failure.message
     assert failure.details["known"] == ["Mine", "extended", "home", "ready", "rest"]
@@ -70,7 +67,7 @@ def test_only_the_named_joints_are_in_the_goal() -> None:
 
 
 def test_joints_outside_the_group_are_ignored_with_a_warning() -> None:
-    asked = motion(TRANSLATOR.joints(joint_state(name=["knee", "elbow_flex", "gripper"], position=[1.0, 0.2, 0.5])))
+    asked = TRANSLATOR.joints(joint_state(name=["knee", "elbow_flex", "gripper"], position=[1.0, 0.2, 0.5]))
     assert goal(asked) == JointGoal({"elbow_flex": 0.2}, tolerance_rad=0.01)
     assert "knee, gripper" in asked.warnings[0]
 
@@ -87,7 +84,7 @@ BAD_JOINTS = {
 
 @pytest.mark.parametrize(("name", "position", "words"), BAD_JOINTS.values(), ids=BAD_JOINTS.keys())
 def test_a_senseless_joint_goal_is_refused_with_its_reason(name: list[str], position: list[float], words: str) -> None:
-    failure = refusal(TRANSLATOR.joints(joint_state(name=name, position=position)))
+    failure = refusal(TRANSLATOR.joints, joint_state(name=name, position=position))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert words in failure.message
 
@@ -106,15 +103,16 @@ def test_a_pose_in_a_frame_that_moves_is_taken_where_that_is_when_the_goals_turn
 
 
 def test_a_pose_in_an_unknown_frame_is_refused_at_once_with_those_that_serve() -> None:
-    failure = refusal(TRANSLATOR.pose(pose_stamped("moon", x=0.3)))
+    failure = refusal(TRANSLATOR.pose, pose_stamped("moon", x=0.3))
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert "moon" in failure.message
     assert "base_link" in failure.message
 
 
 def test_while_nobody_knows_where_the_arm_is_frames_wait_for_the_goals_turn() -> None:
-    asked = motion(translator(present_rad=None).pose(pose_stamped("moon", x=0.3)))
-    assert isinstance(asked.steps[0](HOME_RAD), PlanningFailure)
+    asked = translator(present_rad=None).pose(pose_stamped("moon", x=0.3))
+    with pytest.raises(RefusedError, match="moon"):
+        asked.steps[0](HOME_RAD)
 
 
 def test_the_whole_pose_is_told_in_the_root_link() -> None:
@@ -129,14 +127,14 @@ def test_the_whole_pose_is_told_in_the_root_link() -> None:
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_coordinate_that_is_no_number_is_named(axis: str) -> None:
-    failure = refusal(TRANSLATOR.pose(pose_stamped("", **{axis: math.nan})))
+    failure = refusal(TRANSLATOR.pose, pose_stamped("", **{axis: math.nan}))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert f"position.{axis}" in failure.message
 
 
 def test_link_tolerance_and_scaling_come_from_the_parameters() -> None:
     chosen = translator(end_effector_link="wrist_link", position_tolerance=0.02, max_velocity_scaling=0.7)
-    problem = motion(chosen.pose(pose_stamped("", x=0.3))).steps[0](HOME_RAD)
+    problem = chosen.pose(pose_stamped("", x=0.3)).steps[0](HOME_RAD)
     assert isinstance(problem, PlanningProblem)
     assert problem.goal == PositionGoal("wrist_link", (0.3, 0.0, 0.0), tolerance_m=0.02)
     assert problem.velocity_scaling == 0.7

@@ -14,7 +14,15 @@ from robot import model
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.graph import Graph, Subscriber
-from server.moveit.goal_topics import CONFIRM_TOPIC, MODE_SERVICE, RESULT_TOPIC, STATUS_TOPIC, Confirmation, GoalTopics
+from server.moveit.goal_topics import (
+    CONFIRM_MODE_SERVICE,
+    CONFIRM_TOPIC,
+    RESULT_TOPIC,
+    STATUS_TOPIC,
+    Confirmation,
+    GoalStatusTopics,
+    GoalTopics,
+)
 from server.node import Node
 from tests.helpers.arm_server import values_of
 from tests.helpers.goal_translator import TRANSLATOR
@@ -55,12 +63,14 @@ class Desk:
         self.graph = Graph(REGISTRY)
         self.runner = Obedient()
         self.confirmation = Confirmation(self.graph, wanted=False, timeout_s=60.0)
-        topics = GoalTopics(self.graph, model.builtin(), self.confirmation)
+        node = Node("moveit")
+        status = GoalStatusTopics(self.graph, node, model.builtin())
         self.queue: GoalQueue[Motion] = GoalQueue(
-            self.runner, GoalPolicy.QUEUE, 4, topics.on_progress, topics.on_answer
+            self.runner, GoalPolicy.QUEUE, 4, status.publish_progress, status.publish_answer
         )
         self.queue.start()
-        topics.open(self.queue, TRANSLATOR)
+        status.open()
+        GoalTopics(self.graph, node, self.queue, TRANSLATOR, self.confirmation).open()
         self.heard: dict[str, list[Any]] = {RESULT_TOPIC: [], STATUS_TOPIC: []}
         for topic, messages in self.heard.items():
             self.graph.subscribe(
@@ -218,7 +228,7 @@ async def gate() -> Gate:
 
 
 async def asked(gate: Gate) -> asyncio.Task[Any]:
-    task = asyncio.create_task(gate.confirmation.ask())
+    task = asyncio.create_task(gate.confirmation.wait())
     await asyncio.sleep(0)
     await asyncio.sleep(0)
     return task
@@ -239,7 +249,7 @@ async def test_false_discards_the_plan(gate: Gate) -> None:
 
 
 async def test_a_plan_nobody_confirms_in_time_is_given_up() -> None:
-    answer = await Gate(timeout_s=0.01).confirmation.ask()
+    answer = await Gate(timeout_s=0.01).confirmation.wait()
     assert answer is not None
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert "within 0.01 s" in answer.message
@@ -266,6 +276,6 @@ async def test_a_message_of_the_wrong_form_confirms_nothing(gate: Gate, caplog: 
 
 async def test_the_service_switches_the_mode(gate: Gate) -> None:
     answers: list[Any] = []
-    gate.graph.services.call(CLIENT, MODE_SERVICE, {"data": True}, answers.append)
+    gate.graph.services.call(CLIENT, CONFIRM_MODE_SERVICE, {"data": True}, answers.append)
     assert gate.confirmation.wanted
     assert answers[0].values["success"]

@@ -10,6 +10,7 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
+from planners.pool import PlannerPool
 from protocol.registry import Registry
 from robot.model import RobotModel, builtin, parse
 from server.arm_guard_settings import GuardSettings
@@ -126,24 +127,28 @@ def test_what_is_set_reaches_its_place() -> None:
         ),
         goals=GoalSettings(max_paused_s=5.0),
     )
-    face = MoveItInterface(Graph(Registry.load()), builtin(), settings, lambda _name, _value: None)
-    gripper = face._gripper(PlayedArm(), builtin().joints["gripper"])  # type: ignore[arg-type]
-    assert face._time_limits() == gripper._time_limits == TimeLimits(3.0, 4.0, 5.0)
+    interface = interface_of(builtin(), settings)
+    gripper = interface._gripper
+    assert gripper is not None
+    assert interface._executor._player._time_limits == gripper._time_limits == TimeLimits(3.0, 4.0, 5.0)
     assert gripper._torque_limit == 0.3
-    assert face._transforms._period_s == 0.1
-    assert face._scene_interface._monitored._period_s == 0.5
+    assert interface._transforms._period_s == 0.1
+    assert interface._scene_interface._monitored._period_s == 0.5
 
 
-def face_of(robot: RobotModel) -> MoveItInterface:
-    return MoveItInterface(Graph(Registry.load()), robot, Settings(), lambda _name, _value: None)
+def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItInterface:
+    parts = Graph(Registry.load()), robot, settings or Settings(), lambda _name, _value: None
+    return MoveItInterface(*parts, PlayedArm(), PlannerPool(robot))  # type: ignore[arg-type]
 
 
 def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:
     with_gripper, without = builtin(), parse(seven_joint_arm.URDF, seven_joint_arm.SRDF)
     stiff = replace(with_gripper.joints["gripper"], type="fixed")
-    assert face_of(with_gripper)._gripper_joint is with_gripper.joints["gripper"]
-    assert face_of(without)._gripper_joint is None
-    assert face_of(replace(with_gripper, joints={**with_gripper.joints, "gripper": stiff}))._gripper_joint is None
+    gripper = interface_of(with_gripper)._gripper
+    assert gripper is not None
+    assert gripper._joint is with_gripper.joints["gripper"]
+    assert interface_of(without)._gripper is None
+    assert interface_of(replace(with_gripper, joints={**with_gripper.joints, "gripper": stiff}))._gripper is None
 
 
 async def test_the_client_of_the_old_setup_moves_the_arm_is_refused_with_a_sentence_and_stopped(

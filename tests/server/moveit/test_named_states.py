@@ -228,7 +228,7 @@ class Office:
         self.graph = Graph(Registry.load())
         self.states = NamedStates(ROBOT, "arm", {}, keep_nothing)
         self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(Calibration.nominal())), lambda _state: None)
-        NamedStatesServices(self.graph, ROBOT, self.states).open(CurrentState(self.arm, ROBOT))
+        NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT)).open()
         self.told: list[dict[str, Any]] = []
         subscriber = Subscriber(lambda publication: self.told.append(json.loads(publication.msg["data"])))
         for publication in self.graph.subscribe(CLIENT, NAMED_STATES_TOPIC, None, subscriber):

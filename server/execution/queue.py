@@ -128,7 +128,7 @@ class GoalRunner(Protocol[Request_contra]):
         """End the active goal for another that follows at once and may replace its motion without a stop."""
 
     def stop(self, reason: str) -> None:
-        """End the active goal and every motion of the arm, whoever began it."""
+        """End the active goal and every motion of the arm, also those of other parts."""
 
 
 class GoalQueue(Generic[Request]):

@@ -1,1 +1,1 @@
-"""MoveIt's face: ROS messages on one side, planners and arm on the other."""
+"""Interface of MoveIt: ROS messages on one side, execution, planners and arm on the other."""

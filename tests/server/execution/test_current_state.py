@@ -47,12 +47,12 @@ def current(**parts):
     return CurrentState(SimpleNamespace(state=ArmState(0.0, Mode.HOLDING, NAMES, **parts)), ROBOT)
 
 
-def test_what_the_arm_holds_is_told_and_not_where_it_droops_to():
+def test_positions_are_those_that_the_arm_holds_and_not_those_it_droops_to():
     state = current(position_rad=np.array([0.1, 0.2]), goal_rad=np.array([0.3, 0.4]))
     assert state.positions_rad() == {"shoulder_pan": 0.3, "gripper": 0.4}
 
 
-def test_a_relaxed_arm_is_where_it_is_measured():
+def test_positions_of_a_relaxed_arm_are_measured():
     assert current(position_rad=np.array([0.1, 0.2])).positions_rad() == {"shoulder_pan": 0.1, "gripper": 0.2}
 
 
@@ -78,7 +78,7 @@ class Read:
 
 
 @pytest.mark.parametrize(("state", "code", "words"), UNUSABLE.values(), ids=UNUSABLE.keys())
-def test_an_arm_that_cannot_move_says_why_and_what_to_do(state: ArmState, code: MoveItErrorCode, words: str) -> None:
+def test_an_arm_that_is_not_ready_names_reason_and_remedy(state: ArmState, code: MoveItErrorCode, words: str) -> None:
     with pytest.raises(RefusedError, match=words) as refused:
         check_ready(Read(state))
     assert refused.value.failure.code is code
@@ -93,12 +93,12 @@ HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
 
 
 @pytest.mark.parametrize(("age_s", "max_age_s"), [(1.5, METAL_MAX_AGE_S), (5.5, SIMULATED_MAX_AGE_S)])
-def test_a_state_that_is_old_is_not_relied_on(age_s: float, max_age_s: float) -> None:
+def test_an_old_state_refuses_motions(age_s: float, max_age_s: float) -> None:
     with pytest.raises(RefusedError) as refused:
         check_ready(Read(HOLDING, age_s, max_age_s))
     assert refused.value.failure.code is MoveItErrorCode.ROBOT_STATE_STALE
     assert str(refused.value) == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
 
 
-def test_a_simulated_arm_that_a_busy_machine_starves_is_waited_for() -> None:
+def test_a_starved_simulated_arm_takes_motions() -> None:
     check_ready(Read(HOLDING, 4.5, SIMULATED_MAX_AGE_S))

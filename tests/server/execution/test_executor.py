@@ -91,7 +91,7 @@ def rig(processes: tuple[Arm, PlannerPool, RobotModel]) -> Rig:
 
 
 @in_one_loop
-async def test_a_motion_is_planned_played_and_told(rig: Rig) -> None:
+async def test_a_motion_is_planned_played_and_reported(rig: Rig) -> None:
     answer = await rig.run(shoulder_pan=0.8)
     assert answer.code is MoveItErrorCode.SUCCESS
     states = [progress.state for progress in rig.news]
@@ -138,7 +138,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     assert "starting" in answer.message
 
 
-def test_motions_are_played_with_the_allowance_that_is_set() -> None:
+def test_motions_are_played_with_the_configured_time_limits() -> None:
     robot, time_limits = model.builtin(), TimeLimits(scaling=9.0)
     arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), time_limits=time_limits)
@@ -148,7 +148,7 @@ def test_motions_are_played_with_the_allowance_that_is_set() -> None:
 @pytest.mark.parametrize(
     "hardware", [FeetechConfig(Calibration.nominal(), "/dev/nothing"), EmulatedConfig(Calibration.nominal())]
 )
-def test_planners_are_waited_for_as_long_as_the_arm_while_it_moves(hardware: HardwareConfig) -> None:
+def test_the_scene_monitor_waits_for_planners_as_long_as_for_the_arm(hardware: HardwareConfig) -> None:
     robot = model.builtin()
     arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
@@ -245,7 +245,7 @@ async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothi
     assert not stage.arm.played
 
 
-async def test_the_answer_tells_what_was_planned_and_from_where(stage: Stage) -> None:
+async def test_the_answer_contains_the_plan_and_its_start(stage: Stage) -> None:
     stage.arm.put(elbow_flex=0.1)
     await stage.begin(to(shoulder_pan=0.4))
     stage.arm.end()
@@ -256,7 +256,7 @@ async def test_the_answer_tells_what_was_planned_and_from_where(stage: Stage) ->
     assert performed.planning_time_s == 0.01
 
 
-async def test_several_steps_are_carried_out_one_after_the_other(stage: Stage) -> None:
+async def test_several_steps_are_executed_in_order(stage: Stage) -> None:
     first, second = to(shoulder_pan=0.4), to(shoulder_pan=0.8)
     await stage.begin(PlannedMotion((*first.steps, *second.steps)))
     stage.arm.end()
@@ -266,7 +266,7 @@ async def test_several_steps_are_carried_out_one_after_the_other(stage: Stage) -
     assert [motion.positions_rad[-1, 0] for motion in stage.arm.played] == pytest.approx([0.4, 0.8])
 
 
-async def test_what_cannot_be_reached_is_not_tried_again(stage: Stage) -> None:
+async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
     stage.failures = [OUT_OF_REACH]
     await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=5))
     answer = await stage.answer()
@@ -275,7 +275,7 @@ async def test_what_cannot_be_reached_is_not_tried_again(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize(("failures", "tried"), [(1, 2), (9, 3)], ids=["then there is a way", "never"])
-async def test_planning_is_repeated_as_often_as_asked_for(stage: Stage, failures: int, tried: int) -> None:
+async def test_planning_is_repeated_up_to_the_limit_of_attempts(stage: Stage, failures: int, tried: int) -> None:
     stage.failures = [NO_WAY] * failures
     await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=3))
     stage.arm.end()
@@ -283,7 +283,7 @@ async def test_planning_is_repeated_as_often_as_asked_for(stage: Stage, failures
     assert len(stage.problems) == tried
 
 
-async def test_a_motion_that_the_scene_stops_is_planned_anew_from_where_the_arm_is(stage: Stage) -> None:
+async def test_a_motion_that_the_scene_stops_is_planned_again_from_the_present_position(stage: Stage) -> None:
     await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=2))
     stage.contact, stage.scene = WALL, Scene(2)
     stage.arm.put(shoulder_pan=0.2)
@@ -296,7 +296,7 @@ async def test_a_motion_that_the_scene_stops_is_planned_anew_from_where_the_arm_
     assert stage.scenes == [1, 2]
 
 
-async def test_without_that_wish_it_ends_with_the_contact(stage: Stage) -> None:
+async def test_a_goal_with_one_attempt_ends_with_the_contact(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.contact, stage.scene = WALL, Scene(2)
     stage.changed()
@@ -305,7 +305,7 @@ async def test_without_that_wish_it_ends_with_the_contact(stage: Stage) -> None:
     assert answer.message.startswith("would touch the wall")
 
 
-async def test_a_scene_that_changes_while_planning_is_looked_at_before_anything_moves(stage: Stage) -> None:
+async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion(stage: Stage) -> None:
     def change(start_rad: Positions) -> PlanningProblem:
         stage.scene, stage.contact = Scene(2), WALL
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
@@ -322,7 +322,7 @@ async def test_a_goal_may_be_planned_in_a_scene_of_its_own(stage: Stage) -> None
     assert stage.scenes == [77]
 
 
-async def test_an_arm_that_is_moved_while_planning_is_planned_for_again(stage: Stage) -> None:
+async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: Stage) -> None:
     def move(start_rad: Positions) -> PlanningProblem:
         stage.arm.put(shoulder_pan=0.3)
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
@@ -333,7 +333,7 @@ async def test_an_arm_that_is_moved_while_planning_is_planned_for_again(stage: S
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
 
 
-async def test_a_given_motion_is_looked_at_and_played_from_where_the_arm_holds(stage: Stage) -> None:
+async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_holds(stage: Stage) -> None:
     stage.arm.put(shoulder_pan=0.02)
     await stage.begin(given(0.0, 0.5))
     stage.arm.end()
@@ -343,7 +343,7 @@ async def test_a_given_motion_is_looked_at_and_played_from_where_the_arm_holds(s
     assert set(stage.rechecked[0].others_rad) == {"gripper"}
 
 
-async def test_a_given_motion_that_starts_elsewhere_or_touches_something_is_not_played(stage: Stage) -> None:
+async def test_an_external_trajectory_that_starts_elsewhere_or_collides_is_not_played(stage: Stage) -> None:
     await stage.begin(given(0.3, 0.5))
     assert (await stage.answer()).code is MoveItErrorCode.CONTROL_FAILED
     stage.contact = WALL
@@ -352,7 +352,7 @@ async def test_a_given_motion_that_starts_elsewhere_or_touches_something_is_not_
     assert stage.arm.played == []
 
 
-async def test_ending_the_goal_in_hand_leaves_other_motions_alone(stage: Stage) -> None:
+async def test_cancelling_the_active_goal_leaves_other_motions_alone(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.executor.cancel("preempted by a test")
     answer = await stage.answer()
@@ -360,7 +360,7 @@ async def test_ending_the_goal_in_hand_leaves_other_motions_alone(stage: Stage) 
     assert None not in stage.arm.stops
 
 
-async def test_who_steers_the_arm_has_to_come_to_rest_first(stage: Stage) -> None:
+async def test_a_steered_arm_has_to_come_to_rest_first(stage: Stage) -> None:
     stage.arm.steered = True
     await stage.begin(to(shoulder_pan=0.4))
     answer = await stage.answer()
@@ -368,14 +368,14 @@ async def test_who_steers_the_arm_has_to_come_to_rest_first(stage: Stage) -> Non
     assert "being steered" in answer.message
 
 
-async def test_a_goal_that_holds_already_moves_nothing(stage: Stage) -> None:
+async def test_a_goal_at_the_present_position_moves_nothing(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.0))
     answer = await stage.answer()
     assert (answer.code, answer.message) == (MoveItErrorCode.SUCCESS, "the arm was there already")
     assert stage.arm.played == []
 
 
-async def test_a_goal_is_ended_while_it_is_planned(stage: Stage) -> None:
+async def test_a_goal_is_cancelled_during_planning(stage: Stage) -> None:
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
     stage.executor.cancel("ended by a test")
@@ -404,7 +404,7 @@ async def under_way(stage: Stage) -> None:
     assert (await stage.answer()).message == "preempted by a test"
 
 
-async def test_a_goal_goes_on_from_the_motion_that_gave_way_to_it(stage: Stage) -> None:
+async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop(stage: Stage) -> None:
     await under_way(stage)
     await stage.begin(to(shoulder_pan=-0.2))
     stage.arm.end()
@@ -433,7 +433,9 @@ OTHERWISE: dict[str, Callable[[Stage], object]] = {
 
 
 @pytest.mark.parametrize("obstacle", OTHERWISE.values(), ids=OTHERWISE.keys())
-async def test_where_that_cannot_be_the_arm_brakes_first(stage: Stage, obstacle: Callable[[Stage], object]) -> None:
+async def test_where_a_motion_cannot_be_replaced_the_arm_brakes_first(
+    stage: Stage, obstacle: Callable[[Stage], object]
+) -> None:
     await under_way(stage)
     obstacle(stage)
     await stage.begin(to(shoulder_pan=-0.2))
@@ -447,7 +449,7 @@ async def test_where_that_cannot_be_the_arm_brakes_first(stage: Stage, obstacle:
     assert stage.arm.continued == []
 
 
-async def test_a_given_motion_begins_at_rest(stage: Stage) -> None:
+async def test_an_external_trajectory_begins_at_rest(stage: Stage) -> None:
     await under_way(stage)
     held = stage.arm.state.goal_rad
     assert held is not None
@@ -459,7 +461,7 @@ async def test_a_given_motion_begins_at_rest(stage: Stage) -> None:
     assert stage.arm.continued == []
 
 
-async def test_a_goal_that_is_cancelled_before_it_goes_on_leaves_the_arm_at_rest(stage: Stage) -> None:
+async def test_a_goal_that_is_cancelled_before_the_replacement_leaves_the_arm_at_rest(stage: Stage) -> None:
     await under_way(stage)
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=-0.2))
@@ -468,7 +470,7 @@ async def test_a_goal_that_is_cancelled_before_it_goes_on_leaves_the_arm_at_rest
     assert stage.arm.stops
 
 
-def test_what_was_read_since_the_start_is_a_trajectory_from_time_0() -> None:
+def test_a_recording_is_a_trajectory_from_time_0() -> None:
     recorder = MotionRecorder()
     recorder.take_state(STATE)
     recorder.start()
@@ -481,7 +483,7 @@ def test_what_was_read_since_the_start_is_a_trajectory_from_time_0() -> None:
     assert way.velocities_rad_s.tolist() == [[2.0], [2.0]]
 
 
-def test_an_arm_that_was_not_read_has_no_way() -> None:
+def test_a_recording_without_readings_is_none() -> None:
     recorder = MotionRecorder()
     recorder.start()
     recorder.take_state(replace(STATE, position_rad=None))
@@ -489,7 +491,7 @@ def test_an_arm_that_was_not_read_has_no_way() -> None:
     assert recorder.finish(("a",)) is None
 
 
-def test_times_increase_though_a_clock_was_set_back() -> None:
+def test_recorded_times_increase_though_a_clock_was_set_back() -> None:
     recorder = MotionRecorder()
     recorder.start()
     for stamp_s in (6.0, 5.0, 6.0, 7.0):

@@ -32,7 +32,7 @@ def failed_goals(tmp_path: Path) -> FailedGoals:
     return FailedGoals(tmp_path / "failed", model.builtin(), itertools.count(1_800_000_000).__next__, KEPT)
 
 
-async def test_a_saved_goal_reads_as_it_was_asked(failed_goals: FailedGoals, tmp_path: Path) -> None:
+async def test_a_saved_goal_is_read_as_it_was_written(failed_goals: FailedGoals, tmp_path: Path) -> None:
     await failed_goals.save(EASY, IN_THE_WAY, FAILURE)
     (path,) = (tmp_path / "failed").iterdir()
     assert path.name == "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json"
@@ -72,20 +72,20 @@ async def planned(goal: Goal) -> Any:
     return await DirectPool().ask(PlanningProblem("arm", HOME, goal), WALL)
 
 
-async def test_a_joint_goal_in_collision_comes_with_a_free_one_that_can_be_planned() -> None:
+async def test_a_joint_goal_in_collision_gets_a_free_one_that_can_be_planned() -> None:
     _, failure = await found(JointGoal({"shoulder_pan": -1.2}))
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert failure.details["pairs"]
     assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
 
 
-async def test_a_point_in_collision_comes_with_a_free_one_that_can_be_planned() -> None:
+async def test_a_point_in_collision_gets_a_free_one_that_can_be_planned() -> None:
     _, failure = await found(PositionGoal(TIP, (0.25, 0.25, 0.2), 0.01))
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert isinstance(await planned(PositionGoal(TIP, tuple(failure.details["free_m"]), 0.01)), Plan)
 
 
-async def test_other_failures_stay_as_they_are() -> None:
+async def test_other_failures_are_unchanged() -> None:
     failure = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
     alternatives = Alternatives(ROBOT, DirectPool())  # type: ignore[arg-type]
     assert await alternatives.add_to(failure, PlanningProblem("arm", HOME, JointGoal({})), WALL) is failure

@@ -64,24 +64,24 @@ async def test_the_motions_before_a_failure_are_kept_and_the_item_is_named() -> 
     assert planned.problem is not None
 
 
-async def test_a_single_step_fails_in_its_own_words() -> None:
+async def test_the_failure_of_a_single_step_names_no_item() -> None:
     planned = await plan_sequence([to(2.0)], START, EMPTY_SCENE, Planning().ask)
     assert planned.failure == WALL
 
 
-async def test_a_step_that_makes_no_problem_is_not_asked() -> None:
+async def test_a_step_without_a_problem_is_not_planned() -> None:
     planning = Planning()
     planned = await plan_sequence([lambda _start_rad: WALL], START, EMPTY_SCENE, planning.ask)
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 
-async def test_what_could_not_be_had_is_told() -> None:
+async def test_deviations_from_the_goal_are_noted() -> None:
     planned = await plan_sequence([to(0.3)], START, EMPTY_SCENE, Planning(Deviation(0.0, 0.5)).ask)
     assert len(planned.notes) == 1
     assert "28.6 degrees" in planned.notes[0]
 
 
-async def test_half_a_path_of_the_tip_is_a_failure() -> None:
+async def test_half_a_cartesian_path_is_a_failure() -> None:
     async def half(_request: object, _scene: Scene) -> CartesianPlan:
         return CartesianPlan(smooth_move({"a": (0.0, 0.1)}, 1.0), 0.5, WALL, 0.1)
 

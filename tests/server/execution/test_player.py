@@ -76,19 +76,19 @@ async def stage() -> AsyncIterator[Stage]:
 
 
 @pytest.mark.parametrize("outcome", [one for one in Outcome if one in CODE_OF_OUTCOME and one is not Outcome.STOPPED])
-async def test_every_end_has_its_code_and_its_own_words(stage: Stage, outcome: Outcome) -> None:
+async def test_every_outcome_has_its_code_and_message(stage: Stage, outcome: Outcome) -> None:
     stage.arm.end(outcome, "that is how it went")
     answer = await stage.answer()
     assert answer == Answer(CODE_OF_OUTCOME[outcome], "that is how it went", {"outcome": outcome.value})
     assert not stage.scene_monitor.monitoring
 
 
-async def test_a_stop_is_told_with_its_reason(stage: Stage) -> None:
+async def test_the_answer_after_a_stop_names_its_reason(stage: Stage) -> None:
     stage.player.stop("a test")
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test: stopped half-way")
 
 
-async def test_a_contact_on_the_way_stops_the_motion_with_its_own_code_and_data(stage: Stage) -> None:
+async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details(stage: Stage) -> None:
     stage.scene_monitor.found(CONTACT)
     stage.player.stop("too late")
     answer = await stage.answer()
@@ -96,7 +96,7 @@ async def test_a_contact_on_the_way_stops_the_motion_with_its_own_code_and_data(
     assert answer.message == "would touch the wall: stopped half-way"
 
 
-async def test_only_the_motion_in_hand_is_stopped(stage: Stage) -> None:
+async def test_only_the_active_motion_is_stopped(stage: Stage) -> None:
     stage.player.stop("a test")
     await stage.answer()
     assert stage.arm.stops != [None]
@@ -104,13 +104,13 @@ async def test_only_the_motion_in_hand_is_stopped(stage: Stage) -> None:
     assert len(stage.arm.stops) == 1
 
 
-async def test_the_question_is_about_what_is_left(stage: Stage) -> None:
+async def test_the_scene_monitor_asks_about_the_rest_of_the_motion(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace())
     assert stage.scene_monitor.question().from_s == 0.25
 
 
-async def test_on_the_way_back_all_of_the_path_may_still_come(stage: Stage) -> None:
+async def test_on_the_way_back_it_asks_about_the_whole_motion(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(course=Course.BACK))
     assert stage.scene_monitor.question().from_s == 0.0
@@ -148,7 +148,7 @@ BRAKING_S = player.BRAKING_TIMEOUT_S
 ALLOWED_S = LIMITS.allowed_s(MOTION.trajectory.duration_s)
 
 
-async def test_an_arm_that_a_busy_machine_starves_has_all_its_time_by_its_own_clock(stubborn: Stage) -> None:
+async def test_a_starved_arm_has_all_its_time_by_its_own_clock(stubborn: Stage) -> None:
     stubborn.clock.advance(1000.0)
     stubborn.arm.pass_time(0.9 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
@@ -194,7 +194,7 @@ async def test_a_server_that_stood_still_gives_the_arm_its_time_to_brake(stubbor
     assert (answer.code, "stopped half-way" in answer.message) == (MoveItErrorCode.TIMED_OUT, True)
 
 
-async def test_a_motion_that_was_left_is_waited_for_by_the_arms_clock(stubborn: Stage) -> None:
+async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock(stubborn: Stage) -> None:
     stubborn.player.preempt("preempted by a test")
     await stubborn.answer()
     resting = asyncio.create_task(stubborn.player.stop_outgoing())
@@ -206,7 +206,7 @@ async def test_a_motion_that_was_left_is_waited_for_by_the_arms_clock(stubborn: 
     await asyncio.wait_for(resting, 5.0)
 
 
-async def test_an_arm_that_says_nothing_any_more_is_not_waited_for(stubborn: Stage) -> None:
+async def test_a_silent_arm_is_not_awaited(stubborn: Stage) -> None:
     stubborn.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
     stubborn.arm.state_age_s = 5.1
@@ -224,13 +224,13 @@ class Worn:
     exceeded = "the arm did not end the motion"
 
 
-async def test_right_after_the_beginning_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
+async def test_just_after_the_start_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
     stage.arm.state = replace(stage.arm.state, fraction=0.25)
     assert stage.scene_monitor.question().from_s == 0.0
 
 
 @pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])
-async def test_where_arm_or_server_are_starved_the_state_may_be_of_the_motion_before_for_longer(
+async def test_with_a_starved_arm_or_server_the_state_may_be_of_the_motion_before_for_longer(
     stage: Stage, machine_s: float, arm_s: float
 ) -> None:
     stage.clock.advance(machine_s)
@@ -239,7 +239,7 @@ async def test_where_arm_or_server_are_starved_the_state_may_be_of_the_motion_be
     assert stage.scene_monitor.question().from_s == 0.0
 
 
-async def test_a_motion_that_is_left_goes_on_until_another_takes_its_place(stage: Stage) -> None:
+async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.show(0.4)
     stage.player.preempt("preempted by a test")
@@ -254,7 +254,7 @@ async def test_a_motion_that_is_left_goes_on_until_another_takes_its_place(stage
     assert outgoing.ended.done()
 
 
-async def test_a_motion_that_is_left_is_braked_when_no_other_comes(stage: Stage) -> None:
+async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) -> None:
     stage.player.preempt("preempted by a test")
     await stage.answer()
     async with asyncio.timeout(5.0):
@@ -262,7 +262,7 @@ async def test_a_motion_that_is_left_is_braked_when_no_other_comes(stage: Stage)
             await asyncio.sleep(0.01)
 
 
-async def test_a_motion_that_is_left_can_be_brought_to_rest_and_stopped(stage: Stage) -> None:
+async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:
     stage.player.preempt("preempted by a test")
     await stage.answer()
     await stage.player.stop_outgoing()
@@ -270,7 +270,7 @@ async def test_a_motion_that_is_left_can_be_brought_to_rest_and_stopped(stage: S
     assert stage.player.outgoing is None
 
 
-async def test_a_motion_that_brakes_already_is_not_left(stage: Stage) -> None:
+async def test_a_braking_motion_is_not_replaced(stage: Stage) -> None:
     stage.player.stop("a test")
     stage.player.preempt("too late")
     assert (await stage.answer()).message == "a test: stopped half-way"

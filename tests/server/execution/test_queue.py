@@ -95,7 +95,7 @@ async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
     assert desk.codes() == [(str(number), MoveItErrorCode.SUCCESS) for number in (1, 2, 3)]
 
 
-async def test_it_is_busy_while_a_goal_is_in_hand(desk: Desk) -> None:
+async def test_the_queue_is_busy_while_a_goal_is_active(desk: Desk) -> None:
     assert desk.queue.busy == ""
     desk.queue.submit("/goals", "first")
     await settle()
@@ -105,7 +105,7 @@ async def test_it_is_busy_while_a_goal_is_in_hand(desk: Desk) -> None:
     assert desk.queue.busy == ""
 
 
-async def test_a_goal_over_the_capacity_is_refused_with_the_limit(desk: Desk) -> None:
+async def test_a_goal_over_the_capacity_is_rejected_with_the_limit(desk: Desk) -> None:
     for _ in range(5):
         desk.queue.submit("/goal", "x")
         await settle()
@@ -114,7 +114,7 @@ async def test_a_goal_over_the_capacity_is_refused_with_the_limit(desk: Desk) ->
     assert "3 goals are waiting" in desk.answers[0][1].message
 
 
-async def test_a_refused_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
+async def test_a_rejected_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
     desk.queue.submit("/goal", "a")
     await settle()
     goal_id = desk.queue.reject("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
@@ -122,7 +122,7 @@ async def test_a_refused_goal_is_answered_at_once_while_another_runs(desk: Desk)
     assert desk.runner.started == ["a"]
 
 
-async def test_stop_answers_the_goal_in_hand_and_all_that_wait(desk: Desk) -> None:
+async def test_stop_answers_the_active_goal_and_all_that_wait(desk: Desk) -> None:
     for _ in range(3):
         desk.queue.submit("/goal", "x")
     await settle()
@@ -144,14 +144,14 @@ async def test_the_queue_works_on_after_a_stop(desk: Desk) -> None:
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED), ("2", MoveItErrorCode.SUCCESS)]
 
 
-async def test_policy_reject_refuses_what_comes_while_a_goal_is_worked_on() -> None:
+async def test_policy_reject_rejects_goals_while_one_is_active() -> None:
     desk = await desk_of(GoalPolicy.REJECT, "a", "b")
     assert desk.codes() == [("2", MoveItErrorCode.FAILURE)]
     assert "goal 1" in desk.answers[0][1].message
     await desk.queue.close(0.1)
 
 
-async def test_policy_preempt_ends_the_goal_in_hand_and_runs_the_new_one() -> None:
+async def test_policy_preempt_ends_the_active_goal_and_runs_the_new_one() -> None:
     desk = await desk_of(GoalPolicy.PREEMPT, "a", "b")
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
     assert "preempted by goal 2 from /goal" in desk.answers[0][1].message
@@ -195,7 +195,7 @@ async def test_closing_answers_a_goal_that_does_not_end() -> None:
     assert "did not come to rest in time" in desk.answers[0][1].message
 
 
-async def test_closing_that_is_cut_short_answers_the_goal_in_hand() -> None:
+async def test_closing_that_is_cut_short_answers_the_active_goal() -> None:
     desk = Desk()
     desk.runner = DeafRunner()
     desk.queue = GoalQueue(desk.runner, GoalPolicy.QUEUE, 3, desk._progress, desk._answer)
@@ -210,7 +210,7 @@ async def test_closing_that_is_cut_short_answers_the_goal_in_hand() -> None:
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
 
 
-async def test_a_waiting_goal_is_told_how_many_are_ahead(desk: Desk) -> None:
+async def test_a_waiting_goal_reports_how_many_are_ahead(desk: Desk) -> None:
     desk.queue.submit("/goal", "a")
     await settle()
     desk.queue.submit("/goal", "b")
@@ -229,7 +229,7 @@ async def test_a_goal_may_come_with_a_policy_of_its_own(desk: Desk) -> None:
     assert desk.runner.stopped == []
 
 
-async def test_who_asked_is_told_besides_who_hears_of_all(desk: Desk) -> None:
+async def test_a_goals_own_listeners_are_called_besides_the_queues(desk: Desk) -> None:
     news: list[Progress] = []
     answers: list[Answer] = []
     desk.queue.submit("/action", "a", on_progress=news.append, on_answer=answers.append)
@@ -250,7 +250,7 @@ async def test_a_cancelled_goal_is_answered_and_the_other_is_not(desk: Desk, num
     assert desk.codes() == [(number, MoveItErrorCode.PREEMPTED)]
 
 
-async def test_who_cannot_be_told_costs_nobody_else_anything(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_bug_in_a_listener_costs_no_other_goal(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     def broken(_news: object) -> None:
         raise ValueError("broken listener")
 

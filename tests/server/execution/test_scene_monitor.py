@@ -55,13 +55,13 @@ def place() -> Place:
     return Place()
 
 
-async def test_nothing_is_asked_while_nothing_changes(place: Place) -> None:
+async def test_an_unchanged_scene_is_not_checked(place: Place) -> None:
     watching(place)
     await settle()
     assert place.looked == []
 
 
-async def test_a_change_that_is_in_the_way_is_told_once(place: Place) -> None:
+async def test_a_change_in_the_way_is_reported_once(place: Place) -> None:
     watching(place)
     place.answer = RecheckAnswer(WALL, 0.5)
     place.change()
@@ -72,7 +72,7 @@ async def test_a_change_that_is_in_the_way_is_told_once(place: Place) -> None:
     assert place.looked == [2]
 
 
-async def test_changes_that_come_while_it_looks_are_looked_at_together(place: Place) -> None:
+async def test_changes_during_a_check_are_checked_together(place: Place) -> None:
     watching(place)
     place.slow = True
     for _ in range(100):
@@ -84,7 +84,7 @@ async def test_changes_that_come_while_it_looks_are_looked_at_together(place: Pl
     assert place.contacts == []
 
 
-async def test_a_motion_that_has_ended_is_looked_at_no_more(place: Place) -> None:
+async def test_a_motion_that_has_ended_is_checked_no_more(place: Place) -> None:
     monitor = watching(place)
     place.slow = True
     place.answer = RecheckAnswer(WALL, 0.5)
@@ -98,7 +98,7 @@ async def test_a_motion_that_has_ended_is_looked_at_no_more(place: Place) -> Non
     assert place.looked == [2]
 
 
-async def test_a_scene_that_changed_before_the_motion_began_is_looked_at(place: Place) -> None:
+async def test_a_scene_that_changed_before_the_motion_began_is_checked(place: Place) -> None:
     place.change()
     watching(place)
     await settle()
@@ -127,7 +127,7 @@ def watching_patiently(place: StarvedPlace) -> None:
     monitor.start(1, lambda: QUESTION, place.contacts.append)
 
 
-async def test_planners_that_a_busy_machine_starves_are_asked_again() -> None:
+async def test_starved_planners_are_asked_again() -> None:
     place = StarvedPlace(starved_s=4.5)
     watching_patiently(place)
     place.change()
@@ -138,7 +138,7 @@ async def test_planners_that_a_busy_machine_starves_are_asked_again() -> None:
 @pytest.mark.parametrize(
     ("answer", "contacts"), [(RecheckAnswer(None), 0), (PlanningFailure(MoveItErrorCode.CRASH, "the planner died"), 1)]
 )
-async def test_what_planners_answer_in_time_is_asked_once(
+async def test_planners_that_answer_in_time_are_asked_once(
     answer: RecheckAnswer | PlanningFailure, contacts: int
 ) -> None:
     place = StarvedPlace(starved_s=0.0)
@@ -149,7 +149,7 @@ async def test_what_planners_answer_in_time_is_asked_once(
     assert (place.looked, len(place.contacts)) == ([2], contacts)
 
 
-async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_it() -> None:
+async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_the_motion() -> None:
     place = StarvedPlace(starved_s=60.0)
     watching_patiently(place)
     place.change()
@@ -158,7 +158,7 @@ async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_it()
     assert place.looked == [2, 2, 2]
 
 
-async def test_what_cannot_be_told_counts_as_in_the_way(place: Place) -> None:
+async def test_a_failed_check_counts_as_a_contact(place: Place) -> None:
     watching(place)
     place.answer = PlanningFailure(MoveItErrorCode.CRASH, "the planner died")
     place.change()

@@ -39,7 +39,7 @@ NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
 
 
 @given(st.floats(0.0, 0.9), st.floats(0.0, 1.0), st.floats(0.1, 1.0))
-def test_the_lead_is_the_same_curve_as_the_motion_up_to_where_it_is_left(
+def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
     fraction: float, share: float, speed: float
 ) -> None:
     splice_point = splice_point_of(UNDER_WAY, replace(MOVING, fraction=fraction, pace=Pace(speed)), 0.0)
@@ -72,7 +72,7 @@ STILL = {
 
 
 @pytest.mark.parametrize("state", STILL.values(), ids=STILL.keys())
-def test_a_motion_that_cannot_be_left_has_no_branch(state: ArmState) -> None:
+def test_a_motion_that_cannot_be_replaced_has_no_splice_point(state: ArmState) -> None:
     assert splice_point_of(UNDER_WAY, state, 0.0) is None
 
 
@@ -87,7 +87,7 @@ def test_the_next_motion_begins_where_the_lead_ends() -> None:
     assert splice_point.velocities_rad_s["a"] > 0.0 > splice_point.velocities_rad_s["b"]
 
 
-def test_a_motion_from_where_the_arm_holds_stays_as_it_is() -> None:
+def test_a_motion_from_where_the_arm_holds_is_unchanged() -> None:
     assert with_lead_in(GIVEN, dict.fromkeys(JOINTS, SAME_START_RAD), ROBOT) is GIVEN
 
 

@@ -12,7 +12,7 @@ LIMITS = TimeLimits(scaling=3.0, margin_s=4.0, paused_s=50.0)
 ALLOWED_S = 13.0
 
 
-def test_a_motion_may_take_its_allowance_and_no_longer() -> None:
+def test_the_deadline_is_exceeded_after_the_allowed_time() -> None:
     deadline = ExecutionDeadline(DURATION_S, LIMITS)
     deadline.pass_time(ALLOWED_S, Pace())
     assert deadline.exceeded is None
@@ -20,7 +20,7 @@ def test_a_motion_may_take_its_allowance_and_no_longer() -> None:
     assert f"{ALLOWED_S:.1f} s" in str(deadline.exceeded)
 
 
-def test_a_slow_motion_uses_its_allowance_up_as_slowly() -> None:
+def test_a_slow_motion_uses_its_time_up_as_slowly() -> None:
     deadline = ExecutionDeadline(DURATION_S, LIMITS)
     deadline.pass_time(ALLOWED_S * 3.9, Pace(0.25))
     assert deadline.exceeded is None
@@ -28,7 +28,7 @@ def test_a_slow_motion_uses_its_allowance_up_as_slowly() -> None:
     assert deadline.exceeded is not None
 
 
-def test_what_is_gone_back_may_be_gone_again() -> None:
+def test_the_way_back_is_credited() -> None:
     deadline = ExecutionDeadline(DURATION_S, LIMITS)
     deadline.pass_time(ALLOWED_S, Pace())
     deadline.pass_time(2.0, Pace(1.0, Course.BACK))
@@ -37,7 +37,7 @@ def test_what_is_gone_back_may_be_gone_again() -> None:
 
 
 @pytest.mark.parametrize("pace", [Pace(1.0, Course.PAUSED), Pace(1.0, Course.BACK), Pace(MIN_SPEED_FACTOR / 2)])
-def test_no_motion_stands_or_goes_back_for_ever(pace: Pace) -> None:
+def test_the_time_of_paused_and_reversed_motions_is_limited(pace: Pace) -> None:
     deadline = ExecutionDeadline(DURATION_S, LIMITS)
     deadline.pass_time(50.0, pace)
     assert deadline.exceeded is None
@@ -55,7 +55,7 @@ LAPS = {
 
 
 @pytest.mark.parametrize(("here_s", "by_arm_s", "passed_s"), LAPS.values(), ids=LAPS.keys())
-def test_an_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
+def test_the_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
     here_s: float, by_arm_s: float, passed_s: float
 ) -> None:
     arm, clock = PlayedArm(), FakeClock()

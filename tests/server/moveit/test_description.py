@@ -34,7 +34,7 @@ CLIENT = Node("client")
 
 
 @pytest.mark.parametrize("topic", [URDF_TOPIC, SRDF_TOPIC])
-def test_who_subscribes_later_gets_the_description_and_who_asks_for_it_the_parameter(topic: str) -> None:
+def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
     graph = Graph(REGISTRY)
     parameters: dict[str, str] = {}
     RobotDescription(graph, ROBOT, parameters.__setitem__).open()
@@ -43,7 +43,7 @@ def test_who_subscribes_later_gets_the_description_and_who_asks_for_it_the_param
     assert json.loads(parameters[topic]) == json.loads(parameters[topic[1:]]) == kept.msg["data"]
 
 
-async def test_a_mesh_is_served_by_the_name_that_the_description_gives_it(files: Path) -> None:
+async def test_a_mesh_is_served_by_its_name_in_the_description(files: Path) -> None:
     graph = Graph(REGISTRY)
     RobotDescription(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None).open()
     answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
@@ -70,7 +70,7 @@ def files(tmp_path: Path) -> Path:
     return directory
 
 
-def test_the_package_is_named_as_those_of_ros_are() -> None:
+def test_the_package_has_a_name_in_the_style_of_ros() -> None:
     assert package_name(ROBOT) == PACKAGE
 
 
@@ -84,7 +84,7 @@ def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> Non
     ]
 
 
-def test_a_description_without_such_meshes_is_served_to_the_letter() -> None:
+def test_a_description_without_mesh_paths_is_unchanged() -> None:
     assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
 
 
@@ -103,7 +103,7 @@ def test_a_description_without_such_meshes_is_served_to_the_letter() -> None:
         "a" * 999,
     ],
 )
-def test_nothing_but_files_below_the_description_is_served(files: Path, name: str) -> None:
+def test_only_files_below_the_description_are_served(files: Path, name: str) -> None:
     with pytest.raises(ServiceError, match="name: "):
         read_file(files, PACKAGE, name)
 
@@ -120,7 +120,7 @@ def test_a_description_without_files_serves_none() -> None:
 
 
 @pytest.mark.parametrize("name", ["id_rsa", f"package://{PACKAGE}/id_rsa", "arm.urdf"])
-def test_what_is_neither_mesh_nor_texture_is_not_served_from_somebodys_folder(files: Path, name: str) -> None:
+def test_only_meshes_and_textures_are_served(files: Path, name: str) -> None:
     with pytest.raises(ServiceError, match="neither mesh nor texture"):
         read_file(files, PACKAGE, name)
 

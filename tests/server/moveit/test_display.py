@@ -65,12 +65,12 @@ def test_a_planned_motion_is_shown_with_its_start(graph: Graph, display: Display
     assert shown["trajectory_start"]["joint_state"]["name"] == list(HOME)
 
 
-def test_who_comes_later_sees_the_last_plan(graph: Graph, display: DisplayTopics) -> None:
+def test_the_last_plan_is_latched(graph: Graph, display: DisplayTopics) -> None:
     display.planned((MOTION,), HOME)
     assert len(listen(graph, PATH_TOPIC)) == 1
 
 
-def test_contacts_are_balls_where_things_touch_and_take_the_place_of_those_before(graph, display) -> None:
+def test_contacts_are_spheres_in_place_of_those_before(graph, display) -> None:
     heard = listen(graph, CONTACTS_TOPIC)
     display.contacts([{"first": "gripper_link", "second": "crate", "depth_m": 0.01, "point_m": (0.3, 0.1, 0.2)}])
     clear, ball = heard[0]["markers"]
@@ -80,13 +80,13 @@ def test_contacts_are_balls_where_things_touch_and_take_the_place_of_those_befor
     assert ball["header"]["frame_id"] == ROBOT.root_link
 
 
-def test_contacts_that_are_no_more_are_cleared(graph: Graph, display: DisplayTopics) -> None:
+def test_old_contacts_are_cleared(graph: Graph, display: DisplayTopics) -> None:
     heard = listen(graph, CONTACTS_TOPIC)
     display.contacts([])
     assert len(heard[0]["markers"]) == 1
 
 
-def test_the_state_of_the_pipeline_is_told_to_listeners_alone(graph: Graph, display: DisplayTopics) -> None:
+def test_the_state_of_the_pipeline_is_published_for_subscribers_alone(graph: Graph, display: DisplayTopics) -> None:
     display.pipeline({}, {})
     heard = listen(graph, PIPELINE_TOPIC)
     display.pipeline({"group_name": "arm"}, {"planning_time": 0.5})
@@ -95,7 +95,7 @@ def test_the_state_of_the_pipeline_is_told_to_listeners_alone(graph: Graph, disp
     assert told["response"]["planning_time"] == 0.5
 
 
-def test_a_failure_shows_what_touches_and_any_other_failure_nothing(graph: Graph, display: DisplayTopics) -> None:
+def test_a_failure_shows_its_contacts_and_one_without_shows_none(graph: Graph, display: DisplayTopics) -> None:
     heard = listen(graph, CONTACTS_TOPIC)
     display.contacts_of({"joint": "elbow_flex"})
     assert not heard
@@ -127,7 +127,7 @@ def screen() -> Screen:
     return Screen()
 
 
-def test_both_topics_together_place_every_link_where_forward_kinematics_does(screen: Screen) -> None:
+def test_both_transform_topics_together_place_every_link_as_forward_kinematics_does(screen: Screen) -> None:
     screen.show(1.0, 0.4)
     placed = {ROBOT.root_link: np.eye(4)}
     transforms = {each["child_frame_id"]: each for message in screen.heard for each in message["transforms"]}
@@ -146,25 +146,25 @@ def test_transforms_are_stamped_with_the_time_of_the_reading(screen: Screen) -> 
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 50.0, 100.0])
-def test_they_come_at_their_rate_at_most(rate_hz: float) -> None:
+def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
     screen = Screen(rate_hz)
     for tick in range(100):
         screen.show(10.0 + tick * 0.01)
     assert len(screen.heard) == pytest.approx(1 + rate_hz, abs=1)
 
 
-def test_a_clock_that_is_set_back_does_not_silence_them(screen: Screen) -> None:
+def test_a_clock_that_is_set_back_does_not_silence_transforms(screen: Screen) -> None:
     screen.show(1000.0)
     screen.show(500.0)
     assert len(screen.heard) == 3
 
 
-def test_an_arm_that_is_not_there_has_no_transforms(screen: Screen) -> None:
+def test_a_disconnected_arm_has_no_transforms(screen: Screen) -> None:
     screen.topics.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
     assert len(screen.heard) == 1
 
 
-def test_nothing_is_worked_out_while_nobody_listens(screen: Screen) -> None:
+def test_transforms_without_subscribers_are_not_computed(screen: Screen) -> None:
     screen.graph.unsubscribe(WATCHER, TRANSFORMS_TOPIC)
     # Without its joints no transform could be worked out.
     screen.topics.take_state(ArmState(1.0, Mode.HOLDING, (), position_rad=np.zeros(0)))

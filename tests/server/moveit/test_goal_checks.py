@@ -91,13 +91,13 @@ async def test_poses_and_joint_goals_are_answered_in_their_order(desk: Desk, mon
     assert results[1]["position_error_m"] > 0.3
 
 
-async def test_more_goals_than_allowed_are_refused_with_the_limit(desk: Desk) -> None:
+async def test_more_goals_than_allowed_are_rejected_with_the_limit(desk: Desk) -> None:
     answer = await desk.check(poses=[point(0.3, 0.0, 0.2)] * MAX_GOALS, joints=[{}])
     assert not answer.ok
     assert f"{MAX_GOALS + 1} goals, the limit is {MAX_GOALS}" in answer.values
 
 
-async def test_nothing_can_be_told_while_nobody_knows_where_the_arm_is(desk: Desk) -> None:
+async def test_the_check_fails_while_the_arms_position_is_unknown(desk: Desk) -> None:
     desk.current.present_rad = None
     answer = await desk.check(poses=[point(0.3, 0.0, 0.2)])
     assert not answer.ok
@@ -127,7 +127,7 @@ class Slow:
         return await answers_in_time(problems, self, EMPTY_SCENE)
 
 
-async def test_the_time_that_easy_goals_leave_goes_to_the_hard_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_hard_goals_get_the_time_that_easy_goals_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     hard = 0.8
     pool = Slow(lambda asked: LATE if asked.goal.positions_rad["elbow_flex"] >= hard else FOUND_AT_HOME)  # type: ignore[union-attr]
     await pool.answers(monkeypatch, 20)
@@ -136,20 +136,20 @@ async def test_the_time_that_easy_goals_leave_goes_to_the_hard_ones(monkeypatch:
     assert all(asked.goal.positions_rad["elbow_flex"] >= hard for asked in pool.asked[20:])  # type: ignore[union-attr]
 
 
-async def test_goals_that_are_all_hard_are_looked_at_once_within_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_hard_goals_alone_are_checked_once_within_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = Slow(lambda _asked: LATE)
     assert await pool.answers(monkeypatch, 100) == [LATE] * 100
     assert len(pool.asked) == 100
     assert pool.now_s <= 100 * GOAL_TIME_S
 
 
-async def test_a_call_does_not_wait_for_ever_for_busy_planners(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_wait_for_busy_planners_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = await Slow(lambda _asked: FOUND_AT_HOME, busy_s=1.0).answers(monkeypatch, 100)
     assert answers[0] is FOUND_AT_HOME
     assert answers[-1] is NOT_CHECKED
 
 
-def test_a_goal_that_can_be_had_is_told_with_error_time_and_configuration() -> None:
+def test_the_report_of_a_reachable_goal_has_error_time_and_configuration() -> None:
     told = REPORTS.report(HOME, FOUND, None)
     assert (told["reachable"], told["free"], told["decided"], told["code"]) == (True, True, True, 1)
     assert told["position_error_m"] == 0.002
@@ -158,12 +158,12 @@ def test_a_goal_that_can_be_had_is_told_with_error_time_and_configuration() -> N
     assert told["duration_s"] > 0.5 / (0.3 * pan.max_velocity)
 
 
-def test_where_the_arm_is_already_takes_no_time() -> None:
+def test_a_goal_at_the_present_position_takes_no_time() -> None:
     assert REPORTS.report(TURNED, FOUND, None)["duration_s"] == 0.0
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.7, math.pi])
-def test_the_orientation_error_is_the_rotation_from_the_pose_asked_for(turn_rad: float) -> None:
+def test_the_orientation_error_is_the_angle_to_the_goal_pose(turn_rad: float) -> None:
     tip = pose_of(ForwardPlacements(ROBOT).transforms(TURNED)[TIP])
     turn = Pose(orientation=(0.0, math.sin(turn_rad / 2), 0.0, math.cos(turn_rad / 2)))
     told = REPORTS.report(HOME, FOUND, composed(tip, turn))
@@ -178,7 +178,7 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize(("code", "flags"), REFUSALS.items())
-def test_a_refusal_tells_what_is_known_of_it(code: MoveItErrorCode, flags: tuple[bool, bool]) -> None:
+def test_the_report_of_a_failure_has_its_details(code: MoveItErrorCode, flags: tuple[bool, bool]) -> None:
     told = REPORTS.report(HOME, PlanningFailure(code, "why", {"distance_m": 0.04}), None)
     assert (told["reachable"], told["decided"]) == flags
     assert not told["free"]
@@ -186,7 +186,7 @@ def test_a_refusal_tells_what_is_known_of_it(code: MoveItErrorCode, flags: tuple
     assert (told["position_error_m"], told["duration_s"]) == (0.04, UNKNOWN)
 
 
-def test_a_point_out_of_reach_is_told_with_the_configuration_that_comes_nearest() -> None:
+def test_the_report_of_a_point_out_of_reach_has_the_nearest_configuration() -> None:
     details = {"distance_m": 0.04, "nearest_rad": {"shoulder_pan": 0.3}}
     told = REPORTS.report(HOME, PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "why", details), None)
     assert told["solution"] == {"name": ["shoulder_pan"], "position": [0.3]}

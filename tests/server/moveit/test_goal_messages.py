@@ -54,7 +54,7 @@ def test_a_saved_state_is_a_named_target_with_its_joints_of_the_group() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "redy", "home2"])
-def test_an_unknown_named_target_is_answered_with_those_that_exist(name: str) -> None:
+def test_an_unknown_named_target_is_rejected_with_those_that_exist(name: str) -> None:
     failure = refusal(TRANSLATOR.named, {"data": name})
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert repr(name) in failure.message
@@ -83,7 +83,7 @@ BAD_JOINTS = {
 
 
 @pytest.mark.parametrize(("name", "position", "words"), BAD_JOINTS.values(), ids=BAD_JOINTS.keys())
-def test_a_senseless_joint_goal_is_refused_with_its_reason(name: list[str], position: list[float], words: str) -> None:
+def test_an_invalid_joint_goal_is_rejected_with_the_reason(name: list[str], position: list[float], words: str) -> None:
     failure = refusal(TRANSLATOR.joints, joint_state(name=name, position=position))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert words in failure.message
@@ -95,27 +95,27 @@ def test_a_pose_in_the_planning_frame_asks_for_the_position_of_the_tip(frame: st
     assert asked == PositionGoal("gripper_frame_link", (0.3, 0.1, 0.2), tolerance_m=0.01)
 
 
-def test_a_pose_in_a_frame_that_moves_is_taken_where_that_is_when_the_goals_turn_comes() -> None:
+def test_a_frame_that_moves_is_resolved_when_the_goals_turn_comes() -> None:
     asked = TRANSLATOR.pose(pose_stamped("gripper_frame_link"))
     turned_rad = {**HOME_RAD, "shoulder_pan": 1.0}
     placed = ForwardPlacements(ROBOT).transforms(turned_rad)["gripper_frame_link"]
     assert goal(asked, turned_rad).position_m == pytest.approx(placed[:3, 3])
 
 
-def test_a_pose_in_an_unknown_frame_is_refused_at_once_with_those_that_serve() -> None:
+def test_a_pose_in_an_unknown_frame_is_rejected_at_once_with_those_that_exist() -> None:
     failure = refusal(TRANSLATOR.pose, pose_stamped("moon", x=0.3))
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert "moon" in failure.message
     assert "base_link" in failure.message
 
 
-def test_while_nobody_knows_where_the_arm_is_frames_wait_for_the_goals_turn() -> None:
+def test_while_the_arms_position_is_unknown_frames_are_resolved_at_the_goals_turn() -> None:
     asked = translator(present_rad=None).pose(pose_stamped("moon", x=0.3))
     with pytest.raises(RefusedError, match="moon"):
         asked.steps[0](HOME_RAD)
 
 
-def test_the_whole_pose_is_told_in_the_root_link() -> None:
+def test_the_whole_pose_is_returned_in_the_root_link() -> None:
     message = {
         "header": {"frame_id": "base_link"},
         "pose": {"position": {"x": 0.3}, "orientation": {"z": 1.0, "w": 0.0}},
@@ -126,7 +126,7 @@ def test_the_whole_pose_is_told_in_the_root_link() -> None:
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_a_coordinate_that_is_no_number_is_named(axis: str) -> None:
+def test_a_coordinate_that_is_not_finite_is_named(axis: str) -> None:
     failure = refusal(TRANSLATOR.pose, pose_stamped("", **{axis: math.nan}))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert f"position.{axis}" in failure.message
@@ -171,5 +171,5 @@ def test_a_free_configuration_is_suggested_joint_by_joint() -> None:
 @pytest.mark.parametrize(
     "details", [{}, {"joint": "shoulder_pan"}, {"joint": "shoulder_pan", "lower_rad": 0.0, "upper_rad": 1.0}]
 )
-def test_without_a_finding_nothing_is_suggested(details: dict[str, Any]) -> None:
+def test_nothing_is_suggested_without_details(details: dict[str, Any]) -> None:
     assert suggestion({"data": "home"}, details, ROBOT) is None

@@ -94,7 +94,7 @@ def states(desk: Desk) -> list[str]:
     return [status["values"][0]["value"] for status in desk.heard[STATUS_TOPIC]]
 
 
-async def test_a_goal_is_followed_and_answered_under_its_topic_and_id(desk: Desk) -> None:
+async def test_status_and_result_name_the_goals_topic_and_id(desk: Desk) -> None:
     await desk.publish("/moveit_goal_named", {"data": "ready"})
     assert desk.heard[RESULT_TOPIC] == [{"val": 1, "message": "there", "source": "/moveit_goal_named#1"}]
     assert states(desk) == ["queued", "executing", "done"]
@@ -107,7 +107,7 @@ async def test_a_goal_is_followed_and_answered_under_its_topic_and_id(desk: Desk
     }
 
 
-async def test_a_message_of_the_wrong_form_is_a_goal_that_is_refused(desk: Desk) -> None:
+async def test_an_invalid_message_is_a_rejected_goal(desk: Desk) -> None:
     with pytest.raises(MessageError):
         await desk.publish("/moveit_goal_joints", {"name": 5})
     assert [result["val"] for result in desk.heard[RESULT_TOPIC]] == [-16]
@@ -115,7 +115,7 @@ async def test_a_message_of_the_wrong_form_is_a_goal_that_is_refused(desk: Desk)
     assert desk.heard[STATUS_TOPIC][-1]["level"] == 2
 
 
-async def test_what_was_ignored_is_logged(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+async def test_ignored_joints_are_logged(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.publish("/moveit_goal_joints", {"name": ["knee", "elbow_flex"], "position": [1.0, 0.2]})
     assert "ignored joints that are not in group arm: knee" in caplog.text
 
@@ -143,7 +143,7 @@ async def test_one_goal_is_cancelled_by_its_id(desk: Desk) -> None:
     assert desk.runner.stopped == ["cancelled by /moveit_goal_cancel"]
 
 
-async def test_the_last_status_has_the_code(desk: Desk) -> None:
+async def test_the_final_status_has_the_code(desk: Desk) -> None:
     await desk.publish("/moveit_goal_named", {"data": "ready"})
     assert values_of(desk.heard[STATUS_TOPIC][-1])["code"] == "1"
     await desk.publish("/moveit_goal_named", {"data": "nowhere"})
@@ -156,13 +156,13 @@ async def test_another_event_stops_nothing(desk: Desk, caplog: pytest.LogCapture
     assert "'dance'" in caplog.text
 
 
-async def test_the_clients_own_stamp_comes_back_with_all_news_of_its_goal(desk: Desk) -> None:
+async def test_every_status_has_the_stamp_of_the_goal(desk: Desk) -> None:
     stamp = {"sec": 17, "nanosec": 4_000_001}
     await desk.publish("/moveit_goal_joints", {"header": {"stamp": stamp}, "name": ["elbow_flex"], "position": [0.2]})
     assert [values_of(status)["stamp"] for status in desk.heard[STATUS_TOPIC]] == ["17.004000001"] * 3
 
 
-async def test_a_goal_that_would_work_is_ready_in_the_last_status_and_named_in_the_result(desk: Desk) -> None:
+async def test_a_suggested_goal_is_in_the_final_status_and_named_in_the_result(desk: Desk) -> None:
     await desk.publish("/moveit_goal_named", {"data": "redy"})
     values = values_of(desk.heard[STATUS_TOPIC][-1])
     suggested = json.loads(values["suggested_goal"])
@@ -172,14 +172,14 @@ async def test_a_goal_that_would_work_is_ready_in_the_last_status_and_named_in_t
     assert desk.heard[RESULT_TOPIC][-1]["val"] == 1
 
 
-async def test_what_a_refusal_found_is_told_as_json(desk: Desk) -> None:
+async def test_details_of_a_failure_are_json(desk: Desk) -> None:
     pairs = [{"first": "gripper_link", "second": "mug", "depth_m": 0.01}]
     desk.runner.answer = Answer(MoveItErrorCode.GOAL_IN_COLLISION, "touches", {"pairs": pairs})
     await desk.publish("/moveit_goal_named", {"data": "home"})
     assert json.loads(values_of(desk.heard[STATUS_TOPIC][-1])["pairs"]) == pairs
 
 
-async def test_goals_that_came_another_way_are_told_of_but_have_their_own_results(desk: Desk) -> None:
+async def test_goals_of_actions_have_a_status_but_no_result_topic(desk: Desk) -> None:
     desk.queue.submit("/move_action", PlannedMotion(()))
     for _ in range(10):
         await asyncio.sleep(0)
@@ -189,7 +189,7 @@ async def test_goals_that_came_another_way_are_told_of_but_have_their_own_result
 
 
 @pytest.mark.parametrize("wanted", [True, False])
-async def test_goals_are_to_be_confirmed_while_that_is_wanted(desk: Desk, *, wanted: bool) -> None:
+async def test_goals_wait_for_confirmation_while_that_is_wanted(desk: Desk, *, wanted: bool) -> None:
     desk.confirmation.wanted = wanted
     await desk.publish("/moveit_goal_named", {"data": "home"})
     (ran,) = desk.runner.ran
@@ -234,7 +234,7 @@ async def asked(gate: Gate) -> asyncio.Task[Any]:
     return task
 
 
-async def test_true_lets_the_goal_go_on(gate: Gate) -> None:
+async def test_true_confirms_the_plan(gate: Gate) -> None:
     task = await asked(gate)
     gate.say({"data": True})
     assert await task is None
@@ -248,14 +248,14 @@ async def test_false_discards_the_plan(gate: Gate) -> None:
     assert CONFIRM_TOPIC in answer.message
 
 
-async def test_a_plan_nobody_confirms_in_time_is_given_up() -> None:
+async def test_a_plan_that_is_not_confirmed_in_time_is_discarded() -> None:
     answer = await Gate(timeout_s=0.01).confirmation.wait()
     assert answer is not None
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert "within 0.01 s" in answer.message
 
 
-async def test_a_word_counts_only_for_the_plan_that_waits(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_decision_counts_only_for_the_plan_that_waits(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
     gate.say({"data": True})
     assert "no goal waits" in caplog.text
     task = await asked(gate)
@@ -265,7 +265,7 @@ async def test_a_word_counts_only_for_the_plan_that_waits(gate: Gate, caplog: py
     assert await task is None
 
 
-async def test_a_message_of_the_wrong_form_confirms_nothing(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
+async def test_an_invalid_message_confirms_nothing(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
     task = await asked(gate)
     with pytest.raises(MessageError):
         gate.say({"data": "yes"})

@@ -62,7 +62,9 @@ async def test_the_gripper_opens_and_closes_with_feedback(client: ArmClient) -> 
     assert way == sorted(way)
 
 
-async def test_something_between_the_jaws_is_gripped_gently_and_let_go(client: ArmClient, served: ServerOnBus) -> None:
+async def test_an_object_between_the_jaws_is_gripped_gently_and_released(
+    client: ArmClient, served: ServerOnBus
+) -> None:
     await move(client, 1.2)
     served.emulator.command(obstacle={"6": JOINTS["gripper"].ticks_from_rad(0.5)})
     ended = await move(client, 0.0, max_effort=0.4)
@@ -195,7 +197,7 @@ async def together(arm: SlowArm, seconds: float) -> None:
 
 
 @pytest.mark.stepped_time
-async def test_a_gripper_that_a_busy_machine_starves_has_all_its_time_by_the_arms_clock() -> None:
+async def test_a_starved_gripper_has_all_its_time_by_the_arms_clock() -> None:
     moving = begin(slow := SlowArm())
     await asyncio.sleep(100.0 * ALLOWED_S)
     await together(slow, 0.9 * ALLOWED_S)
@@ -205,7 +207,7 @@ async def test_a_gripper_that_a_busy_machine_starves_has_all_its_time_by_the_arm
 
 
 @pytest.mark.stepped_time
-async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_waited_for_by_the_same() -> None:
+async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_awaited_by_the_same() -> None:
     moving = begin(slow := SlowArm())
     await together(slow, 1.1 * ALLOWED_S)
     assert (len(slow.stops), moving.done()) == (1, False)
@@ -216,7 +218,7 @@ async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_waited_fo
 
 
 @pytest.mark.stepped_time
-async def test_a_grip_is_told_when_its_goal_rests_by_the_arms_clock() -> None:
+async def test_a_grip_ends_when_its_goal_position_rests_by_the_arms_clock() -> None:
     moving = begin(slow := SlowArm())
     await settle()
     for goal_rad in (0.9, 0.6, 0.5):
@@ -229,7 +231,7 @@ async def test_a_grip_is_told_when_its_goal_rests_by_the_arms_clock() -> None:
 
 
 @pytest.mark.parametrize(("action", "type_name", "command", "words"), REFUSED.values(), ids=REFUSED.keys())
-async def test_a_wrong_command_is_refused_with_field_limit_and_value(
+async def test_an_invalid_command_is_rejected_with_field_limit_and_value(
     client: ArmClient, action: str, type_name: str, command: dict[str, Any], words: str
 ) -> None:
     ended = await client.result(await client.send_goal(action, type_name, {"command": command}))
@@ -237,12 +239,12 @@ async def test_a_wrong_command_is_refused_with_field_limit_and_value(
     assert re.search(words, ended["values"])
 
 
-async def test_the_urdfs_limit_means_as_far_as_it_goes(client: ArmClient) -> None:
+async def test_the_urdfs_limit_means_the_soft_limit(client: ArmClient) -> None:
     goal = await client.send_goal(GRIPPER_ACTION, SIMPLE, {"command": {"position": -0.174533}})
     assert (await client.result(goal))["values"]["reached_goal"]
 
 
-async def test_a_relaxed_gripper_says_how_to_enable_it(client: ArmClient) -> None:
+async def test_a_relaxed_gripper_names_the_service_that_enables_it(client: ArmClient) -> None:
     await client.call("/arm/relax")
     ended = await client.result(await client.send_goal(GRIPPER_ACTION, SIMPLE, {"command": {"position": 0.5}}))
     assert (ended["result"], ended["status"]) == (False, ABORTED)

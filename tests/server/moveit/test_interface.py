@@ -77,7 +77,7 @@ async def test_goals_follow_one_another_and_the_last_one_is_reached(client: ArmC
     assert await result(client, second) == (SUCCEEDED, 1)
 
 
-async def test_what_was_planned_can_be_executed_and_cancelled_on_its_way(client: ArmClient) -> None:
+async def test_a_planned_trajectory_can_be_executed_and_cancelled_on_its_way(client: ArmClient) -> None:
     goal = await client.send_goal(MOVE, MOVE_TYPE, to(0.9, plan_only=True))
     planned = (await client.result(goal))["values"]["planned_trajectory"]
     name = "/execute_trajectory"
@@ -119,7 +119,7 @@ async def test_an_actionlib_client_of_ros_1_is_served_in_its_own_spelling(
     assert set(point["time_from_start"]) == {"secs", "nsecs"}
 
 
-def test_what_is_set_reaches_its_place() -> None:
+def test_settings_reach_their_parts() -> None:
     settings = Settings(
         arm=ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3)),
         moveit=MoveItParameters(
@@ -151,7 +151,7 @@ def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:
     assert interface_of(replace(with_gripper, joints={**with_gripper.joints, "gripper": stiff}))._gripper is None
 
 
-async def test_the_client_of_the_old_setup_moves_the_arm_is_refused_with_a_sentence_and_stopped(
+async def test_a_client_of_topics_moves_the_arm_gets_a_suggestion_and_stops(
     served: ServerOnBus,
     client: ArmClient,
 ) -> None:
@@ -194,7 +194,7 @@ def last_pan_rad(shown: dict[str, Any]) -> float:
     return float(path["points"][-1]["positions"][path["joint_names"].index("shoulder_pan")])
 
 
-async def test_a_pose_that_was_saved_is_gone_to_by_its_name_after_it_was_confirmed(client: ArmClient) -> None:
+async def test_a_saved_state_is_a_named_goal_and_moves_after_its_confirmation(client: ArmClient) -> None:
     await client.goal(*JOINT_GOAL, {"name": ["shoulder_pan"], "position": [0.3]})
     assert (await finished(client, 1))["val"] == 1
     assert (await client.call("/save_robot_state", name="Beside the mug"))["success"]

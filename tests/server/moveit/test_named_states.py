@@ -65,7 +65,7 @@ def states() -> Kept:
     return Kept()
 
 
-async def test_a_saved_state_is_found_whatever_its_case_and_blanks_kept_and_told_of(states: Kept) -> None:
+async def test_a_saved_state_is_found_whatever_its_case_and_blanks_and_kept(states: Kept) -> None:
     await states.save(" Over  the table", BENT)
     assert states.find("overthe TABLE") == ("Over the table", BENT)
     assert states.kept == {"Over the table": BENT}
@@ -114,7 +114,7 @@ async def test_a_state_of_the_description_is_neither_overwritten_nor_changed(sta
 
 
 @pytest.mark.parametrize("name", ["", "   ", "a" * (MAX_NAME_LENGTH + 1), "a\x07b"])
-async def test_a_name_that_nobody_could_ask_for_is_refused(states: Kept, name: str) -> None:
+async def test_an_invalid_name_is_refused(states: Kept, name: str) -> None:
     with pytest.raises(ServiceError, match=f"1 to {MAX_NAME_LENGTH}"):
         await states.save(name, BENT)
 
@@ -123,12 +123,12 @@ async def test_a_name_that_nobody_could_ask_for_is_refused(states: Kept, name: s
     ("positions_rad", "words"),
     [({}, "no joint"), ({"knee": 0.1}, "no joint 'knee'"), ({"elbow_flex": math.nan}, "elbow_flex .* not nan")],
 )
-async def test_a_state_that_the_arm_cannot_have_is_refused(states: Kept, positions_rad: Positions, words: str) -> None:
+async def test_an_invalid_state_is_refused(states: Kept, positions_rad: Positions, words: str) -> None:
     with pytest.raises(ServiceError, match=words):
         await states.save("mine", positions_rad)
 
 
-async def test_an_unknown_state_is_refused_with_those_that_are_known(states: Kept) -> None:
+async def test_an_unknown_state_is_refused_with_the_known_ones(states: Kept) -> None:
     with pytest.raises(ServiceError, match="extended, home, ready, rest"):
         await states.delete("mine")
 
@@ -141,7 +141,7 @@ async def test_the_number_of_saved_states_is_bounded(states: Kept, monkeypatch: 
         await states.save("b", BENT)
 
 
-async def test_what_cannot_be_kept_is_not_there_either() -> None:
+async def test_a_state_that_cannot_be_written_is_not_saved() -> None:
     async def full(_saved: Mapping[str, Positions]) -> None:
         raise ServiceError("no space")
 
@@ -151,13 +151,13 @@ async def test_what_cannot_be_kept_is_not_there_either() -> None:
     assert states.find("mine") is None
 
 
-def test_states_kept_for_another_arm_are_left_out() -> None:
+def test_states_of_another_arm_are_left_out() -> None:
     states = Kept({"mine": BENT, "its": {"knee": 0.1}, "home": BENT})
     assert states.saved == {"mine": BENT}
 
 
 @pytest.mark.parametrize(("name", "meant"), [("redy", "ready"), ("Hom", "home"), ("moon base", None)])
-async def test_a_name_with_a_slip_is_understood_for_advice(states: Kept, name: str, meant: str | None) -> None:
+async def test_the_nearest_name_is_found_for_a_slip(states: Kept, name: str, meant: str | None) -> None:
     assert states.nearest_name(name) == meant
 
 
@@ -166,7 +166,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "armbridge" / "states.json"
 
 
-async def test_what_is_saved_is_read_again(path: Path) -> None:
+async def test_saved_states_are_read_again(path: Path) -> None:
     await NamedStatesFile(path).save(KEPT_STATES)
     assert NamedStatesFile(path).load() == KEPT_STATES
     assert [each.name for each in path.parent.iterdir()] == [path.name]
@@ -188,7 +188,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
-def test_a_broken_file_is_told_of_and_set_aside(path: Path, content: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_invalid_file_is_logged_and_renamed(path: Path, content: str, caplog: pytest.LogCaptureFixture) -> None:
     path.parent.mkdir()
     octets = content.encode("utf-8", "surrogateescape")
     path.write_bytes(octets)
@@ -198,7 +198,7 @@ def test_a_broken_file_is_told_of_and_set_aside(path: Path, content: str, caplog
     assert not path.exists()
 
 
-async def test_a_file_that_cannot_be_written_is_a_refusal_and_the_old_one_stays(path: Path) -> None:
+async def test_a_file_that_cannot_be_written_is_an_error_and_the_old_one_stays(path: Path) -> None:
     file = NamedStatesFile(path)
     await file.save(KEPT_STATES)
     path.with_name(f"{path.name}.new").mkdir()
@@ -207,7 +207,7 @@ async def test_a_file_that_cannot_be_written_is_a_refusal_and_the_old_one_stays(
     assert file.load() == KEPT_STATES
 
 
-def test_a_file_that_cannot_be_read_is_told_of_and_left(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path.mkdir(parents=True)
     assert NamedStatesFile(path).load() == {}
     assert str(path) in caplog.text
@@ -249,7 +249,7 @@ async def office() -> Office:
     return Office()
 
 
-async def test_the_present_pose_is_saved_under_a_name_and_told(office: Office) -> None:
+async def test_the_present_positions_are_saved_and_published(office: Office) -> None:
     office.be_at(0.25)
     assert (await office.call("/save_robot_state", name="mine")).values == {"success": True}
     assert office.states.find("mine") == ("mine", dict.fromkeys(JOINTS, 0.25))
@@ -257,13 +257,13 @@ async def test_the_present_pose_is_saved_under_a_name_and_told(office: Office) -
     assert not office.told[-1]["home"]["saved"]
 
 
-async def test_where_the_arm_is_cannot_be_saved_while_nobody_knows(office: Office) -> None:
+async def test_unknown_positions_cannot_be_saved(office: Office) -> None:
     answer = await office.call("/save_robot_state", name="mine")
     assert not answer.ok
     assert "not known" in answer.values
 
 
-async def test_a_given_state_is_saved_and_given_back(office: Office) -> None:
+async def test_a_state_in_the_request_is_saved_and_returned(office: Office) -> None:
     state = {"joint_state": {"name": ["elbow_flex"], "position": [0.4]}}
     assert (await office.call("/save_robot_state", name="mine", state=state)).ok
     joints = (await office.call("/get_robot_state", name="Mine")).values["state"]["joint_state"]
@@ -287,7 +287,7 @@ async def test_states_are_listed_by_pattern_renamed_and_deleted(office: Office) 
 
 
 @pytest.mark.parametrize("pattern", ["[", "(a|a)*", "a*a*a*", "a" * 101])
-async def test_a_pattern_that_is_none_or_could_take_for_ever_is_refused(office: Office, pattern: str) -> None:
+async def test_an_invalid_or_slow_pattern_is_refused(office: Office, pattern: str) -> None:
     answer = await office.call("/list_robot_states", regex=pattern)
     assert not answer.ok
     assert answer.values.startswith("regex: ")
@@ -301,5 +301,5 @@ async def test_a_request_for_another_robot_is_refused(office: Office) -> None:
 
 
 @pytest.mark.parametrize("service", ["/get_robot_state", "/delete_robot_state"])
-async def test_a_state_that_is_not_there_is_refused_with_those_that_are(office: Office, service: str) -> None:
+async def test_a_missing_state_is_refused_with_the_known_ones(office: Office, service: str) -> None:
     assert "extended, home" in (await office.call(service, name="nowhere")).values

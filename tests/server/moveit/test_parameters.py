@@ -13,11 +13,11 @@ def parameters() -> PlannerParameters:
     return PlannerParameters(CONFIGURED)
 
 
-def test_without_any_word_the_configuration_counts(parameters: PlannerParameters) -> None:
+def test_the_configuration_is_the_default(parameters: PlannerParameters) -> None:
     assert parameters.of() == CONFIGURED
 
 
-def test_what_is_set_for_a_planner_counts_before_its_group_and_that_before_all(parameters: PlannerParameters) -> None:
+def test_parameters_of_a_planner_override_those_of_its_group_and_those_of_all(parameters: PlannerParameters) -> None:
     for group, planner, attempts in (("", "", 2), ("arm", "", 3), ("arm", "RRT", 4)):
         parameters.set(group, planner, {"num_planning_attempts": str(attempts)}, replace=False)
     assert parameters.of("gripper").num_planning_attempts == 2
@@ -25,19 +25,19 @@ def test_what_is_set_for_a_planner_counts_before_its_group_and_that_before_all(p
     assert parameters.of("arm", "RRT").num_planning_attempts == 4
 
 
-def test_the_configured_group_is_meant_by_none(parameters: PlannerParameters) -> None:
+def test_an_empty_group_is_the_configured_one(parameters: PlannerParameters) -> None:
     parameters.set("arm", "", {"joint_tolerance": "0.02"}, replace=False)
     assert parameters.of().joint_tolerance == 0.02
 
 
-def test_to_replace_is_to_forget_what_was_set(parameters: PlannerParameters) -> None:
+def test_replacing_deletes_the_parameters_set_before(parameters: PlannerParameters) -> None:
     parameters.set("arm", "", {"joint_tolerance": "0.02"}, replace=False)
     parameters.set("arm", "", {"range": "1"}, replace=True)
     assert parameters.of("arm") == CONFIGURED
     assert parameters.texts("arm", "")["range"] == "1"
 
 
-def test_to_add_is_to_keep_what_was_set(parameters: PlannerParameters) -> None:
+def test_adding_keeps_the_parameters_set_before(parameters: PlannerParameters) -> None:
     parameters.set("arm", "", {"joint_tolerance": "0.02"}, replace=False)
     parameters.set("arm", "", {"range": "1"}, replace=False)
     assert parameters.of("arm").joint_tolerance == 0.02
@@ -46,13 +46,13 @@ def test_to_add_is_to_keep_what_was_set(parameters: PlannerParameters) -> None:
 @pytest.mark.parametrize(
     ("key", "value"), [("planner_id", "CHOMP"), ("allowed_planning_time", "0"), ("joint_tolerance", "x")]
 )
-def test_a_value_that_cannot_be_is_refused_by_its_key_and_changes_nothing(parameters, key: str, value: str) -> None:
+def test_an_invalid_value_is_refused_by_its_key_and_changes_nothing(parameters, key: str, value: str) -> None:
     with pytest.raises(ServiceError, match=key):
         parameters.set("arm", "", {key: value}, replace=False)
     assert parameters.of("arm") == CONFIGURED
 
 
-def test_there_is_a_limit_to_what_is_kept(parameters: PlannerParameters) -> None:
+def test_the_number_of_parameters_is_bounded(parameters: PlannerParameters) -> None:
     with pytest.raises(ServiceError, match=str(MAX_KEYS)):
         parameters.set("", "", {str(key): "1" for key in range(MAX_KEYS + 1)}, replace=False)
     for number in range(MAX_CONFIGURATIONS):

@@ -29,7 +29,7 @@ def test_a_pose_survives_its_matrix_and_its_message(pose):
 
 
 @given(poses(), poses())
-def test_a_pose_after_its_inverse_is_where_it_was(outer, inner):
+def test_a_pose_and_its_inverse_cancel(outer, inner):
     assert same(composed(inverse(outer), composed(outer, inner)), inner)
 
 
@@ -46,7 +46,7 @@ def test_a_quaternion_of_zeros_is_no_rotation():
 
 
 @pytest.mark.parametrize(("field", "axis"), [("position", "y"), ("orientation", "w")])
-def test_a_number_that_is_none_is_refused_by_its_path(field, axis):
+def test_a_number_that_is_not_finite_is_refused_by_its_path(field, axis):
     message = write_pose(Pose())
     message[field][axis] = float("nan")
     refusal = read_pose(message, "target.pose")

@@ -14,7 +14,7 @@ from benchmarks.make_scenes import SCENES
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options, Outcome
 from planners.problem import Plan
-from robot import model
+from robot.description import model
 from tests.helpers.full_meshes import Judge
 from tests.helpers.shared import SHARED
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from benchmarks.figures import percentiles, print_table
 from planners.pool import PlannerPool
 from planners.worker_process import NICENESS
-from robot import model
+from robot.description import model
 from server.app import App
 from server.config_reading import load
 from tests.helpers.requests import EASY, LONG

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from robot import model
-from robot.model import Hull, RobotModel
+from robot.description import model
+from robot.description.model import Hull, RobotModel
 
 REQUIREMENTS = ("mplib==0.2.1", "numpy<2")
 ENVIRONMENT = Path(__file__).parents[1] / "build" / "mplib"

@@ -24,7 +24,7 @@ from planners import worker_process
 from planners.local_workers import LOAD_TIMEOUT_S
 from planners.pool import OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
-from robot import model
+from robot.description import model
 from tests.helpers.broken_planner import FAULTS
 from tests.helpers.requests import EASY, LONG, STATE, broken
 

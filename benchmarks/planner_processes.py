@@ -17,7 +17,7 @@ from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import Answer, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
 from planners.worker_process import WorkerProcess
-from robot import model
+from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.requests import EASY, LONG, STATE, broken
 

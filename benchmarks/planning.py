@@ -11,7 +11,7 @@ from benchmarks.figures import percentiles, print_table
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningFailure, PlanningProblem
-from robot import model
+from robot.description import model
 
 PROBLEMS = 450
 SEED = 5

@@ -19,7 +19,7 @@ from planners.planning_worker import PlanningWorker
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import Plan, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
-from robot import model
+from robot.description import model
 from tests.helpers.dask_cluster import DaskCluster
 from tests.helpers.requests import EASY, LONG
 

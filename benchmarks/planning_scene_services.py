@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.figures import percentiles, print_table
 from protocol.codecs import json
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.messages import ArmState, Mode
 from server.calls import Response
 from server.graph import Graph

@@ -23,7 +23,7 @@ from planners.files import plan_command, problem_file
 from planners.files.plan_command import Outcome
 from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
-from robot import model
+from robot.description import model
 from tests.helpers.full_meshes import Judge
 from tests.helpers.shared import SHARED
 

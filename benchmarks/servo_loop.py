@@ -25,14 +25,14 @@ from benchmarks.campaign.write_log import Entry, read_entries
 from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import blocked_problem
 from planners.pool import PlannerPool
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
+from robot.description import model
+from robot.description.limits import within_calibration
 from robot.hardware.config import FeetechConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
-from robot.trapezoid import rest_to_rest
+from robot.trajectory import rest_to_rest
 from tests.helpers.arm_server import ArmClient, arm_client, values_of
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator

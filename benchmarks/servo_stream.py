@@ -23,13 +23,13 @@ from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import blocked_problem
 from planners.pool import PlannerPool
 from planners.servo.question import ServoAnswer, ServoQuestion, TipTwist
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
-from robot.control.velocity_tracking import TIME_TO_FULL_ACCELERATION_S
+from robot.control.streaming import TIME_TO_FULL_ACCELERATION_S
+from robot.description import model
+from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import FeetechConfig
-from robot.limits import JointBounds, within_calibration
 from robot.messages import ArmConfig, Commanded
 from tests.helpers.arm_server import ArmClient, arm_client
 from tests.helpers.server import RunningServer

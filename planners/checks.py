@@ -21,7 +21,7 @@ from planners.problem import (
     StateQuestion,
     planner_name,
 )
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 # A relaxed arm may hang this far beyond a soft limit, and a servo's zero is set by hand.
 START_LIMIT_TOLERANCE_RAD = 0.05

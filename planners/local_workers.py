@@ -9,7 +9,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from planners.worker_process import WorkerProcess
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.planners")
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from planners.problem import Answer, Request
 from planners.scene import Scene, SceneObject
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from planners.recheck import recheck
 from planners.scene import Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 

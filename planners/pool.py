@@ -39,7 +39,7 @@ from planners.run_delay import Deadline
 from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
 from planners.worker_process import allowed_time_s, timeout_at
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 # What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
 OVERTIME_S = 1.0

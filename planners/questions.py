@@ -9,7 +9,7 @@ from planners.budget import Budget
 from planners.geometry.collision import CollisionModel
 from planners.ik.goal_states import Asker, GoalStates
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, StateAnswer, StateQuestion
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 # The first solution is the one nearest to where the robot stands; a service's caller waits for no more.
 WANTED = 1

@@ -34,7 +34,7 @@ from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
 from planners.run_delay import read_run_delay_s
 from planners.scene import EMPTY_SCENE, Scene, SceneObject
 from robot.channel import Channel, channel_of_child
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.planner")
 

@@ -38,7 +38,7 @@ from planners.problem import (
 from planners.run_delay import Deadline, read_run_delay_s
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from planners.servo.question import ServoAnswer, ServoQuestion
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.processes import Child, StartedChild
 
 log = logging.getLogger("armbridge.planners")

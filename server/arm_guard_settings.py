@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from robot.guard_limits import GuardLimits
+from robot.messages import GuardLimits
 
 _DEFAULT = GuardLimits()
 

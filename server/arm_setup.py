@@ -6,14 +6,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot import model
-from robot.calibration import Calibration
-from robot.calibration_files import find_calibration
+from robot.calibration import Calibration, find_calibration
+from robot.description import model
+from robot.description.limits import within_calibration
+from robot.description.model import RobotModel
 from robot.errors import RobotError
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig
-from robot.model import RobotModel
 from server.config import ArmSettings, EmulatorSettings, Settings
 from server.errors import ConfigurationError
 from server.moveit.parameters import MoveItParameters

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from robot.description.model import RobotModel
 from robot.faults import Fault
 from robot.messages import ArmHealth, ArmState, Mode, Pace
-from robot.model import RobotModel
 from server.arm_services import ENABLE, RESET_FAULT
 from server.graph import Graph
 from server.node import Node

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 from planners.cluster.cluster import Cluster, TlsFiles
 from planners.pool import PlannerPool
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import ConfigurationError
 from server.planning_settings import PlanningSettings
 

@@ -30,7 +30,7 @@ ALLOWED = {
         "planners.cluster.cluster",
         "planners.servo.question",
     ),
-    "planners": ("planners", "robot.model", "robot.trajectory", "robot.channel", "robot.processes"),
+    "planners": ("planners", "robot.description.model", "robot.trajectory", "robot.channel", "robot.processes"),
     "robot": ("robot",),
     "protocol": ("protocol",),
 }
@@ -39,7 +39,6 @@ ALLOWED = {
 ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
-    "robot/arm_stream.py",
     "planners/pool.py",
     "planners/worker_process.py",
     "planners/local_workers.py",

@@ -10,7 +10,6 @@ ROOMS = ("server", "planners", "robot", "protocol")
 # Modules that hold only data or names, or run what others define; and the one process main that end-to-end tests run.
 WITHOUT_TEST = {
     "robot/messages.py",
-    "robot/guard_limits.py",
     "robot/hardware/interface.py",
     "planners/messages.py",
     "planners/cluster/messages.py",

@@ -17,10 +17,10 @@ from benchmarks.campaign.emulator import CampaignBus, campaign_bus
 from benchmarks.campaign.result import Result
 from benchmarks.campaign.scenario import CALIBRATION, MOVING_S, Event, Scenario, random_goal
 from benchmarks.campaign.write_log import Entry
-from robot import model
 from robot.arm import Arm
+from robot.description import model
+from robot.description.limits import within_calibration
 from robot.hardware.config import FeetechConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
 from tests.helpers.trajectories import smooth_move
 

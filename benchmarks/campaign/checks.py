@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 from benchmarks.campaign.scenario import CALIBRATION
 from benchmarks.campaign.write_log import Entry, pairs
-from robot import model
 from robot.control.controller import STEP_MARGIN
+from robot.description import model
+from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.clock import MAX_TICK_S
-from robot.limits import JointBounds, within_calibration
 from robot.messages import ArmState
 
 # Torque must come on with the joint at its goal.

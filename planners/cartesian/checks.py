@@ -12,7 +12,7 @@ from planners.cartesian.tip_path import arc_flaw
 from planners.checks import check_group
 from planners.ik.goal_checks import check_constraints, invalid_goal
 from planners.problem import Arc, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 

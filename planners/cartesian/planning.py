@@ -25,7 +25,7 @@ from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_refusals import start_violates
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure
 from planners.rates import RateLimits
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
 Vector = NDArray[np.float64]

@@ -16,7 +16,7 @@ from planners.cluster.contract import contract
 from planners.cluster.link import Link
 from planners.cluster.roster import Roster
 from planners.pool import PlannerPool
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.cluster")
 

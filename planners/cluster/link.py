@@ -17,7 +17,7 @@ from planners.cluster.messages import Missing, SceneKey
 from planners.problem import Request
 from planners.scene import Scene
 from planners.worker_process import parts
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 if TYPE_CHECKING:
     from distributed import Client, Future

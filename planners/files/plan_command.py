@@ -17,7 +17,7 @@ from planners.files import plotting, problem_file
 from planners.files.problem_file import FileProblem, ProblemFile
 from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
 # Exit codes: every answer is one that the file takes as right; some are not; nothing was planned.

@@ -22,7 +22,7 @@ from planners.files.scene_format import Point, SceneFields, scene_fields
 from planners.goals import AnyOf, AxisGoal, ConstraintGoal, Goal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 FORMAT: Literal["so101-plan-bench/1"] = "so101-plan-bench/1"
 

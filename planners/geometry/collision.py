@@ -20,7 +20,7 @@ from planners.goals import ZERO
 from planners.problem import PlanningFailure
 from planners.scene import EMPTY_SCENE, Point, Scene
 from planners.scene_checks import check_scene
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 

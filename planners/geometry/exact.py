@@ -14,7 +14,7 @@ from planners.geometry.broadphase import CONTACT_M, GJK_TOLERANCE
 from planners.geometry.hulls import convex
 from planners.geometry.nearness import Nearest
 from planners.geometry.shapes import link_name, on_link, outline, urdf_shapes
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 

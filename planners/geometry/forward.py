@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.skeleton import kinematic_urdf
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
 from planners.geometry.sweep import ANYTHING, Cubics, Threats, first_contact, line_is_free
-from robot.model import Group
+from robot.description.model import Group
 
 Vector = NDArray[np.float64]
 

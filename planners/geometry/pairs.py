@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planners.geometry.shapes import link_name, scaled
 from planners.geometry.world import placement, solid
 from planners.scene import AttachedObject, Scene
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planners.errors import ShapeError
 from planners.geometry.hulls import convex, enclosing
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 

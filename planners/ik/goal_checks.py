@@ -21,7 +21,7 @@ from planners.goals import (
 )
 from planners.ik.tasks import MAX_POINTS
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 # Quaternions and directions from single precision are off by less; longer and shorter ones are mistakes.
 LENGTH_TOLERANCE = 1e-3

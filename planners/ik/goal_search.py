@@ -14,7 +14,7 @@ from planners.ik.conditions import Condition, JointCondition
 from planners.ik.constraints import Wish
 from planners.ik.findings import MAX_SOLUTIONS, Findings, Found
 from planners.ik.kinematics import Kinematics
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 Vector = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from planners.ik.findings import MAX_SOLUTIONS, Found
 from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates, none_of, out_of_reach, out_of_time
 from planners.ik.goal_search import GoalSearch
 from planners.problem import Deviation, PlanningFailure
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 Vector = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from planners.geometry.forward import ForwardKinematics
 from planners.ik.conditions import Condition, JointCondition, PointCondition
 from planners.ik.constraints import ConditionSet, Wish
 from planners.ik.tasks import JointTask, LinkTask, link_task, slides, with_targets
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 Vector = NDArray[np.float64]
 

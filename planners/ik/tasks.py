@@ -21,7 +21,7 @@ from planners.ik.conditions import (
     frame_along,
     norm,
 )
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 
@@ -213,7 +213,7 @@ def link_task(
 
 def with_targets(robot: RobotModel) -> str:
     """URDF text of a robot's kinematics with the targets of points beside it."""
-    root = ET.fromstring(kinematic_urdf(robot))  # noqa: S314 - made from what robot.model has parsed
+    root = ET.fromstring(kinematic_urdf(robot))  # noqa: S314 - made from what robot.description.model has parsed
     for point in range(MAX_POINTS):
         parent = robot.root_link
         for axis, direction in enumerate(SLIDE_AXES):

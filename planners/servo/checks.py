@@ -9,7 +9,7 @@ from planners.checks import check_group, check_start
 from planners.ik.goal_checks import invalid_goal
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoQuestion, TipTarget, TipTwist
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 # The tip's position has so many directions; an arm with fewer joints cannot be steered by its tip.
 POSITION_DIRECTIONS = 3

@@ -22,7 +22,7 @@ from planners.servo.report import Outcome, answer_of
 from planners.servo.singularity import Ahead, Regular, regular
 from planners.servo.walls import WATCHED_M, Walls, walls
 from planners.servo.wish import Wish, aimed, loosened, steered
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 Vector = NDArray[np.float64]
 

@@ -7,11 +7,10 @@ import os
 from collections.abc import Callable
 from typing import TypeAlias
 
-from robot.calibration import Calibration
-from robot.calibration_files import find_calibration
+from robot.calibration import Calibration, find_calibration
 from robot.errors import PortBusy, RobotError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.discovery import AUTO, resolve_port
+from robot.hardware.feetech.port import AUTO, resolve_port
 from server.commands.terminal import ExitCode, Terminal
 
 Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 - argparse has no public name for it

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from robot.emulator import control
-from robot.emulator.options import add_options
+from robot.emulator.process import add_options
 from robot.emulator.process import run as run_emulator
 from robot.errors import CalibrationError
 from server.commands.arm_options import Subparsers

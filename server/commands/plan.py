@@ -6,9 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from robot import model
+from robot.description import model
+from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from robot.model import RobotModel
 from server.commands.arm_options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.errors import ConfigurationError

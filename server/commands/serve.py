@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
 def _serve(settings: Settings, terminal: Terminal) -> ExitCode:
     logs.configure(settings.server.log_level.upper(), settings.server.log_format)
     # The arm's process loads while this one does, which takes half of the time until the server is ready.
-    from robot.arm_process import start_arm_process
+    from robot.arm import start_arm_process
 
     with contextlib.closing(start_arm_process()) as arm_process:
         return _serve_with(settings, arm_process, terminal)

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.arm_state import key_values
 from server.goal_queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
 from server.graph import Graph, Subscriber

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
-from robot.model import Joint
 from server.action_goals import Goal, GoalStatus
 from server.graph import Graph
 from server.moveit.gripper import Gripper, GripperCommand, GripperReading

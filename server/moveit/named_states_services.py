@@ -11,7 +11,7 @@ import time
 from collections.abc import Awaitable, Mapping
 from typing import Any
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.calls import ServiceFunction
 from server.errors import ServiceError
 from server.graph import Graph

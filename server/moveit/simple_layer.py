@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 
 from planners.pool import PlannerPool
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, Progress, QueuedGoal
 from server.graph import Graph

@@ -11,9 +11,9 @@ from planners.pipeline import Planner
 from planners.problem import Answer, PlanningFailure, Request
 from planners.scene import EMPTY_SCENE, Scene
 from protocol.registry import Registry
-from robot import model
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from server.graph import Graph, Subscriber
 from server.moveit.display import DisplayTopics
 from server.moveit.parameters import MoveItParameters

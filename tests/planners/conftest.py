@@ -12,7 +12,7 @@ from planners.ik.constraints import Joints
 from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
 from planners.rates import RateLimits
-from robot import model
+from robot.description import model
 from tests.helpers import shared as helpers_shared
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
-from robot import model
+from robot.description import model
 from tests.helpers import shared
 from tests.helpers.full_meshes import Judge
 

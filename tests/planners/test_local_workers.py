@@ -9,8 +9,8 @@ import pytest
 from planners import local_workers, worker_process
 from planners.local_workers import LocalWorkers
 from planners.worker_process import WorkerProcess
-from robot import model
-from robot.model import RobotModel
+from robot.description import model
+from robot.description.model import RobotModel
 
 ROOT = Path(__file__).parents[2]
 MEMORY_LIMIT_BYTES = 300 << 20

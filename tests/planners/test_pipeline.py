@@ -38,7 +38,7 @@ from planners.problem import (
     StateQuestion,
 )
 from planners.scene import Box, Pose, Scene, SceneObject
-from robot import model
+from robot.description import model
 from tests.planners.invariants import (
     BLOCKED_LINES,
     assert_keeps_rates,

@@ -31,7 +31,7 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from planners.servo.question import JointVelocities, ServoQuestion
-from robot import model
+from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.requests import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 

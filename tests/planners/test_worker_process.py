@@ -27,8 +27,8 @@ from planners.worker_process import (
     parts,
     timeout_at,
 )
-from robot import model
 from robot.channel import MAX_MESSAGE_BYTES
+from robot.description import model
 from tests.helpers.requests import EASY, LONG, REQUESTS, STATE
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from robot.control.config_check import CONFIG_RANGES, GUARD_RANGES
-from robot.guard_limits import GuardLimits
+from robot.control.checks import CONFIG_RANGES, GUARD_RANGES
+from robot.messages import GuardLimits
 from server.arm_guard_settings import GuardSettings
 from server.config import ArmSettings
 from server.config_reading import load

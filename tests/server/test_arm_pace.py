@@ -6,9 +6,9 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.description import model
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, ChangePace, Mode
 from server.arm_pace import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace

@@ -9,12 +9,10 @@ from typing import Any
 
 import pytest
 
-from robot import model
-from robot.calibration import Calibration, JointCalibration
-from robot.calibration_files import new_calibration_path, save
-from robot.guard_limits import GuardLimits
+from robot.calibration import Calibration, JointCalibration, new_calibration_path, save
+from robot.description import model
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
-from robot.messages import EmergencyPolicy, EndState
+from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.arm_guard_settings import GuardSettings
 from server.arm_setup import Description, arm_config, check_parameters
 from server.config import ArmSettings, EmulatorSettings, Settings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode

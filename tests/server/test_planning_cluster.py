@@ -7,7 +7,7 @@ import pytest
 
 from planners.cluster.cluster import TlsFiles
 from planners.pool import PlannerPool
-from robot import model
+from robot.description import model
 from server import planning_cluster as module
 from server.errors import ConfigurationError
 from server.planning_cluster import planning_cluster

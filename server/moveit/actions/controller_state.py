@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from protocol.messages import Stamp
+from robot.description.model import Group
 from robot.messages import ArmState
-from robot.model import Group
 from server.graph import Graph
 from server.moveit.actions.followed_goal import point
 from server.node import Node

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.action_goals import Goal
 from server.goal_queue import Answer, GoalQueue
 from server.graph import Graph

@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 
 from protocol.publication import Publication
 from robot.arm import Arm
+from robot.description.model import Group, RobotModel
 from robot.messages import ArmState
-from robot.model import Group, RobotModel
 from server.action_goals import Goal, GoalStatus
 from server.goal_queue import GoalPolicy, GoalQueue, Progress
 from server.graph import Graph, Subscriber

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.action_goals import Goal
 from server.goal_queue import Answer, GoalQueue
 from server.graph import Graph

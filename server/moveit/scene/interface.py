@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.graph import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters

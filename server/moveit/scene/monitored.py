@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.graph import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.scene.messages import EVERYTHING, difference, scene_message

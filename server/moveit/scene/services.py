@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.calls import Call, answer
 from server.errors import RefusedError
 from server.graph import Graph

@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from typing import Any
 
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 from server.moveit.requests.codes import success
 from server.moveit.requests.context import Message
 from server.moveit.services.planning_context import PlanningContext

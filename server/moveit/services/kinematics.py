@@ -9,7 +9,7 @@ from planners.goals import ConstraintGoal, Constraints, Goal, OrientationConstra
 from planners.problem import IkQuestion, MoveItErrorCode
 from planners.scene import Pose
 from protocol.messages import Stamp
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.moveit.current_state import state_message
 from server.moveit.parameters import MAX_KINEMATICS_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import pose_of, write_pose

@@ -9,8 +9,8 @@ from typing import Protocol
 from planners.pool import PlannerPool
 from planners.problem import CartesianProblem, PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.forward import ForwardPlacements
-from robot.model import Group, RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import Group, RobotModel
 from server.moveit.display import DisplayTopics
 from server.moveit.motions import Positions, Step
 from server.moveit.planner_parameters import PlannerParameters

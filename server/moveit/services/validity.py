@@ -9,7 +9,7 @@ from typing import Any
 from planners.goals import Constraints
 from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
 from planners.scene import Scene
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.moveit.requests.constraints import path_constraints_of
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import required

@@ -12,7 +12,7 @@ from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.graph import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.readiness import unusable

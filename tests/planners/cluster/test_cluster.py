@@ -15,7 +15,7 @@ from planners.cluster.cluster import Cluster, TlsFiles
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Box, Pose, Scene, SceneObject
-from robot import model
+from robot.description import model
 from tests.helpers.certificates import make_pair
 from tests.helpers.dask_cluster import DaskCluster, free_port
 from tests.helpers.requests import EASY, LONG, START

@@ -19,7 +19,7 @@ from planners.cluster.contract import contract
 from planners.cluster.link import Link, digest
 from planners.cluster.messages import Missing, SceneKey
 from planners.scene import Box, Pose, Scene, SceneObject
-from robot import model
+from robot.description import model
 from tests.helpers.requests import EASY
 
 ROOT = Path(__file__).parents[3]
@@ -179,7 +179,7 @@ async def test_a_scheduler_that_does_not_answer_is_not_waited_for(monkeypatch: p
 
 
 def test_a_robot_has_the_same_digest_in_every_process() -> None:
-    program = "from planners.cluster.link import digest; from robot import model; print(digest(model.builtin(), 1000))"
+    program = "from planners.cluster.link import digest; from robot.description import model; print(digest(model.builtin(), 1000))"
     told = {
         subprocess.run(
             [sys.executable, "-c", program],

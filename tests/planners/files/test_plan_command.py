@@ -11,7 +11,7 @@ import pytest
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import EXIT_EXPECTED, EXIT_UNEXPECTED, EXIT_USAGE, Options
 from planners.problem import MoveItErrorCode
-from robot import model
+from robot.description import model
 
 ROBOT = model.builtin()
 ARM = ROBOT.groups["arm"].joints

@@ -25,7 +25,7 @@ from planners.goals import (
 )
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
-from robot import model
+from robot.description import model
 
 ROBOT = model.builtin()
 ARM = ROBOT.groups["arm"].joints

@@ -14,7 +14,7 @@ from planners.geometry.joint_space import JointSpace
 from planners.geometry.shapes import urdf_shapes
 from planners.geometry.skeleton import kinematic_urdf
 from planners.scene import Box
-from robot import model
+from robot.description import model
 from tests.helpers.examples import in_proportion
 from tests.planners.scenes import scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl

@@ -11,7 +11,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.hulls import convex
 from planners.geometry.shapes import link_name, outline, robot_shapes, scaled, urdf_shapes
 from planners.geometry.skeleton import kinematic_urdf
-from robot import model
+from robot.description import model
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 

@@ -6,7 +6,7 @@ import pinocchio as pin
 import pytest
 
 from planners.geometry.skeleton import kinematic_urdf
-from robot import model
+from robot.description import model
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 

@@ -8,7 +8,7 @@ from planners.geometry.shapes import outline, robot_shapes
 from planners.geometry.skeleton import kinematic_urdf
 from planners.geometry.travel import Reach, approach
 from planners.scene import EMPTY_SCENE
-from robot import model
+from robot.description import model
 from tests.planners.scenes import around_the_arm
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 

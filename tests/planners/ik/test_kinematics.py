@@ -15,7 +15,7 @@ from planners.goals import (
 from planners.ik.constraints import ConditionSet, Joints, conditions, wish
 from planners.ik.kinematics import Kinematics, Wish
 from planners.scene import Pose
-from robot import model
+from robot.description import model
 from tests.helpers import seven_joint_arm
 from tests.planners.ik.test_constraints import pose_of
 

@@ -14,7 +14,7 @@ import pytest
 
 from robot.emulator.servo_bus import BAUDRATE
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.steps import run_to_end
+from robot.hardware.interface import run_to_end
 from server import cli
 from server.commands import arm_options, relax
 from server.commands.terminal import Terminal

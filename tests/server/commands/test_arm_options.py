@@ -4,8 +4,7 @@ import argparse
 
 import pytest
 
-from robot.calibration import Calibration
-from robot.calibration_files import save
+from robot.calibration import Calibration, save
 from robot.errors import CalibrationError, PortBusy, PortNotFound
 from server.commands.arm_options import add_calibration, add_serial, guarded, read_calibration
 from server.commands.terminal import ExitCode

@@ -19,7 +19,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from server.errors import ServiceError
 from server.gateway import http as gate
 from server.gateway import page

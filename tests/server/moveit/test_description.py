@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from server.calls import Response
 from server.graph import Graph, Subscriber
 from server.moveit.description import (

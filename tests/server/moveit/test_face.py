@@ -10,7 +10,7 @@ from typing import Any
 from websockets.asyncio.client import connect
 
 from protocol.registry import Registry
-from robot.model import RobotModel, builtin, parse
+from robot.description.model import RobotModel, builtin, parse
 from server.arm_guard_settings import GuardSettings
 from server.config import ArmSettings, GoalSettings, Settings
 from server.graph import Graph

@@ -10,7 +10,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.graph import Graph, Subscriber
 from server.moveit.confirmation import Confirmation

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.description import model
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, Mode
 from server.calls import Response

@@ -7,8 +7,8 @@ import pytest
 
 from planners.scene import Pose
 from protocol.registry import Registry
-from robot import model
-from robot.forward import ForwardPlacements
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server.graph import Graph, Subscriber
 from server.moveit.poses import matrix_of

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
-from robot import log_levels as changed
+from robot import logs as changed
 from robot.logs import OUR_LOGGER
 from server.graph import Graph
 from server.node import Node

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from server.graph import Graph, Subscriber
 from server.moveit.actions.controller_state import ControllerState
 from server.node import Node

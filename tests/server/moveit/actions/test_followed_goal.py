@@ -8,7 +8,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.messages import ArmState, Outcome
 from server.action_goals import Goal, GoalStatus, Result
 from server.goal_queue import Answer, GoalState, Performed, Progress

@@ -18,7 +18,7 @@ from protocol.registry import Registry
 from robot.description import model
 from robot.messages import ArmState, Mode
 from server.calls import Response
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates

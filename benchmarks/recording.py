@@ -15,7 +15,7 @@ import uvloop
 from benchmarks.figures import percentiles, print_table
 from protocol.publication import Publication
 from protocol.registry import Registry
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from server.recording.recorder import Recorder
 

@@ -8,7 +8,7 @@ import time
 from benchmarks.figures import percentiles, print_table
 from protocol.registry import Registry
 from server.calls import Response
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.rosapi.api import RosApi
 

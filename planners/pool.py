@@ -16,6 +16,7 @@ from collections.abc import Coroutine
 from typing import Any, overload
 
 from planners import local_workers
+from planners.budget import Deadline
 from planners.local_workers import CLOSE_TIMEOUT_S, LocalWorkers
 from planners.places import Places
 from planners.planning_worker import PlanningWorker
@@ -35,7 +36,6 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
-from planners.run_delay import Deadline
 from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
 from planners.worker_process import allowed_time_s, timeout_at

@@ -3,6 +3,8 @@
 Where a motion is to end is said in :mod:`planners.goals`, what is in its way in :mod:`planners.scene`.
 
 This module imports none of the planning libraries, so the server can speak of problems without loading them.
+
+How fast joints may be.
 """
 
 from __future__ import annotations
@@ -11,6 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from planners.goals import Constraints, Goal
 from planners.scene import Pose
@@ -313,3 +318,21 @@ class RecheckAnswer:
 
 
 Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure
+
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RateLimits:
+    """The most that each joint may do, shape (n,) each.
+
+    Attributes:
+        velocity_rad_s: above 0 [rad/s].
+        acceleration_rad_s2: above 0 [rad/s^2].
+        jerk_rad_s3: above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
+    """
+
+    velocity_rad_s: Vector
+    acceleration_rad_s2: Vector
+    jerk_rad_s3: Vector | None = None

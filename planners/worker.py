@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from planners.budget import read_run_delay_s
 from planners.messages import (
     Answered,
     Ask,
@@ -31,7 +32,6 @@ from planners.messages import (
 )
 from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
-from planners.run_delay import read_run_delay_s
 from planners.scene import EMPTY_SCENE, Scene, SceneObject
 from robot.channel import Channel, channel_of_child
 from robot.description.model import RobotModel

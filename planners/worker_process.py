@@ -9,6 +9,7 @@ import logging
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import Any
 
+from planners.budget import Deadline, read_run_delay_s
 from planners.messages import (
     Answered,
     Ask,
@@ -35,7 +36,6 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
-from planners.run_delay import Deadline, read_run_delay_s
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.model import RobotModel
@@ -139,7 +139,7 @@ class WorkerProcess:
         return self._child.ending
 
     def run_delay_s(self) -> float | None:
-        """Read for how long the process has waited for a core; see :func:`planners.run_delay.read_run_delay_s`."""
+        """Read for how long the process has waited for a core; see :func:`planners.budget.read_run_delay_s`."""
         return read_run_delay_s(self.pid)
 
     def has(self, scene: Scene) -> bool:

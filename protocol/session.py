@@ -13,18 +13,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from protocol import fragments, operations
+from protocol import framing, operations
 from protocol.codecs import bson, json, png
 from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
 from protocol.framing import FrameReader
 from protocol.limits import Limits
 from protocol.operations import Fragment, Operation, Png
-from protocol.outbox import Outbox
-from protocol.parcel import Frame, Parcel, pack
-from protocol.publication import Encoding, Publication
-from protocol.registrations import Publications
-from protocol.subscriptions import Subscription, Subscriptions
+from protocol.publication import Encoding, Frame, Parcel, Publication, pack
+from protocol.send_queue import Outbox
+from protocol.subscriptions import Publications, Subscription, Subscriptions
 
 # What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
 SEND_BUDGET_BYTES = 65_536
@@ -78,7 +76,7 @@ class Session:
         self.dialect = dialect
         self._outbox = Outbox(self.limits)
         self._reader = FrameReader(self.limits)
-        self._reassembly = fragments.Reassembly(self.limits)
+        self._reassembly = framing.Reassembly(self.limits)
         self._fragment_size: int | None = None
         self._fragment_ids = itertools.count(1)
         # How many of the dropped messages the client has been told of, and when it was [s].

@@ -14,7 +14,7 @@ from protocol.publication import Publication
 from protocol.registry import Registry
 from server.action_goals import Goal, GoalStatus, Result
 from server.actionlib_goals import STATUS_OF_END, Status, Tracked, TrackedGoals
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from server.timers import CallLater
 

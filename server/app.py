@@ -28,7 +28,7 @@ from server.gateway import page
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.http import HttpGate
 from server.gateway.listener import Listener
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.hangup import on_hangup
 from server.joint_states import JointStates
 from server.moveit.face import MoveItFace

@@ -7,7 +7,7 @@ from typing import Any
 
 from robot.arm import Arm
 from robot.messages import ChangePace, Course, Mode
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 
 log = logging.getLogger("armbridge.arm")

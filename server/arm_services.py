@@ -9,7 +9,7 @@ from typing import Any
 
 from robot.arm import Arm
 from robot.messages import CommandDone, Order
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 
 log = logging.getLogger("armbridge.arm")

@@ -8,7 +8,7 @@ from robot.description.model import RobotModel
 from robot.faults import Fault
 from robot.messages import ArmHealth, ArmState, Mode, Pace
 from server.arm_services import ENABLE, RESET_FAULT
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 STATE_TOPIC = "/arm/state"

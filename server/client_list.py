@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from protocol.messages import Stamp
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 COUNT_TOPIC = "/client_count"

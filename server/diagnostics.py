@@ -11,7 +11,7 @@ from typing import Any
 from protocol.messages import Stamp
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm_state import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 TOPIC = "/diagnostics"

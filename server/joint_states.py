@@ -6,7 +6,7 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot.messages import ArmState
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 TOPIC = "/joint_states"

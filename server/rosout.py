@@ -8,7 +8,7 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot.logs import message_of
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 TOPIC = "/rosout"

@@ -22,6 +22,7 @@ ALLOWED = {
         "planners.goals",
         "planners.scene",
         "planners.scene_checks",
+        "planners.scene",
         "planners.problem",
         "planners.files.problem_file",
         "planners.files.plan_command",

@@ -10,21 +10,19 @@ from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
-from planners.cartesian import checks as cartesian_checks
-from planners.cartesian.following import Ended, Followed, Following, leaves_limits
+from planners.cartesian import tip_path as cartesian_checks
+from planners.cartesian.following import Ended, Followed, Following, TipTracker, leaves_limits
 from planners.cartesian.path_timing import time_along
 from planners.cartesian.spline import SplinePath
 from planners.cartesian.tip_curve import tip_curve
 from planners.cartesian.tip_path import TipPath
-from planners.cartesian.tip_tracking import TipTracker
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
-from planners.geometry.forward import ForwardKinematics
 from planners.geometry.joint_space import JointSpace
+from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_refusals import start_violates
-from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure
-from planners.rates import RateLimits
+from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 

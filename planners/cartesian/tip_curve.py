@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.cartesian.following import CHORD_M, Followed
+from planners.cartesian.following import CHORD_M, Followed, TipTracker
 from planners.cartesian.spline import SplinePath
 from planners.cartesian.tip_path import TipPath, apart_rad
-from planners.cartesian.tip_tracking import TipTracker
 from planners.problem import Deviation
 
 Vector = NDArray[np.float64]

@@ -19,7 +19,7 @@ from planners.goals import (
     PositionGoal,
     SingleGoal,
 )
-from planners.ik.tasks import MAX_POINTS
+from planners.ik.kinematics import MAX_POINTS
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.description.model import Group, RobotModel
 

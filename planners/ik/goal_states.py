@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from planners.budget import Budget
 from planners.geometry.collision import CollisionModel
 from planners.goals import AnyOf, AxisGoal, Constraints, Goal, JointGoal, PoseGoal, PositionGoal, SingleGoal
-from planners.ik.conditions import Condition
-from planners.ik.constraints import ConditionSet, Joints, Wish, conditions, wish
-from planners.ik.findings import MAX_SOLUTIONS, Found
+from planners.ik.constraints import Condition, ConditionSet, Joints, Wish, conditions, wish
 from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates, none_of, out_of_reach, out_of_time
-from planners.ik.goal_search import GoalSearch
+from planners.ik.goal_search import MAX_SOLUTIONS, Found, GoalSearch
 from planners.problem import Deviation, PlanningFailure
 from robot.description.model import Group, RobotModel
 

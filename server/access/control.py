@@ -9,7 +9,7 @@ from typing import Any
 from server.access.lease import RELEASE_SERVICE, Lease
 from server.arm_state import LEVEL_OK, key_values
 from server.calls import Call, answer
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.timers import CallLater, Timer
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from planners.problem import MoveItErrorCode
 from server.goal_queue import Answer
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 
 log = logging.getLogger("armbridge.goals")

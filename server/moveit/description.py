@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robot.description.model import RobotModel
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.robot_files import package_name, read_file, with_package_urls
 from server.node import Node
 

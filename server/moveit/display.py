@@ -9,7 +9,7 @@ from protocol.messages import Stamp
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.goal_queue import Performed
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.current_state import state_message
 from server.moveit.requests.context import Message
 from server.moveit.requests.trajectories import to_message

@@ -14,7 +14,7 @@ from protocol.publication import Publication
 from robot.description.model import RobotModel
 from server.arm_state import key_values
 from server.goal_queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.confirmation import Confirmation
 from server.moveit.goals import GoalTranslator
 from server.moveit.motions import Motion, PlannedMotion

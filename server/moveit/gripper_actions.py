@@ -16,7 +16,7 @@ from typing import Any
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from server.action_goals import Goal, GoalStatus
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.gripper import Gripper, GripperCommand, GripperReading
 from server.node import Node
 

@@ -14,7 +14,7 @@ from typing import Any
 from robot.description.model import RobotModel
 from server.calls import ServiceFunction
 from server.errors import ServiceError
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.current_state import CurrentState, state_message
 from server.moveit.named_states import NamedStates, Positions
 from server.node import Node

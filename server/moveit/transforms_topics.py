@@ -10,7 +10,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from robot.trajectory import Vector
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.poses import pose_of
 from server.node import Node
 

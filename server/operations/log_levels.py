@@ -11,7 +11,7 @@ from typing import Any
 from robot import logs
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel
 from server.errors import ServiceError
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 log = logging.getLogger("armbridge.operations")

@@ -11,7 +11,7 @@ from protocol.registry import Registry
 from server.access.globs import Globs
 from server.actions import Actions
 from server.calls import Call, answer
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.rosapi.parameters import Parameters
 from server.rosapi.participants import Nodes, Offered, Topics

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from server.actions import Actions
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.rosapi.question import Answers, Question, of_type
 from server.services import Services

@@ -8,7 +8,7 @@ import logging
 
 from server.access.access import Access
 from server.access.roles import Identity, Role
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.zenoh.keys import Tokens
 from server.zenoh.names import Namespace

@@ -10,7 +10,7 @@ from typing import Literal, Protocol, TypeAlias
 from protocol import type_hash
 from protocol.errors import InterfaceError
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.zenoh.keys import Endpoint, Tokens
 from server.zenoh.names import Namespace

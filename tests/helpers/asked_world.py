@@ -7,7 +7,7 @@ from typing import Any
 from protocol.dialect import Dialect
 from protocol.registry import Registry
 from server.calls import Response
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from server.rosapi.api import RosApi
 from tests.helpers.clock import FakeClock

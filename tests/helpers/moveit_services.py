@@ -14,7 +14,7 @@ from protocol.registry import Registry
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.display import DisplayTopics
 from server.moveit.parameters import MoveItParameters
 from server.moveit.planner_parameters import PlannerParameters

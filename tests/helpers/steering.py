@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from planners.geometry.forward import ForwardKinematics
+from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
 from robot.control.streaming import VelocityTracking

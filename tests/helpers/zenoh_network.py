@@ -22,7 +22,7 @@ from protocol.registry import Registry
 from server.access.access import Access
 from server.access.settings import AccessSettings
 from server.calls import Call
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings

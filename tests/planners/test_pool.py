@@ -15,7 +15,7 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from planners import local_workers, run_delay, worker_process
+from planners import budget, local_workers, worker_process
 from planners import pool as pool_module
 from planners.pipeline import Planner
 from planners.pool import MAX_WAITING, PlannerPool
@@ -435,7 +435,7 @@ async def test_where_an_arm_moves_meanwhile_a_worker_that_waits_for_a_core_is_no
 
 @pytest.mark.usefixtures("brief")
 async def test_a_worker_that_waits_for_a_core_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_delay, "MAX_STARVED_S", 0.2)
+    monkeypatch.setattr(budget, "MAX_STARVED_S", 0.2)
     pool, starved = made_of(model.builtin()), StarvedWorker(None)
     pool.add(starved)
     answer = await asyncio.wait_for(pool.ask(EASY_AT_ONCE), 30.0)
@@ -470,7 +470,7 @@ async def on_a_busy_core(both_idle: PlannerPool, busy_core: int) -> AsyncIterato
 
 
 needs_run_delay = pytest.mark.skipif(
-    run_delay.read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
+    budget.read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
 )
 
 # A quarter of a second of work.

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners import worker_process
+from planners.budget import Deadline
 from planners.problem import PlanningFailure, StateAnswer
-from planners.run_delay import Deadline
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.worker_process import (
     MAX_ALLOWED_TIME_S,

@@ -9,7 +9,7 @@ from protocol.registry import Registry
 from server.action_goals import Goal, GoalStatus
 from server.actionlib import ActionlibBridge, has_actionlib_types
 from server.actionlib_goals import MAX_GOALS, Status
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from tests.helpers.clock import FakeClock
 

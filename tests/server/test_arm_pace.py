@@ -12,7 +12,7 @@ from robot.description import model
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, ChangePace, Mode
 from server.arm_pace import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from tests.helpers.arm_server import ArmClient, values_of
 

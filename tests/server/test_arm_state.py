@@ -11,7 +11,7 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm_state import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from tests.helpers.arm_server import ArmClient, values_of
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from protocol.registry import Registry
 from server.client_list import COUNT_TOPIC, LIST_TOPIC, ClientList
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from protocol.registry import Registry
 from robot.messages import ArmState, Mode
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.joint_states import TOPIC, JointStates
 from server.node import Node
 

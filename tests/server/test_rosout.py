@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from server.rosout import MAX_WAITING, TOPIC, Rosout
 

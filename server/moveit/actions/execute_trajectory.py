@@ -8,7 +8,7 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.description.model import RobotModel
 from server.action_goals import Goal
 from server.goal_queue import Answer, GoalQueue
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.actions.carrying_out import Message, StateFeedback, carry_out, finish, refuse
 from server.moveit.actions.given_motions import given_motion
 from server.moveit.actions.messages import code_message

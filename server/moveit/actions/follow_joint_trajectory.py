@@ -13,7 +13,7 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState
 from server.action_goals import Goal, GoalStatus
 from server.goal_queue import GoalPolicy, GoalQueue, Progress
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.actions.controller_requests import Refused, refusal_of, tolerances_in
 from server.moveit.actions.followed_goal import FollowedGoal, result
 from server.moveit.actions.given_motions import given_motion

@@ -10,7 +10,7 @@ from typing import Any
 
 from protocol.errors import MessageError
 from server.errors import RefusedError
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.requests.refusals import invalid, required
 from server.moveit.scene.contents import SceneContents

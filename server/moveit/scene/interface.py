@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robot.description.model import RobotModel
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates

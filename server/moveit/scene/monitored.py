@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from robot.description.model import RobotModel
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.scene.messages import EVERYTHING, difference, scene_message
 from server.moveit.scene.state import SceneState

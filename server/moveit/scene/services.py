@@ -10,7 +10,7 @@ from typing import Any
 from robot.description.model import RobotModel
 from server.calls import Call, answer
 from server.errors import RefusedError
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.current_state import CurrentState, state_message
 from server.moveit.requests.refusals import required
 from server.moveit.scene.assumed import AssumedStates

@@ -9,7 +9,7 @@ from typing import Any
 from planners.problem import PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.current_state import CurrentState
 from server.moveit.scene.state import Positions, SceneState
 from server.node import Node

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.calls import Call, answer
 from server.errors import RefusedError, ServiceError
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.requests.codes import failure_code
 from server.moveit.requests.context import Message

@@ -13,7 +13,7 @@ from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
 from robot.description.model import RobotModel
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.readiness import unusable
 from server.moveit.scene.state import SceneState

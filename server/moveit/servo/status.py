@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from planners.servo.question import ServoStatus
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 log = logging.getLogger("armbridge.servo")

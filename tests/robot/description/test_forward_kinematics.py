@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planners.geometry.forward import ForwardKinematics
+from planners.geometry.kinematics import ForwardKinematics
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF

@@ -18,7 +18,7 @@ from server.gateway.entrance.door import Door
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.entrance.turnstile import ConnectionLimits
 from server.gateway.listener import Listener
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 TALKER = Node("talker")

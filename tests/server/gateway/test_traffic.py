@@ -9,7 +9,7 @@ from websockets.asyncio.client import connect
 from protocol.registry import Registry
 from server.gateway.listener import Listener
 from server.gateway.traffic import Traffic, TrafficCounts
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 TALKER = Node("talker")

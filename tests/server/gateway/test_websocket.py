@@ -11,13 +11,13 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
-from protocol.parcel import Frame as Payload
-from protocol.parcel import Parcel
+from protocol.publication import Frame as Payload
+from protocol.publication import Parcel
 from protocol.registry import Registry
 from server.gateway import websocket
 from server.gateway.listener import Listener
 from server.gateway.websocket import WRITE_LIMIT_BYTES, WebSocket
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 
 TALKER = Node("talker")

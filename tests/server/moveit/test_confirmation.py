@@ -8,7 +8,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.confirmation import CONFIRM_TOPIC, MODE_SERVICE, Confirmation
 from server.node import Node
 

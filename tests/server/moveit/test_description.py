@@ -12,7 +12,7 @@ import pytest
 from protocol.registry import Registry
 from robot.description import model
 from server.calls import Response
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.description import (
     FILE_SERVICE,
     SRDF_TOPIC,

@@ -6,7 +6,7 @@ import pytest
 from protocol.registry import Registry
 from robot.trajectory import Trajectory
 from server.goal_queue import Performed
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.display import CONTACTS_TOPIC, PATH_TOPIC, PIPELINE_TOPIC, DisplayTopics
 from server.node import Node
 from tests.helpers.moveit_requests import HOME, ROBOT

@@ -13,7 +13,7 @@ from protocol.registry import Registry
 from robot.description.model import RobotModel, builtin, parse
 from server.arm_guard_settings import GuardSettings
 from server.config import ArmSettings, GoalSettings, Settings
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.face import MoveItFace
 from server.moveit.parameters import MoveItParameters
 from server.moveit.patience import Allowance

@@ -11,7 +11,7 @@ from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, P
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
 from server.calls import Response
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit import goal_checks
 from server.moveit.goal_checks import GOAL_TIME_S, MAX_GOALS, NOT_ASKED, SERVICE, GoalChecks, answers_in_time
 from server.moveit.goal_reports import GoalReports

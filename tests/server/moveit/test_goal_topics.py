@@ -12,7 +12,7 @@ from protocol.errors import MessageError
 from protocol.registry import Registry
 from robot.description import model
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.confirmation import Confirmation
 from server.moveit.goal_topics import RESULT_TOPIC, STATUS_TOPIC, GoalTopics
 from server.moveit.motions import Motion, PlannedMotion

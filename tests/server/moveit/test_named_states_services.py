@@ -13,7 +13,7 @@ from robot.description import model
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, Mode
 from server.calls import Response
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.current_state import CurrentState
 from server.moveit.named_states import NamedStates
 from server.moveit.named_states_services import TOPIC, NamedStatesServices

@@ -9,7 +9,7 @@ import pytest
 from protocol.registry import Registry
 from robot import logs as changed
 from robot.logs import OUR_LOGGER
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.operations import log_levels
 from server.operations.log_levels import GET, MAX_ASKED, SET, LogLevels, toggle_debug

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from server.recording.mcap_file import Entry
 from server.recording.player import Player

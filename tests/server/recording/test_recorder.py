@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.codecs.cdr_reader import deserialize
+from protocol.codecs.cdr import deserialize
 from server.errors import StartError
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.node import Node
 from server.recording import writer_thread
 from server.recording.mcap_file import Entry

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.node import Node
 from server.zenoh import network
 from server.zenoh.keys import Endpoint, Tokens

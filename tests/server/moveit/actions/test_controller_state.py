@@ -8,7 +8,7 @@ import pytest
 
 from protocol.registry import Registry
 from robot.description import model
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.actions.controller_state import ControllerState
 from server.node import Node
 from tests.helpers.played_arm import JOINTS, PlayedArm

@@ -5,7 +5,7 @@ import pytest
 
 from protocol.registry import Registry
 from server.errors import RefusedError
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.scene import geometry_files
 from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within
 from server.node import Node

@@ -1,5 +1,5 @@
 from protocol.registry import Registry
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.scene.monitored import TOPIC, MonitoredScene
 from server.node import Node
 from tests.helpers.clock import FakeClock

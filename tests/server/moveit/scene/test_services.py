@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.poses import matrix_of
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.services import APPLY, CLEAR_OCTOMAP, GET, SceneServices

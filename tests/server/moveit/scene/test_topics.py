@@ -4,7 +4,7 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph_topics import Graph
 from server.moveit.scene.state import SceneState
 from server.moveit.scene.topics import SceneTopics
 from server.node import Node

@@ -11,7 +11,7 @@ import pytest
 from planners.pool import PlannerPool
 from planners.scene import EMPTY_SCENE, Pose, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
-from server.graph import Graph, Subscriber
+from server.graph_topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.state import SceneState
 from server.moveit.servo.servo_node import (

@@ -3,8 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.limits import Limits
-from protocol.outbox import Outbox
-from protocol.parcel import FRAME_OVERHEAD_BYTES, Frame, Parcel
+from protocol.publication import FRAME_OVERHEAD_BYTES, Frame, Parcel
+from protocol.send_queue import Outbox
 from protocol.subscriptions import Subscription
 
 

@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 from pathlib import Path
 
 import coal
@@ -6,18 +8,88 @@ import pinocchio as pin
 import pytest
 
 import robot.description as robot_description
-from planners.geometry import exact
-from planners.geometry.collision import CollisionModel
-from planners.geometry.exact import ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
-from planners.geometry.hulls import convex
+from planners.geometry import contacts
+from planners.geometry.collision import CollisionModel, Rules, links_of, standing
+from planners.geometry.contacts import Broadphase, ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.shapes import urdf_shapes
-from planners.geometry.skeleton import kinematic_urdf
+from planners.geometry.kinematics import kinematic_urdf
+from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
 from planners.scene import Box
 from robot.description import model
 from tests.helpers.examples import in_proportion
-from tests.planners.scenes import scene, thing
+from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
+
+STATES = 150
+
+
+@pytest.fixture(params=[1, 2])
+def crowded(request, robot):
+    """The arm among things of every shape, and states of it."""
+    model = pin.buildModelFromXML(kinematic_urdf(robot))
+    scene = around_the_arm(request.param)
+    movers, around = links_of(model, robot_shapes(robot, model), scene), list(standing(scene, 1.0))
+    pairs = Rules(robot, {}).pairs(movers, around)
+
+    def build(apart_m):
+        return Broadphase(model, [body.shape for body in (*movers, *around)], pairs, np.full(len(pairs), apart_m))
+
+    limits = model.lowerPositionLimit, model.upperPositionLimit
+    return build, np.random.default_rng(3).uniform(*limits, (STATES, model.nq))
+
+
+def distances_m(broadphase, pairs, q):
+    broadphase.place(q)
+    return np.array([broadphase.distance_m(pair) for pair in range(pairs)])
+
+
+def test_touching_is_overlapping(crowded):
+    build, states = crowded
+    broadphase, verdicts = build(0.0), set()
+    for q in states:
+        broadphase.place(q)
+        assert broadphase.touches(q) == bool(broadphase.touching())
+        verdicts.add(broadphase.touches(q))
+    assert verdicts == {True, False}
+
+
+@pytest.mark.parametrize("margin_m", [0.0, 0.003, 0.02, 0.1])
+def test_near_is_nearer_than_the_margin(crowded, margin_m):
+    build, states = crowded
+    broadphase = build(0.0)
+    count = len(broadphase._pairs)
+    for q in states:
+        apart_m = distances_m(broadphase, count, q)
+        # Distances of touching meshes are those of single triangles.
+        if np.abs(apart_m - margin_m).min() > 1e-5:
+            near = np.flatnonzero(apart_m < margin_m).tolist()
+            assert broadphase.near(q, np.full(count, margin_m)) == near
+            assert broadphase.near_among(q, range(0, count, 2), np.full(count, margin_m)) == [
+                pair for pair in near if pair % 2 == 0
+            ]
+
+
+def test_each_pair_has_a_margin_of_its_own(crowded):
+    build, states = crowded
+    broadphase = build(0.0)
+    count = len(broadphase._pairs)
+    margins_m = np.random.default_rng(4).uniform(0.0, 0.1, count)
+    for q in states:
+        slack_m = distances_m(broadphase, count, q) - margins_m
+        if np.abs(slack_m).min() > 1e-5:
+            assert broadphase.near(q, margins_m) == np.flatnonzero(slack_m < 0.0).tolist()
+
+
+def test_what_must_stay_apart_touches_before_it_overlaps(crowded):
+    build, states = crowded
+    plain, padded = build(0.0), build(0.02)
+    count = len(plain._pairs)
+    for q in states:
+        apart_m = distances_m(plain, count, q)
+        if abs(apart_m.min() - 0.02) > 1e-5:
+            assert padded.touches(q) == (apart_m.min() < 0.02)
+        np.testing.assert_allclose(distances_m(padded, count, q), apart_m - 0.02, atol=1e-9)
+
 
 # Two small tetrahedra at the ends of the boom: between them is only their hull.
 CORNERS_M = 0.02 * np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
@@ -100,7 +172,7 @@ def test_shapes_with_places_of_their_own_are_where_they_are():
 def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
     collision = CollisionModel(robot)
     collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
-    monkeypatch.setattr(exact, "convex", None)
+    monkeypatch.setattr(contacts, "convex", None)
     assert collision.colliding_pairs(np.zeros(6))
 
 

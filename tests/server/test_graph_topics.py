@@ -9,7 +9,7 @@ from protocol.publication import Publication
 from protocol.registry import Registry
 from server import retained
 from server.errors import GraphError
-from server.graph import MAX_TOPICS, UNREGISTER_TIMEOUT_S, Graph, Subscriber
+from server.graph_topics import MAX_TOPICS, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from server.node import Node
 
 REGISTRY = Registry.load()

@@ -13,7 +13,7 @@ from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
 
 from protocol.limits import Limits
-from protocol.parcel import Frame, Parcel
+from protocol.publication import Frame, Parcel
 from protocol.subscriptions import Subscription
 
 

@@ -14,7 +14,7 @@ from server.graph_topics import Graph
 
 
 async def main(port: int) -> None:
-    """Serve for ever."""
+    """Serve until the process is ended."""
     listener = Listener(Graph(Registry.load()), "127.0.0.1", port)
     await listener.bind()
     await listener.open()

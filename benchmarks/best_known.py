@@ -1,8 +1,8 @@
 """Note the best known durations: ``python -m benchmarks.best_known``, changes ``benchmarks/scenes/*.json``.
 
 Plans every joint problem of the benchmark's own scenes with several seeds and much time, and keeps the shortest motion
-that the official meshes find nothing wrong with; a shorter one that is noted already stays. Needs the reference data
-beside the checkout.
+that passes the check with the official meshes; a shorter duration noted earlier stays. Needs the reference data beside
+the checkout.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ALLOWED_TIME_S = 10.0
 
 
 def note(path: Path) -> None:
-    """Bring the durations of one file up to date."""
+    """Update the durations of one file."""
     fields = json.loads(path.read_text())
     entries = {entry["id"]: entry for entry in fields["joint_problems"]}
     judge = Judge(SHARED, fields)
@@ -45,7 +45,7 @@ def _outcomes(path: Path, ids: tuple[str, ...], seed: int) -> list[Outcome]:
 
 
 def main() -> None:
-    """Every scene of the benchmark's own."""
+    """Update every scene of the benchmark's own."""
     for path in sorted(SCENES.glob("*.json")):
         note(path)
         print(f"{path.stem}: noted")

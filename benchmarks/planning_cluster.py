@@ -1,6 +1,6 @@
-"""A Dask cluster beside the local planners: what the way there costs, and how soon a task is taken back.
+"""Dask cluster compared with the local planners: the overhead of the transport, and the time to cancel a task.
 
-Scheduler and worker run on this machine, so the way is as short as can be; a network adds its round trips.
+Scheduler and worker run on this machine, so the overhead is the least possible; a network adds its round trips.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ CANCELS = 50
 SCENE_SIZES = (20, 1000)
 JOIN_TIMEOUT_S = 30.0
 
-# A search among the arm's own links, the work of some ten thousand checks.
+# A search among the arm's own links, which takes some ten thousand collision checks.
 SEARCH = dataclasses.replace(LONG, allowed_time_s=5.0, optimization_time_s=0.006, attempts=1)
 
 
 class _Pool(PlannerPool):
-    """Local planners only; who joins from afar is kept apart."""
+    """Pool of local planners; the remote worker that joins becomes ``far`` instead."""
 
     def __init__(self) -> None:
         super().__init__(model.builtin())
@@ -43,11 +43,11 @@ class _Pool(PlannerPool):
         self.far.set_result(worker)
 
     def remove(self, worker: PlanningWorker) -> None:
-        """Nobody waits for a place."""
+        """Do nothing: no request waits for a worker."""
 
 
 def run() -> None:
-    """Plan here and there in turns within one run: the difference is the way."""
+    """Plan locally and on the cluster in turns within one run: the difference is the overhead of the transport."""
     dask = DaskCluster()
     dask.start_scheduler()
     dask.start_worker()
@@ -115,7 +115,7 @@ async def _scene(scene: Scene, pool: PlannerPool, far: PlanningWorker) -> list[s
 
 
 async def _cancel(far: PlanningWorker) -> float:
-    """Give up a search that has no end; its worker has one thread, so the next plan waits for that."""
+    """Cancel a search that has no end; its worker has one thread, so the next plan waits for the cancellation."""
     planning = asyncio.create_task(far.ask(LONG, EMPTY_SCENE))
     await asyncio.sleep(0.1)
     planning.cancel()

@@ -1,4 +1,4 @@
-"""How long rosapi takes to answer, with a hundred topics."""
+"""Response time of rosapi with a hundred topics."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SERVICES = ("topics", "topics_and_raw_types", "services", "nodes", "get_time", "
 
 
 def run() -> None:
-    """Call each service again and again."""
+    """Call each service many times."""
     asyncio.run(_measure())
 
 

@@ -10,7 +10,7 @@ import uvloop
 
 from protocol.registry import Registry
 from server.gateway.listener import Listener
-from server.graph_topics import Graph
+from server.graph.topics import Graph
 
 
 async def main(port: int) -> None:

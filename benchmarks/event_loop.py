@@ -26,7 +26,7 @@ from planners.pool import PlannerPool
 from planners.worker_process import NICENESS
 from robot.description import model
 from server.app import App
-from server.config_reading import load
+from server.config_loader import load
 from tests.helpers.requests import EASY, LONG
 
 BUSY_PROGRAM = f"import os; os.nice({NICENESS})\nwhile True: sum(range(100_000))"

@@ -17,15 +17,15 @@ from protocol.codecs import json
 from protocol.registry import Registry
 from robot.description import model
 from robot.messages import ArmState, Mode
-from server.calls import Response
-from server.graph_topics import Graph
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.services import APPLY, GET
 from server.moveit.scene.state import SceneState
-from server.node import Node
 
 OBJECTS = 50
 

@@ -15,8 +15,8 @@ import uvloop
 from benchmarks.figures import percentiles, print_table
 from protocol.publication import Publication
 from protocol.registry import Registry
-from server.graph_topics import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.recording.recorder import Recorder
 
 # An arm sends a hundred messages a second; a busy network of clients sends some thousands.

@@ -7,9 +7,9 @@ import time
 
 from benchmarks.figures import percentiles, print_table
 from protocol.registry import Registry
-from server.calls import Response
-from server.graph_topics import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph
 from server.rosapi.api import RosApi
 
 TOPICS = 100

@@ -17,10 +17,9 @@ from robot.messages import ArmHealth, ArmState, EndState, Mode
 from robot.processes import StartedChild
 from server.access.access import Access
 from server.access.control import Control
-from server.arm_pace import ArmPace
-from server.arm_services import ArmServices
-from server.arm_setup import Description, arm_config, check_parameters
-from server.arm_state import ArmStateTopics
+from server.arm.services import ArmPace, ArmServices
+from server.arm.setup import Description, arm_config, check_parameters
+from server.arm.topics import ArmStateTopics, JointStates
 from server.config import RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.errors import StartError
@@ -28,9 +27,9 @@ from server.gateway import page
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.http import HttpGate
 from server.gateway.listener import Listener
-from server.graph_topics import Graph
+from server.graph.topics import Graph
 from server.hangup import on_hangup
-from server.joint_states import JointStates
+from server.lifecycle import Step, stop_in_order, stop_signals, unless_ended
 from server.moveit.face import MoveItFace
 from server.moveit.readiness import ARM_START_TIMEOUT_S
 from server.operations.operations import Operations
@@ -38,7 +37,6 @@ from server.operations.service_manager import environment_manager
 from server.planning_cluster import planning_cluster
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
-from server.stopping import Step, stop_in_order, stop_signals, unless_ended
 from server.timers import call_later
 from server.zenoh.joining import bridge_of
 

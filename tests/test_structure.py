@@ -38,8 +38,9 @@ def imported_by(path: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def imports() -> dict[str, set[str]]:
-    """Imports of each module of the source, by its full name."""
-    paths = [path for room in ROOMS for path in (ROOT / room).rglob("[!_]*.py") if "node_modules" not in path.parts]
+    """Imports of each module of the source and of the tests' helpers, by its full name."""
+    places = (*ROOMS, "tests")
+    paths = [path for room in places for path in (ROOT / room).rglob("[!_]*.py") if "node_modules" not in path.parts]
     return {".".join(path.relative_to(ROOT).with_suffix("").parts): imported_by(path) for path in paths}
 
 

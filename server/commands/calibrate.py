@@ -14,7 +14,7 @@ from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, parse_telemetry
 from robot.hardware.interface import run_to_end
-from server.commands.arm_options import Subparsers, add_serial, guarded, open_bus
+from server.commands.options import Subparsers, add_serial, guarded, open_bus
 from server.commands.relax import relax_arm
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 

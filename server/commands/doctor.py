@@ -13,7 +13,7 @@ from robot.commissioning.experiments import EXPERIMENTS, Bench, Experiment, ask
 from robot.commissioning.scan import scan
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.hardware.feetech.bus import Bus
-from server.commands.arm_options import (
+from server.commands.options import (
     Subparsers,
     add_calibration,
     add_serial,

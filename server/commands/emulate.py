@@ -8,7 +8,7 @@ from robot.emulator import control
 from robot.emulator.process import add_options
 from robot.emulator.process import run as run_emulator
 from robot.errors import CalibrationError
-from server.commands.arm_options import Subparsers
+from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 
 SCRIPTS = """\

@@ -9,7 +9,7 @@ from pathlib import Path
 from robot.description import model
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from server.commands.arm_options import Subparsers
+from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.errors import ConfigurationError
 

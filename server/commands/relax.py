@@ -14,7 +14,7 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.torque import LOWER_S, relax
 from robot.hardware.interface import run_to_end
-from server.commands.arm_options import Subparsers, add_serial, guarded, open_bus
+from server.commands.options import Subparsers, add_serial, guarded, open_bus
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 
 

@@ -10,7 +10,7 @@ from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.port import resolve_port
 from robot.hardware.interface import status_names
-from server.commands.arm_options import Subparsers, add_serial, guarded
+from server.commands.options import Subparsers, add_serial, guarded
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 
 HEADINGS = (

@@ -8,8 +8,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from robot import logs
-from server.commands.arm_options import Subparsers
-from server.commands.setting_options import add_setting_options, read_settings
+from server.commands.options import Subparsers, add_setting_options, read_settings
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.config import Settings
 from server.errors import ConfigurationError, StartError

@@ -22,8 +22,8 @@ from server.gateway.client_services import ClientServices
 from server.gateway.client_status import ClientStatus
 from server.gateway.client_topics import ClientTopics
 from server.gateway.spelling import Spelling
-from server.graph_topics import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -10,8 +10,8 @@ from protocol.operations import Advertise, Operation, Publish, Subscribe, Unadve
 from protocol.publication import Parcel, Publication
 from protocol.session import Session
 from server.gateway.spelling import Spelling
-from server.graph_topics import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 
 # rosbridge_server's lifespan of what is published without latch (rosbridge_library, internal/publishers.py): clients
 # publish right after they have advertised, when nobody has had the time to subscribe.

@@ -21,8 +21,8 @@ from server.gateway.client_auth import WayIn
 from server.gateway.entrance.wrong_tokens import WrongTokens
 from server.gateway.traffic import TrafficCounts
 from server.gateway.websocket import TURN_S, WebSocket
-from server.graph_topics import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
 

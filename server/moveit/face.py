@@ -13,7 +13,7 @@ from robot.description.model import Joint, RobotModel
 from robot.messages import ArmState
 from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, QueuedGoal
-from server.graph_topics import Graph
+from server.graph.topics import Graph
 from server.moveit.actions.motion_actions import MotionActions
 from server.moveit.current_state import CurrentState
 from server.moveit.description import RobotDescription

@@ -15,10 +15,10 @@ from typing import Any
 
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
-from server.action_goals import Goal, GoalStatus
-from server.graph_topics import Graph
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.gripper import Gripper, GripperCommand, GripperReading
-from server.node import Node
 
 log = logging.getLogger("armbridge.gripper")
 

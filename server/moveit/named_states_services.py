@@ -12,12 +12,12 @@ from collections.abc import Awaitable, Mapping
 from typing import Any
 
 from robot.description.model import RobotModel
-from server.calls import ServiceFunction
 from server.errors import ServiceError
-from server.graph_topics import Graph
+from server.graph.node import Node
+from server.graph.services import ServiceFunction
+from server.graph.topics import Graph
 from server.moveit.current_state import CurrentState, state_message
 from server.moveit.named_states import NamedStates, Positions
-from server.node import Node
 
 TOPIC = "/named_states"
 

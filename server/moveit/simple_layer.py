@@ -9,7 +9,7 @@ from planners.pool import PlannerPool
 from robot.description.model import RobotModel
 from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, Progress, QueuedGoal
-from server.graph_topics import Graph
+from server.graph.topics import Graph
 from server.moveit.confirmation import Confirmation
 from server.moveit.current_state import CurrentState
 from server.moveit.goal_checks import GoalChecks, ShownScene

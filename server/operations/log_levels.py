@@ -11,8 +11,8 @@ from typing import Any
 from robot import logs
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel
 from server.errors import ServiceError
-from server.graph_topics import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.operations")
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from server.errors import GraphError
-from server.graph_topics import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.recording.mcap_file import Entry
 from server.recording.reader import Recording, Track
 

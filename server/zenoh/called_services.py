@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
-from server.calls import Call
 from server.errors import GraphError
-from server.services import LOCAL_TIMEOUT_S
+from server.graph.services import LOCAL_TIMEOUT_S, Call
 from server.zenoh.attachment import Attachment, gid_of
 from server.zenoh.keys import Endpoint, Entity, Kind
 from server.zenoh.names import Patterns

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from protocol.codecs import cdr
 from protocol.errors import MessageError
 from server.access.guard import Guard
-from server.calls import Response
+from server.graph.services import Response
 from server.zenoh import attachment
 from server.zenoh.attachment import Attachment
 from server.zenoh.keys import Endpoint, Kind

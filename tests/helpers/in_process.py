@@ -15,7 +15,7 @@ from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_auth import WayIn
 from server.gateway.entrance.wrong_tokens import WrongTokens
-from server.graph_topics import Graph
+from server.graph.topics import Graph
 from server.rosapi.api import RosApi
 from tests.helpers.clock import FakeClock
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from server.config_reading import load
+from server.config_loader import load
 from server.errors import ConfigurationError
 from server.planning_settings import PlanningSettings
 from tests.test_readme import ROOT, blocks

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.action_goals import Goal, GoalStatus
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.graph.actions import Goal, GoalStatus
 from server.moveit.motions import Motion
 
 log = logging.getLogger("armbridge.actions")

@@ -7,9 +7,9 @@ from typing import Any
 from protocol.messages import Stamp
 from robot.description.model import Group
 from robot.messages import ArmState
-from server.graph_topics import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.actions.followed_goal import point
-from server.node import Node
 
 STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
 

@@ -11,15 +11,15 @@ from protocol.publication import Publication
 from robot.arm import Arm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState
-from server.action_goals import Goal, GoalStatus
 from server.goal_queue import GoalPolicy, GoalQueue, Progress
-from server.graph_topics import Graph, Subscriber
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.controller_requests import Refused, refusal_of, tolerances_in
 from server.moveit.actions.followed_goal import FollowedGoal, result
 from server.moveit.actions.given_motions import given_motion
 from server.moveit.current_state import CurrentState
 from server.moveit.motions import Motion
-from server.node import Node
 
 Message: TypeAlias = Mapping[str, Any]
 

@@ -9,7 +9,7 @@ from robot.arm import Arm
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
 from server.goal_queue import GoalQueue
-from server.graph_topics import Graph
+from server.graph.topics import Graph
 from server.moveit.actions.controller_state import ControllerState
 from server.moveit.actions.execute_trajectory import EXECUTE_ACTION, ExecuteTrajectory
 from server.moveit.actions.follow_joint_trajectory import ArmController

@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 
 from robot.description.model import RobotModel
-from server.graph_topics import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.scene.messages import EVERYTHING, difference, scene_message
 from server.moveit.scene.state import SceneState
-from server.node import Node
 from server.timers import CallLater, Timer, call_later
 
 TOPIC = "/monitored_planning_scene"

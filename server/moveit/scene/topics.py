@@ -9,10 +9,10 @@ from typing import Any
 from planners.problem import PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
-from server.graph_topics import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.current_state import CurrentState
 from server.moveit.scene.state import Positions, SceneState
-from server.node import Node
 
 log = logging.getLogger("armbridge.scene")
 

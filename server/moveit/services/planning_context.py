@@ -11,6 +11,7 @@ from planners.problem import CartesianProblem, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import Group, RobotModel
+from server.graph.node import Node
 from server.moveit.display import DisplayTopics
 from server.moveit.motions import Positions, Step
 from server.moveit.planner_parameters import PlannerParameters
@@ -18,7 +19,6 @@ from server.moveit.requests.context import FrameResolver, Message, RequestContex
 from server.moveit.requests.motion_plan import PlanRequest, problem_of
 from server.moveit.requests.refusals import required
 from server.moveit.requests.robot_state import attached_diff, start_positions, stated_positions
-from server.node import Node
 
 
 class PlanningSceneState(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from server.graph.node import Node
 from server.moveit.current_state import state_message
 from server.moveit.requests.codes import failure_code, success
 from server.moveit.requests.context import Message
@@ -12,7 +13,6 @@ from server.moveit.requests.sequence import requests_of
 from server.moveit.requests.trajectories import to_message
 from server.moveit.services.planning_context import PlanningContext
 from server.moveit.step_planning import plan_steps
-from server.node import Node
 
 
 async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:

@@ -13,7 +13,8 @@ from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
 from robot.description.model import RobotModel
-from server.graph_topics import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.readiness import unusable
 from server.moveit.scene.state import SceneState
@@ -21,7 +22,6 @@ from server.moveit.servo.commands import Message, Resolve, Wanted, read_joint_jo
 from server.moveit.servo.gate import CommandType, Gate
 from server.moveit.servo.session import ServoSession, Steered
 from server.moveit.servo.status import StatusTopic, log
-from server.node import Node
 
 TWIST_TOPIC = "/servo_node/delta_twist_cmds"
 JOINT_TOPIC = "/servo_node/delta_joint_cmds"

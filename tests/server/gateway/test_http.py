@@ -27,7 +27,7 @@ from server.gateway.entrance.reception import OPEN_TIMEOUT_S
 from server.gateway.http import HttpGate
 from server.gateway.http_answers import Answer
 from server.gateway.listener import Listener
-from server.graph_topics import Graph
+from server.graph.topics import Graph
 from server.moveit import robot_files
 
 REGISTRY = Registry.load()

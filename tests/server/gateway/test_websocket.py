@@ -17,8 +17,8 @@ from protocol.registry import Registry
 from server.gateway import websocket
 from server.gateway.listener import Listener
 from server.gateway.websocket import WRITE_LIMIT_BYTES, WebSocket
-from server.graph_topics import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 TALKER = Node("talker")
 TIMEOUT_S = 30.0

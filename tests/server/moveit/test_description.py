@@ -11,15 +11,15 @@ import pytest
 
 from protocol.registry import Registry
 from robot.description import model
-from server.calls import Response
-from server.graph_topics import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph, Subscriber
 from server.moveit.description import (
     FILE_SERVICE,
     SRDF_TOPIC,
     URDF_TOPIC,
     RobotDescription,
 )
-from server.node import Node
 
 REGISTRY = Registry.load()
 ROBOT = model.builtin()

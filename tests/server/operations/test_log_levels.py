@@ -9,8 +9,8 @@ import pytest
 from protocol.registry import Registry
 from robot import logs as changed
 from robot.logs import OUR_LOGGER
-from server.graph_topics import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.operations import log_levels
 from server.operations.log_levels import GET, MAX_ASKED, SET, LogLevels, toggle_debug
 

@@ -8,9 +8,9 @@ import pytest
 
 from protocol.registry import Registry
 from robot.description import model
-from server.graph_topics import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.controller_state import ControllerState
-from server.node import Node
 from tests.helpers.played_arm import JOINTS, PlayedArm
 
 GROUP = model.builtin().groups["arm"]

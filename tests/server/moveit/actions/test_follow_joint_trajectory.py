@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from server.action_goals import GoalStatus
 from server.goal_queue import GoalState, Progress
+from server.graph.actions import GoalStatus
 from server.moveit.actions.follow_joint_trajectory import INDUSTRIAL_ACTION, ArmController
 from server.moveit.actions.followed_goal import FollowCode
 from server.moveit.motions import GivenMotion

@@ -1,6 +1,6 @@
-"""Time that a process waits for a core: not its own fault, so deadlines are extended by it.
+"""Time budget of a problem: its deadline and its cancellation.
 
-The time a problem may take, and the permission to go on.
+A deadline is extended by the time that the process waits for a core, which is no fault of the problem.
 """
 
 from __future__ import annotations
@@ -87,11 +87,11 @@ class Budget:
 
     @property
     def stopped(self) -> bool:
-        """Whether whoever asked has lost interest."""
+        """True when whoever asked has lost interest."""
         return self._should_stop()
 
     def used_up(self) -> bool:
-        """Whether to stop now."""
+        """Tell whether to stop now."""
         return self.stopped or self.spent_s >= self._allowed_time_s
 
     def failure(self) -> PlanningFailure:

@@ -1,4 +1,4 @@
-"""What the server and a planner process say to each other.
+"""Messages between the server and a planner process.
 
 The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
 :class:`MoreObjects` until it is whole, and requests, the next after the answer to the last. Each request gets one

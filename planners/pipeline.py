@@ -1,8 +1,7 @@
-"""Problem in, plan out: check, find goal configurations, find a certified motion to one of them.
+"""Planner of one robot: problem in, plan out. Checks, goal configurations, then a certified motion to one of them.
 
-Questions about single configurations: inverse kinematics, and whether a state is sound.
-
-Is the rest of a motion that runs still free? Asked when the scene has changed on the way.
+It also answers questions about single configurations (inverse kinematics, state validity) and rechecks the rest of a
+motion that is being executed when the scene has changed.
 """
 
 from __future__ import annotations
@@ -310,7 +309,7 @@ def _seen(space: JointSpace, motion: Trajectory) -> Contact | None:
 
 
 def _free(space: JointSpace, point: Vector) -> bool:
-    """Whether nothing touches at a point, by the full meshes where only hulls do."""
+    """Tell whether nothing touches at a point, by the full meshes where only hulls do."""
     return space.free(point) or (space.look_closer(point) and space.free(point))
 
 

@@ -13,17 +13,17 @@ class PlanningWorker(Protocol):
 
     @property
     def takes_questions(self) -> bool:
-        """Whether it is near enough for questions, which are asked many times a second."""
+        """True when it is near enough for questions, which are asked many times a second."""
 
     @property
     def usable(self) -> bool:
-        """Whether it can take a request now."""
+        """True when it can take a request now."""
 
     def run_delay_s(self) -> float | None:
         """Read for how long it has waited for a core since its start [s]; None where that is not known."""
 
     def has(self, scene: Scene) -> bool:
-        """Whether a request in this scene can begin without the scene being sent."""
+        """Tell whether a request in this scene can begin without the scene being sent."""
 
     async def ask(self, request: Request, scene: Scene) -> Answer:
         """Answer a request in a scene.

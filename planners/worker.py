@@ -48,7 +48,7 @@ MakePlanner: TypeAlias = Callable[[RobotModel, Callable[[], float]], Planner]
 
 
 class Mailbox:
-    """What the server sends, also while a request is worked on."""
+    """Messages from the server, received also while a request is worked on."""
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
@@ -63,7 +63,7 @@ class Mailbox:
         return self._messages.popleft() if self._messages else None
 
     def withdrawn(self, number: int) -> bool:
-        """Whether nobody waits for the answer to a request any more; asked thousands of times a second."""
+        """Tell whether nobody waits for the answer to a request any more; asked thousands of times a second."""
         if self._readable.poll(0):
             self._messages += self._channel.receive(timeout_s=0.0)
         return self._channel.closed or Cancel(number) in self._messages

@@ -1,9 +1,9 @@
-"""What clients make of frames: reads the objects in them.
+"""Framing: frames of a client in, JSON objects out; and long frames of the server cut into fragments.
 
 Most frames are one JSON object. Some clients run several together, cut one into several frames, or send something
 in front of it; some send BSON. All of it is read in a time that grows with its length alone.
 
-Fragments: a long frame in pieces, each an operation of its own (rosbridge protocol, section 3.1.1).
+A fragment is a piece of a long frame, sent as an operation of its own (rosbridge protocol, section 3.1.1).
 """
 
 from __future__ import annotations

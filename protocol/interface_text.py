@@ -1,4 +1,4 @@
-"""What rosapi tells about a message type: its full text, as `gendeps --cat` prints it, and its TypeDefs.
+"""Message types as rosapi describes them: the full text, as `gendeps --cat` prints it, and its TypeDefs.
 
 Both are told as one generation of ROS declares the type; a type that exists only in ROS 2 as if ROS 1 had it.
 """

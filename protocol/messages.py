@@ -1,21 +1,11 @@
-"""A bound on what a message grows to when it is completed.
-
-An element of a list may leave all its fields out: ``{}`` stands for a whole planning request. So a message of a few
-megabytes could hold the server up for minutes, and take all its memory.
-
-Messages: validates a decoded value against its type and completes it, in ROS 2 spelling.
+"""Messages: validates a decoded value against its type and completes it, in ROS 2 spelling.
 
 Out of `complete` comes a dict with every field of the type in order of declaration. Arrays of uint8 and char
-are base64 text, as they go over the wire; a float that was null is NaN. Whatever came in is left as it was.
+are base64 text, as they go over the wire; a float that was null is NaN. The input is left as it was.
 
-A type is compiled once into a tree of shapes; completing a message walks that tree. A message in which nothing is
-wrong or spelled otherwise goes the shorter way of `protocol.messages`.
-
-The quick way for a message in which each value is of its field's type; fields may be left out.
-
-Most messages are so, and `protocol.messages`, which knows all that is forgiven and all that is refused, walks a tree of
-objects for them as well. Here each type becomes one function without calls, as a person would write it by hand for
-this type: of `geometry_msgs/msg/Point32` it reads ::
+A type is compiled once, in two forms. The general form is a tree of shapes that knows everything that is forgiven and
+every error's text; completing a message walks that tree. The fast form is one function without calls for messages in
+which each value already has its field's type, as most do; of `geometry_msgs/msg/Point32` it reads ::
 
     def quick(v0):
         try:
@@ -27,7 +17,10 @@ this type: of `geometry_msgs/msg/Point32` it reads ::
         except (KeyError, OverflowError):
             return None
 
-What it returns None for goes the long way, so there is one place for each rule and one for each error's text.
+A message for which it returns None is completed by the general form, so each rule and each error's text exists once.
+
+An element of a list may leave all its fields out: ``{}`` stands for a whole planning request. A message of a few
+megabytes could thus grow until it holds the server up for minutes, so every completion has a budget of values.
 """
 
 from __future__ import annotations
@@ -48,7 +41,7 @@ MAX_VALUES = 1_000_000
 
 
 class MessageBudget:
-    """What is left to one message; messages are completed one after the other."""
+    """Budget of one message, in values; messages are completed one after the other."""
 
     __slots__ = ("_left",)
 
@@ -76,7 +69,7 @@ BUDGET = MessageBudget()
 
 @functools.cache
 def values_in(registry: Registry, type_name: str) -> int:
-    """How many values a message of a type has at least, the messages in it included, its lists counted as one each."""
+    """Count the values that a message of a type has at least, nested messages included, each list as one."""
     fields = registry.message(type_name).fields
     return sum(1 if field.primitive or field.array else values_in(registry, field.base) for field in fields) or 1
 
@@ -121,7 +114,7 @@ class Stamp(NamedTuple):
 
 
 class _Shape(Protocol):
-    """What a value must look like, and what stands in for one that is missing."""
+    """Shape of a field: the values it takes, and the default of a missing one."""
 
     def complete(self, value: object, received: Stamp) -> Any:
         """Validate a value and return it completed, or raise MessageError."""
@@ -377,7 +370,7 @@ def _nothing(_value: object) -> None:
 
 
 def _defaults(registry: Registry, message_type: MessageType) -> dict[str, Any]:
-    """What stands in for fields that are left out, except where that depends on the time of receipt or its spelling."""
+    """Return the defaults of omitted fields, except those that depend on the time of receipt or the spelling."""
     defaults: dict[str, Any] = {}
     for field in message_type.fields:
         if field.base in _OCTETS and field.array is not None:

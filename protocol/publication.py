@@ -1,6 +1,6 @@
-"""What goes over the socket: frames, and parcels of them.
+"""One published message on its way out: encoded once for all subscribers that ask for the same encoding.
 
-One message on its way out, encoded once for all subscribers that want it alike.
+Encoded messages are what a connection sends or drops as a whole: one frame, or the fragments of a long one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TWO_BYTE_LENGTH, _EIGHT_BYTE_LENGTH = 126, 127
 
 
 class Frame(NamedTuple):
-    """What goes over the socket in one piece.
+    """One WebSocket message, text or binary.
 
     Attributes:
         data: the frame's bytes; of a text frame they are ASCII.
@@ -52,7 +52,7 @@ class Frame(NamedTuple):
 
 
 class Parcel:
-    """What is sent or dropped as a whole.
+    """Frames that are sent or dropped as a whole.
 
     Args:
         frames: one frame, or the fragments of one, in order.
@@ -144,7 +144,7 @@ class Publication:
 
     @property
     def size_bytes(self) -> int:
-        """How large the message is as subscribers got it; as JSON, where nobody has got it yet."""
+        """Size of the message as it was encoded for subscribers; as JSON while it has none [bytes]."""
         if not self._encoded:
             self._encoded["none", "ros2"] = self._encode("none", "ros2")
         return max(map(len, self._encoded.values()))

@@ -1,9 +1,8 @@
-"""The interface tables as they ship: reads them, and derives the messages that ROS 1 makes of each action.
-
-The interface tables: looks a type up by name and tells its fields, bounds, defaults and constants.
+"""Registry of interface types: looks a type up by name and gives its fields, bounds, defaults and constants.
 
 A `Registry` speaks one generation of ROS. The one of ROS 2, which the server works with, also knows the types
-that exist only in ROS 1, in ROS 2 spelling; `Registry.ros1` tells how ROS 1 declares its types.
+that exist only in ROS 1, in ROS 2 spelling; `Registry.ros1` holds them as ROS 1 declares them. The tables are package
+data; the messages that ROS 1 makes of each action are derived from the action when the tables are read.
 """
 
 from __future__ import annotations
@@ -97,7 +96,7 @@ _ROS2_NAMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interface
 
 @dataclass(frozen=True, slots=True)
 class ArrayBounds:
-    """How many elements an array field holds.
+    """Bounds on the number of elements of an array field.
 
     Attributes:
         min_length: least number of elements.
@@ -109,7 +108,7 @@ class ArrayBounds:
 
     @property
     def fixed(self) -> bool:
-        """Whether the array has exactly one possible length."""
+        """True when the array has exactly one possible length."""
         return self.min_length == self.max_length
 
 
@@ -131,7 +130,7 @@ class Field:
 
     @property
     def primitive(self) -> bool:
-        """Whether the base is a primitive type, not a message."""
+        """True when the base is a primitive type, not a message."""
         return self.base in PRIMITIVES
 
 
@@ -200,12 +199,12 @@ class Registry:
         return (name for name in self._table if name not in ROS1_TIMES)
 
     def knows(self, name: str, kind: Kind = "msg") -> bool:
-        """Whether a type of this name and kind can be looked up."""
+        """Tell whether a type of this name and kind can be looked up."""
         definition = self._find(_canonical(name, kind))
         return definition is not None and definition["kind"] == kind
 
     def exists_only_in_ros1(self, name: str, kind: Kind = "msg") -> bool:
-        """Whether a client that uses this type must be speaking ROS 1."""
+        """Tell whether a client that uses this type must be speaking ROS 1."""
         canonical = _canonical(name, kind)
         return _definition(self._table, canonical) is None and _definition(self._ros1_table, canonical) is not None
 

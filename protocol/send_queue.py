@@ -49,12 +49,12 @@ class Outbox:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing waits."""
+        """True when nothing waits."""
         return not self._topic_data and not self._replies
 
     @property
     def size_bytes(self) -> int:
-        """What waits."""
+        """Size of all that waits [bytes]."""
         return self._topic_bytes + self._reply_bytes + self._request_bytes
 
     def put_reply(self, parcel: Parcel) -> None:

@@ -39,7 +39,7 @@ LEVELS = ("none", "error", "warning", "info")
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a frame, or an operation in it, is not carried out.
+    """Reason for which a frame, or an operation in it, is not carried out.
 
     Attributes:
         op: the operation's name, None where none could be read.
@@ -231,22 +231,22 @@ class Session:
 
     @property
     def waiting(self) -> bool:
-        """Whether anything is queued, due or not."""
+        """True when anything is queued, due or not."""
         return not self._outbox.empty
 
     @property
     def queued_bytes(self) -> int:
-        """What waits to be sent."""
+        """Size of all that waits to be sent [bytes]."""
         return self._outbox.size_bytes
 
     @property
     def speaks_bson(self) -> bool:
-        """Whether the client is answered in BSON, as its last frame was."""
+        """True when the client is answered in BSON, as its last frame was."""
         return self._reader.last_was_bson
 
     @property
     def overflowed(self) -> bool:
-        """Whether replies piled up beyond ``max_queued_reply_bytes``: close the connection."""
+        """True when replies have piled up beyond ``max_queued_reply_bytes``: close the connection."""
         return self._outbox.overflowed
 
     @property

@@ -1,10 +1,9 @@
-"""What a client has registered, topic by topic: several ids on one topic, under one limit.
-
-A client's subscriptions: merges several ids on one topic into one delivery, and says when it may happen.
+"""Subscriptions of one client: several ids on one topic merge into one delivery, which knows when it is due.
 
 Rules of rosbridge: the merged throttle_rate, queue_length and fragment_size are the least of all ids, the merged
 compression is the first of `COMPRESSIONS` that any id asks for. With a throttle and no queue, messages that come too
-early are dropped; with a queue they wait, and when it is full the oldest goes.
+early are dropped; with a queue they wait, and when it is full the oldest goes. All ids of a client, of subscriptions
+and of advertisements alike, count against one limit.
 """
 
 from __future__ import annotations
@@ -116,7 +115,7 @@ COMPRESSIONS: tuple[Compression, ...] = ("cbor-raw", "cbor", "png", "none")
 
 
 class Rule(NamedTuple):
-    """What one id asks for.
+    """Request of one subscription id.
 
     Attributes:
         throttle_s: least time between two messages [s].
@@ -160,12 +159,12 @@ class Subscription:
 
     @property
     def paced(self) -> bool:
-        """Whether messages wait for the throttle to let them through one by one."""
+        """True when messages wait for the throttle to let them through one by one."""
         return self.throttle_s > 0 and self.queue_length > 0 and not self.closed
 
     @property
     def skips(self) -> bool:
-        """Whether messages that come before the throttle lets them through are dropped."""
+        """True when messages that come too early for the throttle are dropped."""
         return self.throttle_s > 0 and self.queue_length == 0
 
     def merge(self, rules: Collection[Rule]) -> None:

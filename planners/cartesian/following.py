@@ -1,10 +1,8 @@
-"""Joint positions for the next pose of a tip, from those for the one before: the position first, then the orientation.
+"""Following a path of the tip: joint positions along it, step by step, until something ends it.
 
-Each step solves the position exactly and uses what freedom is left for the orientation, after Siciliano & Slotine,
+Each step solves the position exactly and uses the remaining freedom for the orientation, after Siciliano & Slotine,
 "A general framework for managing multiple tasks in highly redundant robotic systems", 1991. placo weighs both
 against each other instead: an arm of five joints would leave the path for the sake of an orientation it cannot have.
-
-How far can the tip follow a path? Joint positions along it, step by step, until something ends it.
 """
 
 from __future__ import annotations
@@ -84,11 +82,11 @@ class TipTracker:
         return self._kinematics.placement(self._link).copy()
 
     def outside(self, points: Vector) -> NDArray[np.bool_]:
-        """Which joints of which points are beyond their limits, shape (m, n)."""
+        """Mark the joints of each point that are beyond their limits, shape (m, n)."""
         return np.asarray((points < self._limits[0]) | (points > self._limits[1]))
 
     def speed_m(self, point: Vector, tangent: Vector) -> float:
-        """How far the tip moves per motion of the joints along ``tangent``."""
+        """Return the tip's speed per unit motion of the joints along ``tangent``."""
         return float(np.linalg.norm(self._jacobian(point)[:3] @ tangent))
 
     def follow(self, point: Vector, target: pin.SE3, most_turn_rad: float) -> Vector:
@@ -185,7 +183,7 @@ TURN_RAD_PER_M = 10.0
 
 @dataclass(frozen=True)
 class Ended:
-    """Why a path cannot be followed further.
+    """Reason for which a path cannot be followed further.
 
     Attributes:
         reason: "reach", "orientation", "jump", "limit", or what the condition on single points says.
@@ -200,7 +198,7 @@ class Ended:
 
 @dataclass(frozen=True)
 class Followed:
-    """What could be followed of a path.
+    """The part of a path that could be followed.
 
     Attributes:
         along_m: shape (m,), lengths of the path from 0 [m].
@@ -215,7 +213,7 @@ class Followed:
 
 @dataclass(frozen=True)
 class Following:
-    """What following a path has to heed.
+    """Conditions under which a path is followed.
 
     Attributes:
         tracker: the tip and its joints.
@@ -257,7 +255,7 @@ class Following:
         return Followed(np.array(along_m), np.array(points), ended)
 
     def _reach_m(self, from_m: float, step_m: float) -> float:
-        """Where the next point shall be: short steps beside corners, and one exactly in each."""
+        """Choose the next point's distance along the path: short steps beside corners, and one exactly in each."""
         corners_m = np.array([0.0, *self.path.corners_m])
         next_m = float(corners_m[np.searchsorted(corners_m, from_m, side="right")])
         left_m = next_m - from_m
@@ -270,7 +268,7 @@ class Following:
         return self.tracker.follow(point, self.path.at(reach_m), TURN_RAD_PER_M * (reach_m - from_m))
 
     def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> Ended | None:
-        """What speaks against a step from one point to the next."""
+        """Return the objection to a step from one point to the next."""
         asked, pose = self.path.at(reach_m), self.tracker.pose(point)
         turned_rad = apart_rad(asked, pose)
         if apart_m(asked, pose) > ON_PATH_M:

@@ -1,6 +1,4 @@
-"""How a path is run through: progress over time, its samples, and the limits they keep.
-
-Timing of a given smooth path by TOPP-RA: least time within velocity and acceleration limits.
+"""Timing of a given smooth path by TOPP-RA: least time within velocity and acceleration limits.
 
 Pham & Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018.
 

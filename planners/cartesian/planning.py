@@ -96,7 +96,7 @@ def _rate_limits(robot: RobotModel, problem: CartesianProblem) -> RateLimits:
 
 @dataclass(frozen=True)
 class _PointFlaws:
-    """What is wrong with single points of the path."""
+    """Flaws of single points of the path."""
 
     space: JointSpace
     constraints: ConditionSet
@@ -112,7 +112,7 @@ class _PointFlaws:
         return None if self.constraints.holds(q) else self.ended((), point)
 
     def ended(self, pairs: Sequence[CollidingPair], point: Vector) -> Ended:
-        """What a point that is not free has: contacts, or else constraints that do not hold there."""
+        """Return the flaw of a point that is not free: contacts, or else the constraints that do not hold there."""
         if pairs:
             sentence = f"there would touch: {checks.describe_pairs(pairs)}"
             return Ended("collision", sentence, {"pairs": checks.pairs_as_data(pairs)})
@@ -153,7 +153,7 @@ class _Task:
         return budget.failure() if budget.used_up() else self._answer(followed, self._stand(start), Deviation(), budget)
 
     def _end(self, motion: Trajectory) -> tuple[Vector, Ended] | None:
-        """Where a motion may go no further, and why."""
+        """Return the point beyond which a motion may not go, and the reason."""
         beyond = np.argwhere(self.tracker.outside(motion.positions_rad))
         if len(beyond):
             sample, joint = beyond[0]
@@ -183,7 +183,7 @@ class _Task:
         return Trajectory(self.joint_names, np.zeros(1), start[np.newaxis], rest, rest)
 
     def _top_rate(self, curve: SplinePath) -> Vector | None:
-        """How fast the path's length may pass at each point of the grid for the tip to keep its speed [m/s]."""
+        """Return the greatest speed along the path at each grid point for the tip to keep its limit [m/s]."""
         if self.problem.tip_speed_m_s is None:
             return None
         moves = zip(curve(curve.grid), curve(curve.grid, 1), strict=True)

@@ -1,7 +1,4 @@
-"""Where the tip shall be along lines and arcs.
-
-What can be refused of a path of the tip before it is followed, each with the code that is true of the case.
-"""
+"""Paths of the tip along lines and arcs, and the checks of what a client asks for, each with its true error code."""
 
 from __future__ import annotations
 
@@ -60,7 +57,7 @@ class _Piece:
     turn: Vector
 
     def position(self, share: float) -> Vector:
-        """Where the tip is after a share of the piece [m]."""
+        """Return the tip's position after a share of the piece [m]."""
         if self.angle == 0.0:
             return np.asarray(self.origin + share * self.along)
         angle = share * self.angle
@@ -119,7 +116,7 @@ def apart_rad(a: pin.SE3, b: pin.SE3) -> float:
 
 
 def arc_flaw(start_m: Vector, arc: Arc) -> str | None:
-    """Why three points make no arc, or None."""
+    """Return the reason for which three points make no arc, or None."""
     via_m, end_m = np.asarray(arc.via_m), np.asarray(arc.end.position_m)
     sides_m = [float(np.linalg.norm(side)) for side in (via_m - start_m, end_m - via_m, start_m - end_m)]
     if min(sides_m) < SHORTEST_CHORD_M:
@@ -213,7 +210,7 @@ def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure 
 
 
 def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure | None:
-    """Whether each arc's three points make one and the path is not too long.
+    """Tell whether each arc's three points make one and the path is not too long.
 
     Args:
         start_m: the tip's position at the start, shape (3,) [m].

@@ -1,11 +1,7 @@
-"""Scenes in problem files: what the ``objects``, ``attached`` and contact fields mean, read and written.
+"""Planning problems in files, in the format ``so101-plan-bench/1``: one scene, limits, and motions to plan in it.
 
-Sizes and names are taken as they come; whether a scene can be used is for the collision model to say.
-
-Planning problems in files, in the format ``so101-plan-bench/1``: one scene, limits, and motions to plan in it.
-
-``docs/planning.md`` describes the fields. ``null`` stands for a number that is not finite, wherever it comes. This
-module imports none of the planning libraries.
+``docs/planning.md`` describes the fields. ``null`` stands for a number that is not finite. Sizes and names are taken as
+they are; the collision model decides whether a scene can be used. This module imports none of the planning libraries.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What there is to touch, and which two of it may not touch each other.
-
-Does the robot touch itself, its surroundings or what it holds; where are its links, and how far do they move?
-"""
+"""Collision model of the robot, its surroundings and attached objects: bodies, checked pairs, contacts and distances."""
 
 from __future__ import annotations
 
@@ -96,7 +93,7 @@ def held_by(model: pin.Model, attached: AttachedObject, reach_m: float) -> Itera
 
 
 def standing(scene: Scene, reach_m: float) -> Iterator[Body]:
-    """What stands around the robot."""
+    """Objects of the scene around the robot."""
     for thing in scene.objects:
         pose = placement(thing.pose)
         for shape, at in thing.shapes:
@@ -106,7 +103,7 @@ def standing(scene: Scene, reach_m: float) -> Iterator[Body]:
 
 
 class Rules:
-    """Which bodies are checked against each other.
+    """Pairs of bodies that are checked against each other.
 
     Those that do not move against each other are not, be they links of one joint or the root link and the world.
 
@@ -143,7 +140,7 @@ class Rules:
 
 
 def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-    """How far bodies of each pair must stay apart, shape (pairs,) [m]: links are padded against objects only."""
+    """Return the clearance that each pair must keep, shape (pairs,) [m]: links are padded against objects only."""
     thick_m = np.array([body.padding_m for body in bodies])
     link = np.array([body.is_link for body in bodies])
     first, second = pairs.T
@@ -243,7 +240,7 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
     ) -> bool:
-        """Whether things touch that must not.
+        """Tell whether things touch that must not.
 
         Args:
             q: configuration.
@@ -258,7 +255,7 @@ class CollisionModel:
         return not all(self._excused(pair, 0.0, allowed, by_mesh) for pair in self._broadphase.touching())
 
     def margins_m(self, joint_travel: Vector) -> Vector:
-        """How much nearer the shapes of each pair can come where the joints move so far.
+        """Return by how much the shapes of each pair can approach when the joints move so far [m].
 
         Args:
             joint_travel: shape (m, n) [rad].
@@ -277,7 +274,7 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
     ) -> tuple[int, ...]:
-        """Which pairs of shapes are nearer than they may be and a margin.
+        """Return the pairs of shapes that are nearer than their clearance and a margin.
 
         Args:
             q: configuration.
@@ -327,7 +324,7 @@ class CollisionModel:
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
 
     def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
-        """How deep pairs of names overlap, by the closest shapes that are known of them [m]."""
+        """Return the depth of overlap of pairs of names, by the most exact shapes known of them [m]."""
         if not self._broadphase.touches(q):
             return {}
         self._broadphase.place(q)
@@ -339,7 +336,7 @@ class CollisionModel:
         return deepest_m
 
     def collides(self, q: Vector) -> bool:
-        """Whether anything overlaps by the closest shapes that are known, whatever the hulls do."""
+        """Tell whether anything overlaps by the closest shapes that are known, whatever the hulls do."""
         if not self._broadphase.touches(q):
             return False
         self._broadphase.place(q)
@@ -396,7 +393,7 @@ class CollisionModel:
     def _excused(
         self, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], by_mesh: frozenset[frozenset[str]]
     ) -> bool:
-        """Whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
+        """Tell whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
         names = self._names(pair)
         depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m if names in allowed else -margin_m
         if names in allowed and -self._broadphase.distance_m(pair) <= depth_m:
@@ -406,7 +403,7 @@ class CollisionModel:
         return names in by_mesh and self._apart_by_mesh(pair, margin_m)
 
     def _overlap_m(self, pair: int) -> float:
-        """How deep a pair overlaps at most, below 0 how far its hulls are apart beyond what they must be [m]."""
+        """Return an upper bound of a pair's overlap, negative for hulls beyond their required clearance [m]."""
         by_hulls_m = -self._broadphase.distance_m(pair)
         if by_hulls_m <= 0.0 or not self._exact.solid or self._names(pair) & self._scaled:
             return by_hulls_m
@@ -414,7 +411,7 @@ class CollisionModel:
         return min(by_hulls_m, overlap_m(*self._parts_of_pair(pair)) + float(self._apart_m[pair]))
 
     def _nearest(self, pair: int) -> Nearest:
-        """Where the shapes of a pair are nearest; by their parts where only their hulls may be in the way."""
+        """Return the nearest points of a pair's shapes; by their parts where only their hulls may be in the way."""
         by_hulls = self._broadphase.nearest(pair)
         if by_hulls.distance_m > HULL_EXCESS_M or not self._exact.solid or self._names(pair) & self._scaled:
             return by_hulls
@@ -431,7 +428,7 @@ class CollisionModel:
         )
 
     def _apart_by_mesh(self, pair: int, margin_m: float) -> bool:
-        """Whether the meshes behind a pair's hulls are known and further apart than a margin [m]."""
+        """Tell whether the meshes behind a pair's hulls are known and further apart than a margin [m]."""
         names = self._names(pair)
         if not self._exact.available or names & self._scaled:
             return False

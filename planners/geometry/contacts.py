@@ -1,6 +1,7 @@
-"""The quick answer to "does anything touch?": all checked pairs at once, by pinocchio and coal.
+"""Contact checks at two levels: all checked pairs of hulls at once, by pinocchio and coal, and exact ones.
 
-The last word on contacts of links: shapes that are closer to the links than one hull each.
+The broad check is quick and conservative, for hulls contain their links. The exact check decides on pairs of links whose
+hulls touch: it uses shapes that are closer to the links than one hull each.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class Broadphase:
         self._least_m = (CONTACT_M + apart_m).tolist()
 
     def touches(self, q: Vector) -> bool:
-        """Whether shapes of any pair touch, or are nearer than they may be."""
+        """Tell whether shapes of any pair touch, or are nearer than they may be."""
         return pin.computeCollisions(self._model, self._data, self._contact_tree, q, True)
 
     def near(self, q: Vector, margin_m: Vector) -> list[int]:
@@ -110,7 +111,7 @@ class Broadphase:
         return [pair for pair in pairs if pin.computeCollision(self._geometry, self._contact, pair)]
 
     def distance_m(self, pair: int) -> float:
-        """How far the shapes of a pair are apart beyond what they must be, below 0 how deep they overlap [m]."""
+        """Return a pair's clearance beyond the required one, its depth of overlap if negative [m]."""
         return float(self._distance(pair).min_distance) - float(self._apart_m[pair])
 
     def within(self, margin_m: float) -> NDArray[np.intp]:
@@ -120,12 +121,12 @@ class Broadphase:
         return self._spheres.within(self._data, self._apart_m + margin_m)
 
     def nearest(self, pair: int) -> Nearest:
-        """Where the shapes of a pair are nearest, in the root link's frame."""
+        """Return the nearest points of a pair's shapes, in the root link's frame."""
         found = self._distance(pair)
         return Nearest(float(found.min_distance), np.array(found.getNearestPoint1()), np.array(found.normal))
 
     def slope_m_per_rad(self, pair: int, nearest: Nearest) -> Vector:
-        """How the distance of a pair grows with each joint where :meth:`turn` was told, shape (n,) [m/rad]."""
+        """Return the gradient of a pair's distance by joint at the last :meth:`turn`, shape (n,) [m/rad]."""
         first, second = (self._carriers[i] for i in self._pairs[pair])
         return slope_m_per_rad(self._model, self._data, nearest, first, second)
 
@@ -135,7 +136,7 @@ class Broadphase:
         pin.computeJointJacobians(self._model, self._data, q)
 
     def contact(self, pair: int) -> tuple[Vector, Vector]:
-        """Where the shapes of a pair touch and which way the second one would have to give, each shape (3,) [m].
+        """Return a pair's contact point and the direction in which the second shape would give, each shape (3,) [m].
 
         Both are those of the last :meth:`distance_m` of the pair.
         """
@@ -144,7 +145,7 @@ class Broadphase:
         return middle_m, np.array(found.normal)
 
     def placement(self, joint: int) -> pin.SE3:
-        """Where a joint is in the root link's frame."""
+        """Return the pose of a joint in the root link's frame."""
         return self._data.oMi[joint]
 
     def _distance(self, pair: int) -> coal.DistanceResult:
@@ -236,7 +237,7 @@ class ExactShapes:
 
 
 def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:
-    """Whether parts come nearer to each other than a margin; at a margin of 0, whether they touch.
+    """Tell whether parts come nearer to each other than a margin; at a margin of 0, whether they touch.
 
     Args:
         first: some parts.
@@ -257,7 +258,7 @@ def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
 
 
 def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:
-    """Whether solid parts overlap deeper than so much, below 0 whether they are less than that apart [m]."""
+    """Tell whether solid parts overlap deeper than so much, below 0 whether they are less than that apart [m]."""
     if depth_m < 0.0:
         return nearer_than(first, at_first, second, at_second, -depth_m)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -271,12 +272,12 @@ def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
 
 
 def overlap_m(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> float:
-    """How deep solid parts overlap, below 0 how far they are apart [m]; arguments as for :func:`nearer_than`."""
+    """Return the overlap of solid parts, their distance if negative [m]; arguments as for :func:`nearer_than`."""
     return -nearest(first, at_first, second, at_second).distance_m
 
 
 def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> Nearest:
-    """Where solid parts are nearest or overlap deepest, in the root link's frame; as for :func:`nearer_than`."""
+    """Return the nearest or deepest points of solid parts in the root link's frame; as for :func:`nearer_than`."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = GJK_TOLERANCE
     boxes = _Boxes(first, second, at_first.actInv(at_second))

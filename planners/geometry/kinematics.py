@@ -1,8 +1,7 @@
-"""The robot's kinematics without its shapes, in the form that the planning libraries load quickly.
+"""Kinematics of the robot by pinocchio, without its shapes: link poses, Jacobians, and the reach of its points.
 
-Where the links are in a configuration, by pinocchio.
-
-How far points of the robot can move when its joints move: the yardstick of every collision check between samples.
+The reach bounds how far points of the robot can move when its joints move; every collision check between samples is
+measured by it.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Placements:
-    """Where a link is in many configurations.
+    """Poses of a link in many configurations.
 
     Attributes:
         rotations: shape (m, 3, 3).
@@ -75,11 +74,11 @@ class ForwardKinematics:
         pin.forwardKinematics(self._model, self._data, q[self._order])
 
     def placement(self, link: str) -> pin.SE3:
-        """Where a link is in the root link's frame, until joints are moved again."""
+        """Return the pose of a link in the root link's frame; it is valid until joints are moved again."""
         return pin.updateFramePlacement(self._model, self._data, self._frames[link])
 
     def jacobian(self, q: Vector, link: str) -> Vector:
-        """How a link moves with the joints: linear and angular rows along the root link's axes, shape (6, n).
+        """Return the Jacobian of a link: linear and angular rows along the root link's axes, shape (6, n).
 
         The joints are moved to ``q`` as by :meth:`place`.
         """
@@ -90,7 +89,7 @@ class ForwardKinematics:
         return columns
 
     def placements(self, configurations: Vector, link: str) -> Placements:
-        """Where a link is in each configuration."""
+        """Return the pose of a link in each configuration."""
         rotations, positions_m = np.empty((len(configurations), 3, 3)), np.empty((len(configurations), 3))
         for i, q in enumerate(configurations):
             self.place(q)
@@ -100,7 +99,7 @@ class ForwardKinematics:
 
 
 class Reach:
-    """How far from each joint's axis the points of a robot can be, whatever the joints do.
+    """Greatest distance of the robot's points from each joint's axis, over all configurations.
 
     A point is at most as far from the axis of the joint that carries it as it lies there, and from the axis of a
     joint further up as the origins between them are apart, plus all that can swing around the last of them.

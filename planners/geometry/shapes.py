@@ -1,8 +1,6 @@
-"""Convex shapes for coal: of given points, and with few corners around many points.
+"""Collision shapes for coal: convex hulls of points, shapes of the robot's links, and shapes of a scene.
 
-Collision shapes of a robot: one convex shape per link, or the URDF's own with meshes replaced by hulls.
-
-A scene's shapes as shapes of coal.
+A link has one convex shape, or the URDF's own shapes with meshes replaced by hulls.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""Conditions on one configuration that can be measured and aimed at: what goals and constraints come down to.
+"""Goals and constraints as sets of conditions on one configuration, which can be measured and solved for.
 
-Each tells what is ``missing`` to its middle as a vector, and what of that lies ``beyond`` its tolerance: a vector of
-zeros once it holds. Placements are those of its link in the robot's root link.
-
-Goals and constraints as sets of conditions, and what of them is violated in a configuration.
+A condition tells what is ``missing`` to its middle as a vector, and what of that lies ``beyond`` its tolerance: a vector
+of zeros once it holds. Poses are those of its link in the robot's root link.
 """
 
 from __future__ import annotations
@@ -65,7 +63,7 @@ class PointCondition:
     arm_m = 1.0
 
     def point(self, placement: pin.SE3) -> Vector:
-        """Where the point is, shape (3,) [m]."""
+        """Return the point's position, shape (3,) [m]."""
         position_m: Vector = placement.translation + placement.rotation @ self.offset_m
         return position_m
 
@@ -109,7 +107,7 @@ class TurnCondition:
         return missing_rad
 
     def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
-        """What of it is beyond a share of the tolerance [rad]."""
+        """Return the excess beyond a share of the tolerance [rad]."""
         return outside(missing, self.tolerance_rad, share)
 
     def distances(self, placements: Placements) -> Vector:
@@ -140,7 +138,7 @@ class AxisCondition:
 
     @cached_property
     def crossing(self) -> Vector:
-        """What makes the cross product of the axis with a vector, shape (3, 3)."""
+        """Cross-product matrix of the axis, shape (3, 3)."""
         return np.asarray(np.cross(self.axis, np.eye(3)).T)
 
     def missing(self, placement: pin.SE3) -> Vector:
@@ -154,7 +152,7 @@ class AxisCondition:
         return turn
 
     def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
-        """What of it is beyond a share of the tolerance [rad]."""
+        """Return the excess beyond a share of the tolerance [rad]."""
         return outside(missing, self.tolerance_rad, share)
 
     def distances(self, placements: Placements) -> Vector:
@@ -264,7 +262,7 @@ class Wish:
 
 
 def wish(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, joints: Joints) -> Wish:
-    """What a goal demands; it must have passed the checks."""
+    """Return the conditions of a goal; it must have passed the checks."""
     match goal:
         case PositionGoal():
             return Wish((_ball(goal.link, goal.position_m, goal.tolerance_m, goal.offset_m),))
@@ -281,7 +279,7 @@ def wish(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, joints: Join
 
 
 def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Condition, ...]:
-    """What constraints demand; they must have passed the checks."""
+    """Return the conditions of constraints; they must have passed the checks."""
     if constraints is None:
         return ()
     found: list[Condition] = [_in_range(constraint, joints) for constraint in constraints.joints]
@@ -312,19 +310,19 @@ class ConditionSet:
         object.__setattr__(self, "_of_links", links)
 
     def holds(self, q: Vector) -> bool:
-        """Whether all conditions hold."""
+        """Tell whether all conditions hold."""
         if any(condition.beyond_rad(q[condition.column]) for condition in self._of_joints):
             return False
         return not any(beyond.any() for _, _, beyond in self._measured(q))
 
     def beyond_m(self, q: Vector) -> float:
-        """How far the conditions are from holding together: 0 when they do; turns count by their arm [m]."""
+        """Return the distance from satisfying all conditions, 0 when they hold; rotations count by their arm [m]."""
         turned = [condition.arm_m * condition.beyond_rad(q[condition.column]) for condition in self._of_joints]
         moved = [condition.arm_m * norm(beyond) for condition, _, beyond in self._measured(q)]
         return math.hypot(*turned, *moved)
 
     def violations(self, q: Vector) -> list[Violation]:
-        """What does not hold."""
+        """Return the violated conditions."""
         found = [
             _joint_violation(joint, float(q[joint.column]))
             for joint in self._of_joints

@@ -1,4 +1,4 @@
-"""What can be refused of goals and constraints before anything is solved: each refusal says field, limit and value."""
+"""Checks of goals and constraints before anything is solved: each refusal names field, limit and value."""
 
 from __future__ import annotations
 

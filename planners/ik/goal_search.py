@@ -1,7 +1,4 @@
-"""What the descents of one question came to.
-
-Configurations in which a wish is met: many descents from many places, and what came of them.
-"""
+"""Search for goal configurations: many IK descents from sampled starts, and the findings of all of them."""
 
 from __future__ import annotations
 
@@ -42,7 +39,7 @@ AS_GOOD_RAD = 0.02
 
 @dataclass(frozen=True)
 class Found:
-    """What the descents of one question found.
+    """Configurations that the descents of one question found.
 
     Attributes:
         solutions: configurations in which all that is required holds and nothing touches, those that meet the
@@ -60,7 +57,7 @@ class Found:
 
 @dataclass(frozen=True)
 class _End:
-    """Where one descent ended.
+    """End of one descent.
 
     Attributes:
         q: the configuration.
@@ -78,12 +75,12 @@ class _End:
 
     @property
     def solves(self) -> bool:
-        """Whether all that is required holds and nothing touches."""
+        """True when all that is required holds and nothing touches."""
         return self.beyond_m == 0.0 and not self.collides
 
 
 class Findings:
-    """What the descents of one question found so far."""
+    """Findings of the descents of one question so far."""
 
     def __init__(self, forward: ForwardKinematics, collision: CollisionModel | None, wish: Wish) -> None:
         self._collision = collision
@@ -99,24 +96,24 @@ class Findings:
         self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:
-        """Whether more descents would hardly help."""
+        """Tell whether more descents would hardly help."""
         good = [end for end in self._ends if end.solves and not end.tight]
         patience = FRUITLESS_RESTARTS if good else self._patience
         return sum(end.less_liked_m == 0.0 for end in good) >= wanted or self._fruitless >= patience
 
     @property
     def any_solution(self) -> bool:
-        """Whether anything was found that meets all that is required."""
+        """True when anything was found that meets all that is required."""
         return any(end.solves for end in self._ends)
 
     @property
     def only_touching(self) -> bool:
-        """Whether all that is required can be had, but only with something touching, for all that was found."""
+        """True when all that is required can be had, but only with something touching, for all that was found."""
         return not self.any_solution and any(end.beyond_m == 0.0 for end in self._ends)
 
     @property
     def only_colliding(self) -> bool:
-        """Whether nothing free was found, neither in tolerance nor near it."""
+        """True when nothing free was found, neither in tolerance nor near it."""
         return all(end.collides for end in self._ends)
 
     def add(self, q: Vector) -> None:
@@ -227,7 +224,7 @@ class GoalSearch:
     def projection(
         self, group: Group, conditions: Sequence[Condition], start_q: Vector
     ) -> Callable[[Vector], Vector | None]:
-        """What brings points of a group's joints to ones nearby where conditions hold, or gives None.
+        """Return a projection of a group's joint positions onto nearby ones where conditions hold, None on failure.
 
         Args:
             group: the joints that may move; points have them in this order, shape (n,) [rad].
@@ -259,7 +256,7 @@ class GoalSearch:
                 break
 
     def _starts(self, group: Group, wish: Wish, seed_q: Vector) -> Iterator[Vector]:
-        """Where descents begin: where the robot stands, then the samples nearest to the wish."""
+        """Yield the starts of descents: the robot's configuration, then the samples nearest to the conditions."""
         yield seed_q
         yield from islice(self._samples_near(group, wish, seed_q), RESTARTS)
 
@@ -281,7 +278,7 @@ class GoalSearch:
             yield q
 
     def _distances_m(self, conditions: Sequence[Condition]) -> Vector:
-        """How far each sample is from conditions on links, turns by their arm [m]."""
+        """Return each sample's distance from conditions on links, rotations by their arm [m]."""
         distances_m = np.zeros(SAMPLES)
         for condition in conditions:
             if isinstance(condition, JointCondition):

@@ -40,7 +40,7 @@ class GoalState:
 
 @dataclass(frozen=True)
 class Asker:
-    """Who asks for configurations.
+    """The caller that asks for configurations.
 
     Attributes:
         group: the joints that may move.
@@ -139,7 +139,7 @@ class GoalStates:
     def _refusal(
         self, goal: TaskGoal, wanted: Wish, also: Sequence[Condition], found: Found, asker: Asker
     ) -> PlanningFailure:
-        """Why nothing was found."""
+        """Return the reason for which nothing was found."""
         if asker.budget.used_up():
             nearest_m = self._point_m(goal, found.nearest_q)
             failure = out_of_time(goal, asker.budget.failure(), nearest_m, found.nearest)
@@ -174,7 +174,7 @@ class GoalStates:
         return replace(failure, details={**failure.details, "nearest_rad": nearest_rad})
 
     def _point_m(self, goal: TaskGoal, q: Vector) -> list[float]:
-        """Where a goal's link has its point [m]; the root link's origin for a goal of constraints."""
+        """Return the point of a goal's link [m]; the root link's origin for a goal of constraints."""
         self.forward.place(q)
         point_m = np.zeros(3)
         if isinstance(goal, PositionGoal):

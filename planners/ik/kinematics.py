@@ -1,6 +1,6 @@
-"""Conditions as tasks of placo's solver: each is told, step by step, where to go next.
+"""Inverse kinematics by placo: from a configuration to one nearby in which conditions hold.
 
-Inverse kinematics by placo: from a configuration to one nearby in which conditions hold.
+Each condition becomes a task of placo's solver, which gets a new target at every step.
 """
 
 from __future__ import annotations
@@ -310,7 +310,7 @@ class Kinematics:
         )
 
     def descent(self, group: Group, wish: Wish) -> Descent:
-        """What brings configurations to where a wish is met, or as near as possible.
+        """Return a descent that brings configurations to where conditions hold, or as near as possible.
 
         Args:
             group: the joints that may move; the others stay.

@@ -1,8 +1,6 @@
-"""Curves of the joints over time, each joint accelerating uniformly between knots.
+"""Curves of the joints over time, each joint accelerating uniformly between knots, and their jerk limits.
 
 Knots lie on a grid of whole ticks, so two of them are never so near each other that differences lose their digits.
-
-Jerk limits: the accelerations of a curve that jump made to grow and shrink evenly.
 
 A curve averaged over a window of time keeps the velocity and acceleration limits of the curve and has no more jerk than
 the change of its acceleration over a window divided by the window: on a straight line from rest to rest this is the
@@ -40,7 +38,7 @@ def seconds(ticks: Ticks) -> Vector:
 
 @dataclass(frozen=True)
 class Curve:
-    """Where the joints are over time.
+    """Joint positions over time.
 
     Attributes:
         ticks: shape (k,), k >= 2, increasing from 0 [:data:`TICK_S`].
@@ -68,7 +66,7 @@ class Curve:
         return position, velocity + since_s * acceleration, acceleration
 
     def stays_within(self, lower_rad: Vector, upper_rad: Vector) -> bool:
-        """Whether no joint leaves its range, turning points between the knots included."""
+        """Tell whether no joint leaves its range, turning points between the knots included."""
         v0, v1 = self.velocities_rad_s[:-1], self.velocities_rad_s[1:]
         turns = v0 * v1 < 0.0
         span_s = TICK_S * np.diff(self.ticks)[:, np.newaxis]

@@ -1,6 +1,6 @@
-"""Shorten a curve in time: replace random parts of it by least-time ramps where those are free.
+"""From a start and goal configurations to one timed motion that is certified as it will be executed.
 
-From a start and goal configurations to one timed motion that was certified as it will be driven.
+A path that was found is shortened in time: random parts of it are replaced by least-time ramps where those are free.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def _braking(task: MotionTask) -> Curve:
 
 
 def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
-    """Why a search from where the arm stops is of no use, if that is so."""
+    """Return the failure if a search from the stopping point is of no use, else None."""
     stop = lead.positions_rad[-1]
     if np.any((stop < task.space.lower_rad) | (stop > task.space.upper_rad)):
         return PlanningFailure(
@@ -285,7 +285,7 @@ class _Searching:
         return None
 
     def _curves(self) -> list[Curve]:
-        """What is found, and shortened as long as the optimisation lasts; it starts with the first path."""
+        """Yield the curves found, shortened as long as the optimisation lasts; the first path comes first."""
         found: list[Curve] = []
         self._enough_checks = None
         while len(found) < 2 * self._task.attempts and not self._enough():
@@ -300,7 +300,7 @@ class _Searching:
         return found
 
     def _path(self, number: int) -> Vector | None:
-        """What one search finds, without its detours."""
+        """Return the path that one search finds, without its detours."""
         most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
         start = self._task.start if self._lead is None else self._lead.positions_rad[-1]
         query = Query(self._space, start, self._task.goals, self._search_step_m())
@@ -327,7 +327,7 @@ class _Searching:
         return self._space.curve_free(curve, CURVE_STEPS_M[self._finer])
 
     def _enough(self) -> bool:
-        """Whether as much was done as the optimisation time is worth, or the budget is used up."""
+        """Tell whether as much was done as the optimisation time is worth, or the budget is used up."""
         return self._budget.used_up() or (self._enough_checks is not None and self._space.checks >= self._enough_checks)
 
     def _goal_at_end_of(self, curve: Curve) -> int:

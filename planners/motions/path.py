@@ -1,11 +1,8 @@
-"""How much has been looked at: the measure of a search's work, which is the same on every machine.
+"""Collision-free polylines: OMPL's searches with shortcuts from vertex to vertex, and their effort.
 
-Collision-free polylines: OMPL's searches, and shortcuts from vertex to vertex.
-
-Polylines on which a condition holds, where so few configurations meet it that a search would draw none of them.
-
-Two trees grow towards each other in short steps, each brought back to where the condition holds, after Berenson et al.,
-"Manipulation planning on constraint manifolds", 2009.
+Where so few configurations meet a condition that a search would draw none of them, two trees grow towards each other in
+short steps, each projected onto the condition, after Berenson et al., "Manipulation planning on constraint manifolds",
+2009. The effort of a search is counted in checks, which is the same on every machine.
 """
 
 from __future__ import annotations
@@ -40,7 +37,7 @@ def checks_in(time_s: float) -> int:
 
 @lru_cache
 def coarse_first(pieces: int) -> Vector:
-    """Where a line of so many pieces has the ends of its pieces but its start, shape (pieces, 1).
+    """Return the fractions at which the pieces of a line end, coarse first, shape (pieces, 1).
 
     The end comes first, and the others so that they are spread well at any time: what is in the way is found soon.
     """
@@ -74,7 +71,7 @@ class CountedSpace:
         self.upper_rad = space.upper_rad
 
     def free(self, point: Vector | Sequence[float]) -> bool:
-        """Whether nothing touches at a point."""
+        """Tell whether nothing touches at a point."""
         self.checks += 1
         return self._space.free(point)
 
@@ -93,7 +90,7 @@ class CountedSpace:
         return not self._should_stop() and line_is_free(self, start, end, step_m)
 
     def glance(self, start: Vector, end: Vector, step_m: float) -> bool:
-        """Whether nothing touches in points of a straight line.
+        """Tell whether nothing touches in points of a straight line.
 
         Args:
             start: first point, taken to be free.
@@ -105,7 +102,7 @@ class CountedSpace:
         return all(self.free(point) for point in points)
 
     def curve_free(self, curve: Curve, step_m: float) -> bool:
-        """Whether all joints stay in their ranges and nothing touches along a curve; its ends are taken to be free.
+        """Tell whether joints stay in range and nothing touches along a curve; its ends are taken to be free.
 
         Args:
             curve: the curve.
@@ -163,7 +160,7 @@ ou.setLogLevel(ou.LOG_NONE)
 
 @dataclass(frozen=True)
 class Query:
-    """What to search for.
+    """Query of a path search.
 
     Attributes:
         space: where to search.

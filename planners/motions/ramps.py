@@ -1,11 +1,8 @@
-"""Closed forms: least time from rest to rest on a straight joint line, and from a moving start.
+"""Least-time motions in closed form: straight joint lines, and ramps between two states of the joints.
 
-Everything is rounded up to whole ticks, at most three of them.
-
-Least-time motions between two states of the joints: speed up, cruise, slow down, each joint for itself.
-
-After Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration
-shortcuts", 2010: all joints take the time of the slowest.
+A ramp speeds up, cruises and slows down, each joint for itself, and all joints take the time of the slowest, after
+Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration shortcuts", 2010.
+Durations are rounded up to whole ticks, at most three of them.
 """
 
 from __future__ import annotations
@@ -28,7 +25,7 @@ LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
 
 
 def same_point(a: Vector, b: Vector) -> bool:
-    """Whether two points are one."""
+    """Tell whether two points are one."""
     return bool(np.max(np.abs(a - b)) <= SAME_POINT_RAD)
 
 

@@ -1,13 +1,7 @@
-"""What is refused of a question for velocities.
+"""Servoing: from a commanded twist or joint velocity to joint velocities, many times a second.
 
-What the tip should do now: the command, and what brings back what drifted.
-
-What became of a wish, told as moveit_msgs/ServoStatus tells it, and in words.
-
-Answers the questions of who steers the arm: the tip's position first, its orientation as far as it goes.
-
-First the joints are found that give the tip its velocity within all walls; then, among the motions that leave that as
-it is, those that turn it best.
+First the joint velocities are found that give the tip its linear velocity within all limits; then, among those that
+leave it as it is, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
 """
 
 from __future__ import annotations
@@ -114,7 +108,7 @@ HELD_DRIFT_M = 0.005
 
 @dataclass(frozen=True)
 class Wish:
-    """What the tip should do, along the root link's axes.
+    """Commanded motion of the tip, along the root link's axes.
 
     Attributes:
         linear_m_s: its velocity, shape (3,) [m/s].
@@ -220,7 +214,7 @@ def _nothing() -> Vector:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was wanted and what is had.
+    """The commanded velocity and the achieved one.
 
     Attributes:
         velocity_rad_s: of the joints that may move, shape (n,) [rad/s].
@@ -246,7 +240,7 @@ class Outcome:
 
     @property
     def share(self) -> float:
-        """How much of the speed wanted is had, in its direction, 0 to 1."""
+        """Achieved share of the commanded speed, in its direction, 0 to 1."""
         square = float(self.wanted @ self.wanted)
         return min(max(float(self.had @ self.wanted) / square, 0.0), 1.0) if square > 0.0 else 1.0
 
@@ -272,7 +266,7 @@ def answer_of(question: ServoQuestion, names: tuple[str, ...], outcome: Outcome,
 
 
 def _held_back(names: tuple[str, ...], outcome: Outcome, around: Walls) -> tuple[ServoStatus, list[str]]:
-    """What holds the arm back: the gravest as the status, all of it in words."""
+    """Return the reasons for a reduced speed: the gravest as the status, all of them in words."""
     status, said = ServoStatus.NO_WARNING, []
     joints, pairs = around.joints(outcome.active), around.near(outcome.active)
     if joints:
@@ -297,7 +291,7 @@ _SINGULARITIES = {
 
 
 def _given_up(question: ServoQuestion, outcome: Outcome, joints: int) -> list[str]:
-    """What of a turn, or of the orientation, cannot be had."""
+    """Describe the part of a rotation, or of the orientation, that cannot be achieved."""
     if isinstance(question.command, TipTwist) and any(question.command.angular_rad_s):
         asked = float(np.linalg.norm(question.command.angular_rad_s))
         missing = float(np.linalg.norm(outcome.wanted_turn_rad_s - outcome.turn_rad_s))
@@ -328,7 +322,7 @@ PUSHED_TURN_M = 0.15
 
 @dataclass(frozen=True)
 class Place:
-    """Where the arm is asked about.
+    """State of the arm at which velocities are asked for.
 
     Attributes:
         q: every joint, shape (n,) [rad].
@@ -472,5 +466,5 @@ def _ramped(outcome: Outcome, place: Place) -> Outcome:
 
 
 def _share_of_speed(velocity: Vector, max_velocity: Vector) -> float:
-    """How much of a motion is left when its fastest joint is brought within its limit, all alike."""
+    """Return the common scale that brings a motion's fastest joint within its limit."""
     return 1.0 / max(1.0, float(np.max(np.abs(velocity) / max_velocity)))

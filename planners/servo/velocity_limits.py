@@ -1,17 +1,15 @@
-"""Small least-squares problems with inequalities, solved by the primal active-set method.
+"""Limits on joint velocities while servoing, and the least-squares problem that is solved within them.
 
-See Nocedal and Wright, Numerical Optimization, 2nd edition, algorithm 16.3.
+Joint limits and obstacles ahead are inequalities on the velocities: the speed of approach shrinks with the distance,
+motion along them and away from them is free. Faverjon and Tournassoud, "A local based approach for path planning of
+manipulators with a high number of degrees of freedom", 1987.
 
-Where the tip can hardly be moved in one direction: motion into there is slowed, motion out of there is not.
+Near a singularity, motion into it is slowed and motion out of it is not. Only the part of a command in the weak direction
+is concerned, that of the least singular value of the position's Jacobian; the greatest divided by it is the condition
+number.
 
-Only the part of a wish in the weak direction is concerned. The weak direction is that of the least singular value of
-the position's Jacobian; the greatest divided by it is the condition number.
-
-What joints must not do now, as inequalities on their velocities: limits and things ahead.
-
-The speed at which a wall is neared shrinks with the distance to it; along it and away from it all is free. See
-Faverjon and Tournassoud, A local based approach for path planning of manipulators with a high number of degrees of
-freedom, 1987.
+The least-squares problems with inequalities are solved by the primal active-set method: Nocedal and Wright, Numerical
+Optimization, 2nd edition, algorithm 16.3.
 """
 
 from __future__ import annotations
@@ -80,7 +78,7 @@ def _step_along(hessian: Vector, slope: Vector, rows: Vector) -> tuple[Vector, V
 
 
 def _room(x: Vector, step: Vector, rows: Vector, bounds: Vector, active: list[int]) -> tuple[float, int | None]:
-    """How much of a step is allowed, and the first inequality that blocks the rest."""
+    """Return the allowed share of a step, and the first inequality that blocks the rest."""
     gain = rows @ step
     gain[active] = 0.0
     towards = np.flatnonzero(gain > NOTHING * max(1.0, float(np.abs(step).max())))
@@ -106,7 +104,7 @@ LEAST_PROGRESS = 0.01
 
 @dataclass(frozen=True)
 class Ahead:
-    """How it will be: the tip's position, shape (3,) [m], and its Jacobian, shape (3, n) [m/rad]."""
+    """Prediction: the tip's position, shape (3,) [m], and its Jacobian, shape (3, n) [m/rad]."""
 
     position_m: Vector
     jacobian: Vector
@@ -168,7 +166,7 @@ def _least_value(there: Ahead) -> float:
 
 
 def _share(condition: float, change: float, limits: ServoLimits) -> tuple[float, ServoStatus]:
-    """How much of a motion in the weak direction is allowed."""
+    """Return the allowed share of a motion in the weak direction."""
     if change > NOTICED_M_PER_RAD:
         return 1.0, ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY
     if condition >= limits.singularity_stop:

@@ -1,16 +1,13 @@
 """CDR, the binary form that ROS 2 middleware gives a message: plain XCDR version 1, little-endian.
 
 A primitive is aligned to its own size, counted from behind the four bytes that name the representation (OMG
-DDS-XTypes 1.3, section 7.4.3; DDSI-RTPS 2.5, section 10). Text ends with a zero, which counts in its length. What is
-empty is one octet, for the C structures behind ROS 2 messages need a member (rosidl,
+DDS-XTypes 1.3, section 7.4.3; DDSI-RTPS 2.5, section 10). Text ends with a zero, which counts in its length. An empty
+structure is one octet, for the C structures behind ROS 2 messages need a member (rosidl,
 structure_needs_at_least_one_member).
 
-A type is compiled once into a tree of coders.
-
-Reads CDR, as :mod:`protocol.codecs.cdr` writes it, into complete messages.
-
-What is read may come from another machine or a damaged file: every length is held against the octets that are there
-before anything is made of it. A type is compiled once into a tree of readers.
+A type is compiled once into a tree of coders for writing and into one of readers for reading. Input may come from
+another machine or from a damaged file: every length is checked against the octets that are there before anything is
+allocated for it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Collision model of the robot, its surroundings and attached objects: bodies, checked pairs, contacts and distances."""
+"""Collision model of the robot, its surroundings and attached objects: checked pairs, contacts and distances."""
 
 from __future__ import annotations
 

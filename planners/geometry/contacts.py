@@ -1,7 +1,7 @@
 """Contact checks at two levels: all checked pairs of hulls at once, by pinocchio and coal, and exact ones.
 
-The broad check is quick and conservative, for hulls contain their links. The exact check decides on pairs of links whose
-hulls touch: it uses shapes that are closer to the links than one hull each.
+The broad check is quick and conservative, for hulls contain their links. The exact check decides on pairs of links
+whose hulls touch: it uses shapes that are closer to the links than one hull each.
 """
 
 from __future__ import annotations

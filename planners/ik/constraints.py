@@ -1,7 +1,7 @@
 """Goals and constraints as sets of conditions on one configuration, which can be measured and solved for.
 
-A condition tells what is ``missing`` to its middle as a vector, and what of that lies ``beyond`` its tolerance: a vector
-of zeros once it holds. Poses are those of its link in the robot's root link.
+A condition tells what is ``missing`` to its middle as a vector, and what of that lies ``beyond`` its tolerance: a
+vector of zeros once it holds. Poses are those of its link in the robot's root link.
 """
 
 from __future__ import annotations

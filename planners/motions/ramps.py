@@ -1,8 +1,8 @@
 """Least-time motions in closed form: straight joint lines, and ramps between two states of the joints.
 
 A ramp speeds up, cruises and slows down, each joint for itself, and all joints take the time of the slowest, after
-Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration shortcuts", 2010.
-Durations are rounded up to whole ticks, at most three of them.
+Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration shortcuts",
+2010. Durations are rounded up to whole ticks, at most three of them.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ motion along them and away from them is free. Faverjon and Tournassoud, "A local
 manipulators with a high number of degrees of freedom", 1987.
 
 Near a singularity, motion into it is slowed and motion out of it is not. Only the part of a command in the weak
-direction is concerned, that of the least singular value of the position's Jacobian; the greatest divided by it is the condition
-number.
+direction is concerned, that of the least singular value of the position's Jacobian; the greatest divided by it is the
+condition number.
 
 The least-squares problems with inequalities are solved by the primal active-set method: Nocedal and Wright, Numerical
 Optimization, 2nd edition, algorithm 16.3.

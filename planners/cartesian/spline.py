@@ -1,4 +1,8 @@
-"""A smooth curve through given points: the natural cubic spline."""
+"""A smooth curve through given points: the natural cubic spline.
+
+scipy is imported by the first spline: it takes half a second and 50 MB, which only paths of the tip need and a worker may
+not take at its start.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +23,15 @@ class SplinePath:
 
     Args:
         knots: shape (m,), m >= 2, strictly increasing parameters.
-        points: shape (m, n), where the curve is there [rad].
+        points: shape (m, n), finite, where the curve is there [rad].
     """
 
     def __init__(self, knots: Vector, points: Vector) -> None:
+        from scipy.interpolate import CubicSpline
+
         self.knots = knots
-        self._points = points
-        self._bends = _second_derivatives(knots, points)
+        self.points = points
+        self._curve = CubicSpline(knots, points, bc_type="natural")
 
     @property
     def grid(self) -> Vector:
@@ -37,31 +43,4 @@ class SplinePath:
 
     def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
         """Position, first or second derivative at parameters, shape (k, n)."""
-        i = np.clip(np.searchsorted(self.knots, path_positions, side="right") - 1, 0, len(self.knots) - 2)
-        span = (self.knots[i + 1] - self.knots[i])[:, np.newaxis]
-        u = (path_positions - self.knots[i])[:, np.newaxis] / span
-        p0, p1, m0, m1 = self._points[i], self._points[i + 1], self._bends[i], self._bends[i + 1]
-        if order == 0:
-            bend = ((1.0 - u) ** 3 - (1.0 - u)) * m0 + (u**3 - u) * m1
-            return np.asarray((1.0 - u) * p0 + u * p1 + span**2 / 6.0 * bend)
-        if order == 1:
-            bend = (1.0 - 3.0 * (1.0 - u) ** 2) * m0 + (3.0 * u**2 - 1.0) * m1
-            return np.asarray((p1 - p0) / span + span / 6.0 * bend)
-        return np.asarray((1.0 - u) * m0 + u * m1)
-
-
-def _second_derivatives(knots: Vector, points: Vector) -> Vector:
-    """At each knot, shape (m, n): those for which the first derivative is continuous, 0 at both ends."""
-    spans = np.diff(knots)
-    slopes = np.diff(points, axis=0) / spans[:, np.newaxis]
-    right = 6.0 * np.diff(slopes, axis=0)
-    diagonal = 2.0 * (spans[:-1] + spans[1:])
-    bends = np.zeros_like(points)
-    # Gauss elimination of a matrix with three diagonals: its work is proportional to the points.
-    for i in range(1, len(right)):
-        share = spans[i] / diagonal[i - 1]
-        diagonal[i] -= share * spans[i]
-        right[i] -= share * right[i - 1]
-    for i in range(len(right) - 1, -1, -1):
-        bends[i + 1] = (right[i] - spans[i + 1] * bends[i + 2]) / diagonal[i]
-    return bends
+        return self._curve(path_positions, order)

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -54,3 +55,8 @@ def test_the_grid_has_every_knot_and_rises(points, spacing):
     path = spline(points, spacing)
     assert np.all(np.diff(path.grid) > 0.0)
     assert np.abs(path.grid[:, np.newaxis] - path.knots).min(axis=0).max() < 1e-12
+
+
+def test_points_that_are_not_finite_make_no_curve():
+    with pytest.raises(ValueError, match="finite"):
+        SplinePath(np.array([0.0, 1.0]), np.array([[0.0], [np.nan]]))

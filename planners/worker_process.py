@@ -124,11 +124,6 @@ class WorkerProcess:
         return self._child.pid
 
     @property
-    def takes_questions(self) -> bool:
-        """It is on this machine."""
-        return True
-
-    @property
     def usable(self) -> bool:
         """Whether it can take a request: it has loaded the robot, runs, and does not intend to end."""
         return self.loaded and not self._ending and self._child.running

@@ -13,8 +13,6 @@ WITHOUT_TEST = {
     "robot/guard_limits.py",
     "robot/hardware/interface.py",
     "planners/messages.py",
-    "planners/cluster/messages.py",
-    "planners/planning_worker.py",
     "planners/goals.py",
     "planners/problem.py",
     "planners/rates.py",

@@ -1,7 +1,7 @@
 """A smooth curve through given points: the natural cubic spline.
 
-scipy is imported by the first spline: it takes half a second and 50 MB, which only paths of the tip need and a worker may
-not take at its start.
+scipy is imported by the first spline: it takes half a second and 50 MB, which only paths of the tip need and which a
+worker may not take at its start.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 def _no_cluster(value: object) -> object:
     if isinstance(value, str) and "://" in value:
         raise ValueError(
-            "must be 1 to 16: a server plans on its own machine only; on a Dask cluster a batch of problems is planned, by"
+            "must be 1 to 16: a server plans on its own machine only; a Dask cluster plans batches of problems, by"
             " armbridge plan FILE --scheduler tcp://HOST:PORT"
         )
     return value

@@ -41,7 +41,7 @@ def note(path: Path) -> None:
 def _outcomes(path: Path, ids: tuple[str, ...], seed: int) -> list[Outcome]:
     settings = {"seed": seed, "optimization_time_s": OPTIMIZATION_S, "allowed_time_s": ALLOWED_TIME_S}
     file = problem_file.read(path, model.builtin())
-    return list(plan_command.plan_all(file, plan_command.chosen(file, Options(path, ids=ids, settings=settings))))
+    return list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=ids, settings=settings))))
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """Files of the source that one `/moveit_goal_pose` passes, from the socket to the servos and back.
 
 Every process of a server notes the files whose functions run while a goal is under way. Files that also run while the
-server is at rest, with its clock, its states and its health, are noted apart: a goal passes them too, but not on its way.
+server is at rest, with its clock, its states and its health, are noted apart: a goal does not pass those on its way.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.figures import print_table
-from tests.helpers.client import FrameClient, frame_client
+from tests.helpers.client import frame_client
 from tests.helpers.server import RunningServer
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +27,7 @@ POSE = {
 
 # Python imports a module of this name in every process at its start. A thread watches for a file that says when to note
 # what runs; the profile function is set for all threads ahead, for it cannot be set for another thread later.
-_SITECUSTOMIZE = '''
+_SITECUSTOMIZE = """
 import os, sys, threading, time
 folder, rooms = {folder!r}, {rooms!r}
 seen, noting = set(), False
@@ -51,7 +51,7 @@ def watch():
 threading.setprofile(profile)
 sys.setprofile(profile)
 threading.Thread(target=watch, daemon=True).start()
-'''
+"""
 
 
 def run() -> None:
@@ -64,10 +64,7 @@ def run() -> None:
         with RunningServer(settings={"PYTHONPATH": path}) as server:
             asyncio.run(_send_goal(server.url, folder))
         resting, moving = _noted(folder, "1-rest"), _noted(folder, "2-goal")
-    rows = [
-        [room, str(len(_of(room, moving))), str(len(_of(room, moving - resting)))]
-        for room in ROOMS
-    ]
+    rows = [[room, str(len(_of(room, moving))), str(len(_of(room, moving - resting)))] for room in ROOMS]
     rows.append(["all", str(len(moving)), str(len(moving - resting))])
     print_table("Files that a /moveit_goal_pose passes", ["room", "while it is under way", "not at rest"], rows)
     for name in sorted(moving - resting):

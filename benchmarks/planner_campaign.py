@@ -21,8 +21,7 @@ import uvloop
 
 from benchmarks.figures import percentiles, print_table
 from planners import worker_process
-from planners.local_workers import LOAD_TIMEOUT_S
-from planners.pool import OVERTIME_S, PlannerPool
+from planners.pool import LOAD_TIMEOUT_S, OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
 from robot.description import model
 from tests.helpers.broken_planner import FAULTS

@@ -114,7 +114,7 @@ def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
     mesh = any(thing.get("type") == "mesh" for thing in fields["objects"])
     judge = _judge(path) if SHARED.is_dir() else None
     file = problem_file.read(path, model.builtin())
-    options = plan_command.Options(path, every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
+    options = plan_command.Options([path], every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
     for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
         entry = entries[outcome.asked.id]
         (answer,) = plan_command.as_json([outcome], file.joint_names)

@@ -124,18 +124,13 @@ class WorkerProcess:
         return self._child.pid
 
     @property
-    def takes_questions(self) -> bool:
-        """It is on this machine."""
-        return True
-
-    @property
     def usable(self) -> bool:
-        """Whether it can take a request: it has loaded the robot, runs, and does not intend to end."""
+        """True when it can take a request: it has loaded the robot, runs, and does not intend to end."""
         return self.loaded and not self._ending and self._child.running
 
     @property
     def ending(self) -> str:
-        """How the process ended, or that it has not."""
+        """Description of the process's end, or that it has not ended."""
         return self._child.ending
 
     def run_delay_s(self) -> float | None:
@@ -143,7 +138,7 @@ class WorkerProcess:
         return read_run_delay_s(self.pid)
 
     def has(self, scene: Scene) -> bool:
-        """Whether the process has this scene."""
+        """Tell whether the process has this scene."""
         return self._scene_version == scene.version
 
     async def ask(self, request: Request, scene: Scene) -> Answer:
@@ -262,7 +257,7 @@ def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]
 
 
 def allowed_time_s(request: Request) -> float:
-    """How long a planner may take by the request's own word, within reason [s]; it refuses what is no time itself."""
+    """Return the time that a request allows its planner, bounded [s]; the planner itself refuses what is no time."""
     match request:
         case StateQuestion() | RecheckQuestion() | ServoQuestion():
             return CHECK_TIME_S

@@ -34,7 +34,6 @@ from server.moveit.face import MoveItFace
 from server.moveit.readiness import ARM_START_TIMEOUT_S
 from server.operations.operations import Operations
 from server.operations.service_manager import environment_manager
-from server.planning_cluster import planning_cluster
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
 from server.timers import call_later
@@ -108,8 +107,7 @@ class App:
             limits=settings.server.limits.limits(),
         )
         planning = settings.planning
-        self._pool = PlannerPool(description.robot, planning.active_here, planning.memory_limit_bytes)
-        self._cluster = planning_cluster(planning, description.robot, self._pool)
+        self._pool = PlannerPool(description.robot, planning.workers, planning.memory_limit_bytes)
         self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
 
@@ -161,8 +159,6 @@ class App:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
-        if self._cluster is not None:
-            self._cluster.start()
 
     def _open_parts(self) -> None:
         self._joint_states.open()
@@ -202,7 +198,6 @@ class App:
             Step("clients", self._close_clients, 0.6),
             Step("other machines", self._close_bridge, 0.4),
             Step("the recording", self._close_recorder, 0.8),
-            Step("the cluster", self._close_cluster, 0.4),
             Step("planners", self._pool.close, 0.4),
         ]
 
@@ -224,10 +219,6 @@ class App:
             await self._recorder.close()
         if self._rosout is not None:
             self._rosout.close()
-
-    async def _close_cluster(self) -> None:
-        if self._cluster is not None:
-            await self._cluster.close()
 
     def _what_runs_where(self) -> str:
         arm, serial = self._arm, self._settings.arm.serial

@@ -27,8 +27,6 @@ ALLOWED = {
         "planners.files.problem_file",
         "planners.files.plan_command",
         "planners.pool",
-        "planners.cluster.address",
-        "planners.cluster.cluster",
         "planners.servo.question",
     ),
     "planners": ("planners", "robot.description.model", "robot.trajectory", "robot.channel", "robot.processes"),
@@ -42,14 +40,6 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/arm.py",
     "planners/pool.py",
     "planners/worker_process.py",
-    "planners/local_workers.py",
-    "planners/places.py",
-    # A Dask cluster is spoken to from the server's event loop, and from a Dask worker's where it has planner processes.
-    "planners/cluster/link.py",
-    "planners/cluster/cluster.py",
-    "planners/cluster/cluster_worker.py",
-    "planners/cluster/roster.py",
-    "planners/cluster/tasks.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 

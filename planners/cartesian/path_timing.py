@@ -2,7 +2,7 @@
 
 Pham & Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018.
 
-toppra is imported in the functions that use it: it loads scipy and matplotlib, most of a second and 65 MB that only
+toppra is imported in the functions that use it: with scipy and matplotlib it takes most of a second and 65 MB that only
 paths of the tip need and that a worker may not take at its start.
 """
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.cartesian.spline import SplinePath
+from planners.cartesian.tip_curve import SplinePath
 from planners.problem import RateLimits
 from robot.trajectory import Trajectory
 
@@ -216,5 +216,4 @@ def time_along(
     profile = toppra_profile(path, limits, top_rate)
     if profile is None:
         return None
-    ends = path(path.knots[[0, -1]])
-    return within_limits(sampled(path, profile, joint_names, ends), limits)
+    return within_limits(sampled(path, profile, joint_names, path.points), limits)

@@ -13,8 +13,7 @@ from planners.budget import Budget
 from planners.cartesian import tip_path as cartesian_checks
 from planners.cartesian.following import Ended, Followed, Following, TipTracker, leaves_limits
 from planners.cartesian.path_timing import time_along
-from planners.cartesian.spline import SplinePath
-from planners.cartesian.tip_curve import tip_curve
+from planners.cartesian.tip_curve import SplinePath, tip_curve
 from planners.cartesian.tip_path import TipPath
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel

@@ -103,7 +103,7 @@ class AttachedFields(ObjectFields):
 
 
 class SceneFields(BaseModel):
-    """What stands around, what is held, and what may touch."""
+    """Objects around the robot, attached objects, and allowed contacts."""
 
     objects: list[ObjectFields] = []
     attached: list[AttachedFields] = []
@@ -213,13 +213,13 @@ class FileProblem:
 
     @property
     def feasible(self) -> bool:
-        """Whether there is said to be a motion."""
+        """True when the file says that there is a motion."""
         return MoveItErrorCode.SUCCESS in self.accept_codes
 
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """What a file says.
+    """Content of a problem file.
 
     Attributes:
         robot: the robot that was given, with the file's limits.

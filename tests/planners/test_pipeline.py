@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from planners.cartesian.path_timing import time_along
-from planners.cartesian.spline import SplinePath
+from planners.cartesian.tip_curve import SplinePath
 from planners.checks import START_CONTACT_DEPTH_M
 from planners.geometry.collision import CollisionModel
 from planners.goals import (

@@ -16,7 +16,7 @@ from planners.cartesian.path_timing import (
     toppra_profile,
     within_limits,
 )
-from planners.cartesian.spline import SplinePath
+from planners.cartesian.tip_curve import SplinePath
 from planners.problem import RateLimits
 from robot.trajectory import Trajectory
 from tests.helpers.examples import examples
@@ -211,7 +211,8 @@ def test_a_bend_that_the_arm_could_not_get_away_from_has_no_timing():
 
 
 def test_numbers_that_are_not_finite_have_no_timing():
-    assert toppra_profile(SplinePath(np.array([0.0, 1.0]), np.array([[0.0] * 3, [np.nan] * 3])), LIMITS) is None
+    line = SplinePath(np.array([0.0, 1.0]), np.array([[0.0] * 3, [1.0] * 3]))
+    assert toppra_profile(line, RateLimits(np.ones(3), np.full(3, np.nan))) is None
 
 
 def test_a_curve_of_many_points_takes_as_long_as_one_of_few():

@@ -74,7 +74,8 @@ function readPose(pose: Pose | undefined): Pick<SceneObject, "position_m" | "ori
   return { position_m: readPoint(pose.position), orientation: has_rotation ? [x, y, z, w] : [0, 0, 0, 1] };
 }
 
-function readTriangle({ vertex_indices: [a = 0, b = 0, c = 0] }: { vertex_indices: number[] }): [number, number, number] {
+function readTriangle({ vertex_indices }: { vertex_indices: number[] }): [number, number, number] {
+  const [a = 0, b = 0, c = 0] = vertex_indices;
   return [a, b, c];
 }
 

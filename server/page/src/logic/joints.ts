@@ -30,7 +30,7 @@ export function jointLimits({ limits, urdf }: Pick<State, "limits" | "urdf">): R
   return Object.fromEntries(pairs) as Record<string, [number, number]>;
 }
 
-/** Limits of the last description, as reading them takes longer than a frame of the panel. */
+/** Limits of the last description, as every update of the panel needs them once per joint. */
 let cached: { urdf: string; limits: Record<string, [number, number]> } | null = null;
 
 function urdfLimits(urdf: string): Record<string, [number, number]> {

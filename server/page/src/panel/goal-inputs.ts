@@ -37,7 +37,8 @@ export function targetSection(context: PanelContext): HTMLElement {
   }
   const boxes = AXES.map((axis, index) => el("label", {}, `${axis} `, fields[index]?.input ?? ""));
   const problems = fields.map(({ problem }) => problem);
-  return section("target", "Target of the tool (m)", true, el("div", { class: "axes" }, ...boxes), ...problems, reachability);
+  const line = el("div", { class: "axes" }, ...boxes);
+  return section("target", "Target of the tool (m)", true, line, ...problems, reachability);
 }
 
 function targetPosition({ selection, target: { position_m }, tool_m }: State): Point {

@@ -63,7 +63,8 @@ export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: Ob
     return new SceneView(canvas, store, moved);
   } catch (error) {
     const reason = (error as Error).message;
-    setNotice(store, "view:webgl", `The arm cannot be drawn in 3D here (${reason}): it is not shown, everything else works.`);
+    const text = `The arm cannot be drawn in 3D here (${reason}): it is not shown, everything else works.`;
+    setNotice(store, "view:webgl", text);
     return null;
   }
 }

@@ -17,10 +17,9 @@ from robot.messages import ArmHealth, ArmState, EndState, Mode
 from robot.processes import StartedChild
 from server.access.access import Access
 from server.access.control import Control
-from server.arm_pace import ArmPace
-from server.arm_services import ArmServices
-from server.arm_setup import Description, arm_config, check_parameters
-from server.arm_state import ArmStateTopics
+from server.arm.services import ArmPace, ArmServices
+from server.arm.setup import Description, arm_config, check_parameters
+from server.arm.topics import ArmStateTopics, JointStates
 from server.config import RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.errors import StartError
@@ -29,16 +28,14 @@ from server.gateway import page
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.http import HttpGate
 from server.gateway.listener import Listener
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.hangup import on_hangup
-from server.joint_states import JointStates
+from server.lifecycle import Step, stop_in_order, stop_signals, unless_ended
 from server.moveit.interface import MoveItInterface
 from server.operations.operations import Operations
 from server.operations.service_manager import environment_manager
-from server.planning_cluster import planning_cluster
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
-from server.stopping import Step, stop_in_order, stop_signals, unless_ended
 from server.timers import call_later
 from server.zenoh.joining import bridge_of
 
@@ -109,8 +106,7 @@ class App:
             limits=settings.server.limits.limits(),
         )
         planning = settings.planning
-        self._pool = PlannerPool(description.robot, planning.active_here, planning.memory_limit_bytes)
-        self._cluster = planning_cluster(planning, description.robot, self._pool)
+        self._pool = PlannerPool(description.robot, planning.workers, planning.memory_limit_bytes)
         self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
         self._moveit = MoveItInterface(
@@ -165,8 +161,6 @@ class App:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
-        if self._cluster is not None:
-            self._cluster.start()
 
     def _open_parts(self) -> None:
         self._joint_states.open()
@@ -206,7 +200,6 @@ class App:
             Step("clients", self._close_clients, 0.6),
             Step("other machines", self._close_bridge, 0.4),
             Step("the recording", self._close_recorder, 0.8),
-            Step("the cluster", self._close_cluster, 0.4),
             Step("planners", self._pool.close, 0.4),
         ]
 
@@ -228,10 +221,6 @@ class App:
             await self._recorder.close()
         if self._rosout is not None:
             self._rosout.close()
-
-    async def _close_cluster(self) -> None:
-        if self._cluster is not None:
-            await self._cluster.close()
 
     def _what_runs_where(self) -> str:
         arm, serial = self._arm, self._settings.arm.serial

@@ -20,8 +20,8 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
-from robot import model
 from robot.calibration import Calibration
+from robot.description import model
 from server.gateway.page import HOW_TO_GET_IT, PAGE_DIRECTORY, is_built
 from server.recording.reader import Recording
 from tests.helpers.client import FrameClient, frame_client, goal_is, status_state

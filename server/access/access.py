@@ -14,7 +14,7 @@ from server.access.rates import Rate
 from server.access.roles import Identity
 from server.access.settings import AccessSettings
 from server.access.tokens import Tokens
-from server.node import Node
+from server.graph.node import Node
 
 # Whoever limits services wants clients to find out what there is all the same (rosbridge_server).
 ALWAYS_SERVICES = ("/rosapi/*",)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from server.access.lease import RELEASE_SERVICE, Lease
-from server.arm_state import LEVEL_OK, key_values
-from server.calls import Call, answer
-from server.graph import Graph
-from server.node import Node
+from server.arm.topics import LEVEL_OK, key_values
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph
 from server.timers import CallLater, Timer
 
 TOPIC = "/arm/control"

@@ -23,7 +23,7 @@ from server.access.lease import Lease
 from server.access.rates import Rate
 from server.access.roles import Identity, Role
 from server.access.rules import Rule
-from server.node import Node
+from server.graph.node import Node
 
 # Topics that a client is known to may use; one that uses more is asked anew for each.
 MAX_SETTLED = 1000

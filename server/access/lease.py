@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Literal, TypeAlias
 
 from server.access.roles import Role
-from server.node import Node
+from server.graph.node import Node
 
 Policy: TypeAlias = Literal["lease", "shared"]
 

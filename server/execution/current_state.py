@@ -7,9 +7,9 @@ from typing import Any, Protocol
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
+from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
-from robot.model import RobotModel
-from server.arm_services import ENABLE, RESET_FAULT
+from server.arm.services import ENABLE, RESET_FAULT
 from server.errors import RefusedError
 
 # Starting an interpreter, opening the bus, checking six servos and raising torque takes 1.2 s. Where other programs use

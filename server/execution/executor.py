@@ -15,8 +15,8 @@ from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm import Arm
+from robot.description.model import RobotModel
 from robot.messages import ArmState, Outcome
-from robot.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.current_state import ARM_START_TIMEOUT_S, CurrentState, check_ready

@@ -24,8 +24,8 @@ from planners.problem import (
     StateQuestion,
 )
 from planners.scene import Scene
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.failed_goals")
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from robot.description.model import RobotModel
 from robot.messages import ArmState, Course, Mode
-from robot.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 

@@ -11,7 +11,7 @@ from protocol.dialect import Dialect
 from protocol.errors import ProtocolError
 from protocol.limits import Limits
 from protocol.operations import CallService, Operation, Publish, SendActionGoal
-from protocol.parcel import Parcel
+from protocol.publication import Parcel
 from protocol.session import Refusal, Session
 from server.access.access import unlimited
 from server.access.roles import ANYONE, Identity
@@ -22,8 +22,8 @@ from server.gateway.client_services import ClientServices
 from server.gateway.client_status import ClientStatus
 from server.gateway.client_topics import ClientTopics
 from server.gateway.spelling import Spelling
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
 

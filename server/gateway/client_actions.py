@@ -19,11 +19,10 @@ from protocol.operations import (
     UnadvertiseAction,
 )
 from protocol.session import with_id
-from server.action_goals import Goal, GoalStatus, Result
-from server.actions import Actions
 from server.gateway.client_status import Tell
 from server.gateway.spelling import Spelling
-from server.node import Node
+from server.graph.actions import Actions, Goal, GoalStatus, Result
+from server.graph.node import Node
 
 # rosbridge_library (capabilities/advertise_action.py) takes every other status for an aborted goal.
 _TOLD_STATUSES = (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)

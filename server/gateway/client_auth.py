@@ -13,7 +13,7 @@ from server.access.guard import Guard
 from server.access.roles import called
 from server.gateway.client_status import Tell
 from server.gateway.entrance.wrong_tokens import WrongTokens
-from server.node import Node
+from server.graph.node import Node
 
 log = logging.getLogger("armbridge.gateway")
 

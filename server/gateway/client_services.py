@@ -11,11 +11,10 @@ from protocol.limits import Limits
 from protocol.names import qualify
 from protocol.operations import AdvertiseService, CallService, Operation, ServiceResponse, UnadvertiseService
 from protocol.session import with_id
-from server.calls import Call, Response
 from server.gateway.client_status import Tell
 from server.gateway.spelling import Spelling
-from server.node import Node
-from server.services import Services
+from server.graph.node import Node
+from server.graph.services import Call, Response, Services
 
 
 class ClientServices:

@@ -28,7 +28,7 @@ from protocol.operations import (
 from protocol.session import Refusal, Session
 from server.errors import GraphError
 from server.gateway.log_share import LogShare
-from server.node import Node
+from server.graph.node import Node
 
 Tell: TypeAlias = Callable[[Literal["warning", "info"], Operation, str], None]
 

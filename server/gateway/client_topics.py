@@ -7,12 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from protocol.errors import OperationError, ProtocolError
 from protocol.names import qualify
 from protocol.operations import Advertise, Operation, Publish, Subscribe, Unadvertise, Unsubscribe
-from protocol.parcel import Parcel
-from protocol.publication import Publication
+from protocol.publication import Parcel, Publication
 from protocol.session import Session
 from server.gateway.spelling import Spelling
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 
 # rosbridge_server's lifespan of what is published without latch (rosbridge_library, internal/publishers.py): clients
 # publish right after they have advertised, when nobody has had the time to subscribe.

@@ -13,7 +13,7 @@ from websockets.protocol import State
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
-from protocol.parcel import Parcel
+from protocol.publication import Parcel
 from server.access.access import Access, unlimited
 from server.access.roles import ANYONE, Identity, Role, called
 from server.gateway.client import Client
@@ -21,8 +21,8 @@ from server.gateway.client_auth import WayIn
 from server.gateway.entrance.wrong_tokens import WrongTokens
 from server.gateway.traffic import TrafficCounts
 from server.gateway.websocket import TURN_S, WebSocket
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -18,7 +18,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from protocol.errors import one_line, shorten
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import FileTooLargeError, ServiceError
 from server.gateway import page
 from server.gateway.file_cache import FileCache, StoredFile

@@ -23,7 +23,7 @@ from server.gateway.http import HttpGate
 from server.gateway.http_answers import Answer, names
 from server.gateway.traffic import Traffic
 from server.gateway.websocket import WebSocket
-from server.graph import Graph
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -13,7 +13,7 @@ from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
-from protocol.parcel import Parcel
+from protocol.publication import Parcel
 from server.access.roles import ANYONE, Identity
 from server.gateway.entrance.turnstile import Visit
 

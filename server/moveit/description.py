@@ -17,10 +17,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import FileTooLargeError, ServiceError
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.description")
 

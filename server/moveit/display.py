@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from protocol.messages import Stamp
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.model import RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.execution.current_state import state_message
 from server.execution.queue import Performed
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.poses import pose_of
 from server.moveit.requests.context import Message
 from server.moveit.requests.trajectories import to_message
-from server.node import Node
 
 PATH_TOPIC = "/display_planned_path"
 CONTACTS_TOPIC = "/display_contacts"

@@ -11,17 +11,17 @@ import numpy as np
 
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose, Scene
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
-from robot.trapezoid import rest_to_rest
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from robot.trajectory import rest_to_rest
 from server.errors import RefusedError, ServiceError
 from server.execution.motions import PlannedMotion, Positions
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.goal_messages import GoalTranslator, Message, PositionSource
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import matrix_of
 from server.moveit.requests.refusals import required
-from server.node import Node
 
 SERVICE = "/check_goals"
 

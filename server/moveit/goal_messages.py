@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates

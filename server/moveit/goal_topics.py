@@ -12,12 +12,13 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
-from robot.model import RobotModel
-from server.arm_state import key_values
+from robot.description.model import RobotModel
+from server.arm.topics import key_values
 from server.errors import RefusedError
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_messages import (
     JOINTS_TOPIC,
     JOINTS_TYPE,
@@ -29,7 +30,6 @@ from server.moveit.goal_messages import (
     Message,
     suggestion,
 )
-from server.node import Node
 
 log = logging.getLogger("armbridge.goals")
 

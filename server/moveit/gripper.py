@@ -16,16 +16,16 @@ from typing import Any, Protocol
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.arm import Arm
+from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
-from robot.model import Joint
-from robot.trapezoid import rest_to_rest
-from server.action_goals import Goal, GoalStatus
+from robot.trajectory import rest_to_rest
 from server.errors import RefusedError
 from server.execution.current_state import ARM_START_TIMEOUT_S, check_ready
 from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import ArmClock, TimeLimits
-from server.graph import Graph
-from server.node import Node
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gripper")
 

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from planners.pool import PlannerPool
 from robot.arm import Arm
 from robot.calibration import GRIPPER_JOINT
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.model import RobotModel
 from server.config import Settings
 from server.execution.current_state import CurrentState
 from server.execution.executor import GoalExecutor
@@ -19,7 +19,8 @@ from server.execution.failures import FailedGoals
 from server.execution.motions import Motion
 from server.execution.queue import Answer, GoalQueue, QueuedGoal
 from server.execution.time_limits import TimeLimits
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.actions.motion_actions import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
@@ -36,7 +37,6 @@ from server.moveit.scene.state import SceneState
 from server.moveit.services.offer import offer_services
 from server.moveit.services.planning_context import PlanningContext
 from server.moveit.servo.servo_node import ServoNode
-from server.node import Node
 from server.operations.goal_tally import GoalTally
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.

@@ -20,13 +20,13 @@ from typing import Any, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from robot.model import RobotModel
-from server.calls import ServiceFunction
+from robot.description.model import RobotModel
 from server.errors import ServiceError
 from server.execution.current_state import CurrentState, state_message
 from server.execution.motions import Positions
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.services import ServiceFunction
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.named_states")
 

@@ -18,7 +18,7 @@ from server.access.settings import AccessSettings
 from server.config import ServerSettings
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.listener import Listener
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.hangup import on_hangup
 from server.recording.player import Player
 from server.recording.reader import Outline, Recording

@@ -8,8 +8,8 @@ import logging
 
 from server.access.access import Access
 from server.access.roles import Identity, Role
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.zenoh.keys import Tokens
 from server.zenoh.names import Namespace
 from server.zenoh.network import Network

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from protocol.codecs import cdr_reader
+from protocol.codecs import cdr
 from protocol.errors import MessageError
 from server.access.guard import Guard
 from server.errors import GraphError
@@ -183,7 +183,7 @@ class IncomingTopics:
             return
         network, type_name = self._network, topic.source.endpoint.type_name
         try:
-            message = cdr_reader.deserialize(network.graph.interfaces.registry, type_name, octets)
+            message = cdr.deserialize(network.graph.interfaces.registry, type_name, octets)
             if not self._is_turned_away(topic.name, message):
                 network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
         except (MessageError, GraphError) as error:

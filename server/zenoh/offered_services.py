@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from protocol.codecs import cdr, cdr_reader
+from protocol.codecs import cdr
 from protocol.errors import MessageError
 from server.access.guard import Guard
-from server.calls import Response
+from server.graph.services import Response
 from server.zenoh import attachment
 from server.zenoh.attachment import Attachment
 from server.zenoh.keys import Endpoint, Kind
@@ -166,7 +166,7 @@ class OfferedServices:
             return
         try:
             type_name = f"{asked.service.endpoint.type_name}_Request"
-            request = cdr_reader.deserialize(network.graph.interfaces.registry, type_name, asked.octets)
+            request = cdr.deserialize(network.graph.interfaces.registry, type_name, asked.octets)
         except MessageError as error:
             respond(Response(ok=False, values=f"Service {name}: {error}"))
         else:

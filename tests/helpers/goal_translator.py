@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from robot import model
+from robot.description import model
 from server.moveit.goal_messages import GoalTranslator
 from server.moveit.named_states import NamedStates, Positions
 from server.moveit.parameters import MoveItParameters

@@ -7,7 +7,7 @@ from collections import deque
 from typing import Any
 
 from protocol.limits import Limits
-from protocol.parcel import Frame
+from protocol.publication import Frame
 from protocol.registry import Registry
 from server.access.access import Access
 from server.access.roles import ANYONE, Identity
@@ -15,7 +15,7 @@ from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_auth import WayIn
 from server.gateway.entrance.wrong_tokens import WrongTokens
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.rosapi.api import RosApi
 from tests.helpers.clock import FakeClock
 

@@ -10,7 +10,7 @@ from protocol.registry import Registry
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.http import HttpGate
 from server.gateway.listener import Listener
-from server.graph import Graph
+from server.graph.topics import Graph
 
 REGISTRY = Registry.load()
 TIMEOUT_S = 30.0

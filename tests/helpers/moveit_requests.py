@@ -6,7 +6,7 @@ from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from robot import model
+from robot.description import model
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.context import RequestContext
 from server.moveit.scene.frames import Frames

@@ -10,8 +10,8 @@ import numpy as np
 from planners.problem import PlanningFailure
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot import model
-from robot.forward import ForwardPlacements
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server.execution.current_state import CurrentState
 from server.moveit.scene.contents import Draft

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from planners.geometry.forward import ForwardKinematics
+from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
-from robot.control.velocity_tracking import VelocityTracking
-from robot.limits import JointBounds
-from robot.model import RobotModel
+from robot.control.streaming import VelocityTracking
+from robot.description.limits import JointBounds
+from robot.description.model import RobotModel
 from server.moveit.servo.session import LEAD_S
 
 TIP = "gripper_frame_link"

@@ -21,9 +21,9 @@ from protocol.publication import Publication
 from protocol.registry import Registry
 from server.access.access import Access
 from server.access.settings import AccessSettings
-from server.calls import Call
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.services import Call
+from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings
 

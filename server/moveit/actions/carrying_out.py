@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.action_goals import Goal, GoalStatus
 from server.execution.motions import Motion
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.graph.actions import Goal, GoalStatus
 
 log = logging.getLogger("armbridge.actions")
 

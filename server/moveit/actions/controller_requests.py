@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 from server.execution.motions import Positions
 from server.moveit.actions.followed_goal import FollowCode, FollowedTolerances
 from server.moveit.actions.given_motions import given_motion

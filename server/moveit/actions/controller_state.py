@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from protocol.messages import Stamp
+from robot.description.model import Group
 from robot.messages import ArmState
-from robot.model import Group
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.actions.followed_goal import point
-from server.node import Node
 
 STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import logging
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import RobotModel
-from server.action_goals import Goal
+from robot.description.model import RobotModel
 from server.execution.current_state import CurrentState
 from server.execution.motions import Motion
 from server.execution.queue import Answer, GoalQueue
-from server.graph import Graph
+from server.graph.actions import Goal
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.actions.carrying_out import Message, StateFeedback, carry_out, finish, refuse
 from server.moveit.actions.given_motions import given_motion
 from server.moveit.actions.messages import code_message
-from server.node import Node
 
 log = logging.getLogger("armbridge.actions")
 

@@ -9,17 +9,17 @@ from typing import Any, TypeAlias
 
 from protocol.publication import Publication
 from robot.arm import Arm
+from robot.description.model import Group, RobotModel
 from robot.messages import ArmState
-from robot.model import Group, RobotModel
-from server.action_goals import Goal, GoalStatus
 from server.execution.current_state import CurrentState
 from server.execution.motions import Motion
 from server.execution.queue import GoalPolicy, GoalQueue, Progress
-from server.graph import Graph, Subscriber
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.controller_requests import Refused, refusal_of, tolerances_in
 from server.moveit.actions.followed_goal import FollowedGoal, result
 from server.moveit.actions.given_motions import given_motion
-from server.node import Node
 
 Message: TypeAlias = Mapping[str, Any]
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from planners.problem import MoveItErrorCode
 from robot.messages import ArmState, Outcome
-from server.action_goals import Goal, GoalStatus
 from server.execution.queue import Answer, GoalState, Progress
+from server.graph.actions import Goal, GoalStatus
 from server.moveit.actions.carrying_out import status_of
 from server.moveit.actions.tolerances import Tolerances, violated
 

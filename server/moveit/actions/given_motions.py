@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.control.acceptance import refusal
-from robot.limits import JointBounds
-from robot.model import Group, RobotModel
+from robot.control.checks import refusal
+from robot.description.limits import JointBounds
+from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory
 from server.execution.motions import ExternalTrajectory, Positions
 from server.moveit.actions.carrying_out import Message

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.execution.current_state import state_message
 from server.execution.queue import Answer

@@ -11,7 +11,7 @@ from server.actionlib import ActionlibBridge
 from server.execution.current_state import CurrentState
 from server.execution.motions import Motion
 from server.execution.queue import GoalQueue
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.moveit.actions.controller_state import ControllerState
 from server.moveit.actions.execute_trajectory import EXECUTE_ACTION, ExecuteTrajectory
 from server.moveit.actions.follow_joint_trajectory import ArmController

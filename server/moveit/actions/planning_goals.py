@@ -8,17 +8,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import RobotModel
-from server.action_goals import Goal
+from robot.description.model import RobotModel
 from server.execution.motions import Motion
 from server.execution.queue import Answer, GoalQueue
-from server.graph import Graph
+from server.graph.actions import Goal
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.actions.carrying_out import Message, StateFeedback, carry_out, finish, refuse
 from server.moveit.actions.messages import move_group_result, sequence_result
 from server.moveit.actions.planning_requests import Asked, Requests, asked_by, motion_of, planned_only
 from server.moveit.requests.sequence import requests_of
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 log = logging.getLogger("armbridge.actions")
 

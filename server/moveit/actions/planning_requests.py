@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
-from server.action_goals import Goal
 from server.errors import RefusedError
 from server.execution.motions import PlannedMotion, Positions, plan_sequence
 from server.execution.queue import Answer
+from server.graph.actions import Goal
 from server.moveit.actions.carrying_out import Message
 from server.moveit.actions.planning_options import Options, options_of
 from server.moveit.requests.robot_state import attached_diff

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from planners.goals import JointConstraint
-from robot.model import Joint
+from robot.description.model import Joint
 from server.moveit.requests.context import Message, RequestContext
 from server.moveit.requests.refusals import invalid
 

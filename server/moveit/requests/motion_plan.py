@@ -15,7 +15,7 @@ from planners.problem import (
     PlanningProblem,
     planner_name,
 )
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S, MAX_PLANNING_ATTEMPTS, MoveItParameters
 from server.moveit.requests.constraints import goal_of, path_constraints_of

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import refusals_as_data, refused
 

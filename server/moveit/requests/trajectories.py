@@ -9,7 +9,7 @@ import numpy as np
 
 from planners.problem import MoveItErrorCode
 from protocol.messages import Stamp
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.moveit.requests.context import Message

@@ -12,9 +12,9 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from planners.problem import MoveItErrorCode
-from robot.model import RobotModel
+from robot.description.model import RobotModel
+from server.graph.node import Node
 from server.moveit.requests.refusals import refused
-from server.node import Node
 
 Message = Mapping[str, Any]
 

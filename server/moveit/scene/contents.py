@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from planners.problem import PlanningFailure
 from planners.scene import Pose, Scene
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.moveit.requests.refusals import refused, required
 from server.moveit.scene.frames import LinkPlaces, find_frame, in_root
 from server.moveit.scene.matrix import ContactMatrix, Message, unchecked_pairs

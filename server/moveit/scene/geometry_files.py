@@ -11,12 +11,12 @@ from typing import Any
 from protocol.errors import MessageError
 from server.errors import RefusedError
 from server.execution.current_state import CurrentState
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.requests.refusals import invalid, required
 from server.moveit.scene.contents import SceneContents
 from server.moveit.scene.geometry_text import read_geometry, write_geometry
 from server.moveit.scene.state import SceneState
-from server.node import Node
 
 log = logging.getLogger("armbridge.scene")
 

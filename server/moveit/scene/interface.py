@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.execution.current_state import CurrentState
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.geometry_files import GeometryFiles
@@ -12,7 +13,6 @@ from server.moveit.scene.monitored import MonitoredScene
 from server.moveit.scene.services import SceneServices
 from server.moveit.scene.state import SceneState
 from server.moveit.scene.topics import SceneTopics
-from server.node import Node
 
 
 class SceneInterface:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from planners.scene import Pose
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.moveit.poses import write_pose
 from server.moveit.scene.changes import NO_PADDING_M, NO_SCALE
 from server.moveit.scene.contents import SceneContents

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.execution.current_state import CurrentState
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.scene.messages import EVERYTHING, difference, scene_message
 from server.moveit.scene.state import SceneState
-from server.node import Node
 from server.timers import CallLater, Timer, call_later
 
 TOPIC = "/monitored_planning_scene"

@@ -7,16 +7,16 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from robot.model import RobotModel
-from server.calls import Call, answer
+from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.current_state import CurrentState, state_message
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph
 from server.moveit.requests.refusals import required
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.messages import scene_message
 from server.moveit.scene.state import SceneState
-from server.node import Node
 
 Message = Mapping[str, Any]
 

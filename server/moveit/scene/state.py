@@ -10,8 +10,8 @@ from typing import Any
 from planners.problem import PlanningFailure
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_checks import check_whole
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.moveit.scene.changes import change_scene, change_world
 from server.moveit.scene.contents import Draft, SceneContents

@@ -10,9 +10,9 @@ from planners.problem import PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
 from server.execution.current_state import CurrentState
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.scene.state import Positions, SceneState
-from server.node import Node
 
 log = logging.getLogger("armbridge.scene")
 

@@ -9,6 +9,7 @@ from typing import Any
 from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
 from server.execution.current_state import state_message
+from server.graph.node import Node
 from server.moveit.poses import pose_of
 from server.moveit.requests.codes import deviation_note, failure_code, success
 from server.moveit.requests.constraints import path_constraints_of
@@ -19,7 +20,6 @@ from server.moveit.requests.trajectories import to_message
 from server.moveit.services.cut_path import cut_lines, length_m
 from server.moveit.services.jumps import Jump, Thresholds, first_jump
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 # MoveIt's clients take a path for the whole from here on.
 WHOLE_FRACTION = 0.99

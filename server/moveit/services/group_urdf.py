@@ -5,11 +5,11 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from typing import Any
 
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
+from server.graph.node import Node
 from server.moveit.requests.codes import success
 from server.moveit.requests.context import Message
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 
 def get_urdf(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - as every service

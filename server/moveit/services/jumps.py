@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory, Vector
 
 # Steps up to this exceed no factor: a flip of an elbow or a wrist goes further at once, and where a path begins, five

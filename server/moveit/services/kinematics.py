@@ -9,8 +9,9 @@ from planners.goals import ConstraintGoal, Constraints, Goal, OrientationConstra
 from planners.problem import IkQuestion, MoveItErrorCode
 from planners.scene import Pose
 from protocol.messages import Stamp
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.execution.current_state import state_message
+from server.graph.node import Node
 from server.moveit.parameters import MAX_KINEMATICS_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import pose_of, write_pose
 from server.moveit.requests.codes import deviation_note, success
@@ -21,7 +22,6 @@ from server.moveit.requests.refusals import invalid, refused, required
 from server.moveit.requests.regions import LEAST_TOLERANCE_M
 from server.moveit.scene.frames import seen_from
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 NANOSECONDS_PER_S = 1e9
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.calls import Call, answer
 from server.errors import RefusedError, ServiceError
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph
 from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.requests.codes import failure_code
 from server.moveit.requests.context import Message
@@ -23,7 +24,6 @@ from server.moveit.services.planner_interface import get_planner_params, query_p
 from server.moveit.services.planning_context import PlanningContext
 from server.moveit.services.sequence import plan_sequence_path
 from server.moveit.services.validity import check_state_validity
-from server.node import Node
 
 log = logging.getLogger("armbridge.moveit")
 

@@ -7,12 +7,12 @@ from typing import Any
 from planners.problem import CartesianPlan, PlanningFailure
 from server.errors import RefusedError
 from server.execution.current_state import state_message
+from server.graph.node import Node
 from server.moveit.requests.codes import deviation_note, success
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import required
 from server.moveit.requests.trajectories import to_message
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from server.errors import ServiceError
+from server.graph.node import Node
 from server.moveit.parameters import KNOWN_KEYS
 from server.moveit.requests.context import Message
 from server.moveit.requests.motion_plan import OMPL, PILZ, PIPELINES, check_pipeline
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 # As MoveIt's planning plugins call themselves.
 INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}

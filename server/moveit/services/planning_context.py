@@ -9,16 +9,16 @@ from typing import Protocol
 from planners.pool import PlannerPool
 from planners.problem import CartesianProblem, PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.forward import ForwardPlacements
-from robot.model import Group, RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import Group, RobotModel
 from server.execution.motions import Positions, Step
+from server.graph.node import Node
 from server.moveit.display import DisplayTopics
 from server.moveit.parameters import PlannerParameters
 from server.moveit.requests.context import FrameResolver, Message, RequestContext, group_of
 from server.moveit.requests.motion_plan import PlanRequest, problem_of
 from server.moveit.requests.refusals import required
 from server.moveit.requests.robot_state import attached_diff, start_positions, stated_positions
-from server.node import Node
 
 
 class PlanningSceneState(Protocol):

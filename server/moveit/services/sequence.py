@@ -6,13 +6,13 @@ from typing import Any
 
 from server.execution.current_state import state_message
 from server.execution.motions import plan_sequence
+from server.graph.node import Node
 from server.moveit.requests.codes import failure_code, success
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import required
 from server.moveit.requests.sequence import requests_of
 from server.moveit.requests.trajectories import to_message
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 
 async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:

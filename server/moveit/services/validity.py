@@ -9,12 +9,12 @@ from typing import Any
 from planners.goals import Constraints
 from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
 from planners.scene import Scene
-from robot.model import RobotModel
+from robot.description.model import RobotModel
+from server.graph.node import Node
 from server.moveit.requests.constraints import path_constraints_of
 from server.moveit.requests.context import Message
 from server.moveit.requests.refusals import required
 from server.moveit.services.planning_context import PlanningContext
-from server.node import Node
 
 log = logging.getLogger("armbridge.moveit")
 

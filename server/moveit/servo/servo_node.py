@@ -12,17 +12,17 @@ from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.current_state import check_ready
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.state import SceneState
 from server.moveit.servo.commands import Message, Resolve, Wanted, read_joint_jog, read_pose_target, read_twist
 from server.moveit.servo.gate import CommandType, Gate
 from server.moveit.servo.session import ServoSession, Steered
 from server.moveit.servo.status import StatusTopic, log
-from server.node import Node
 
 TWIST_TOPIC = "/servo_node/delta_twist_cmds"
 JOINT_TOPIC = "/servo_node/delta_joint_cmds"

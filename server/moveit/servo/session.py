@@ -23,8 +23,7 @@ from planners.servo.question import (
     ServoQuestion,
     ServoStatus,
 )
-from robot.arm import Arm
-from robot.arm_stream import ArmStream
+from robot.arm import Arm, ArmStream
 from server.moveit.servo.commands import Resolve, Wanted, in_root_link, rest_of
 
 log = logging.getLogger("armbridge.servo")

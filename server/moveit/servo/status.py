@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 
 from planners.servo.question import ServoStatus
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.servo")
 

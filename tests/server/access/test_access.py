@@ -7,7 +7,7 @@ from protocol.operations import Auth
 from server.access.access import Access, unlimited
 from server.access.roles import Identity, Role
 from server.access.settings import AccessSettings
-from server.node import Node
+from server.graph.node import Node
 
 TOKEN = "one-0123456789abcdef"
 

@@ -9,7 +9,7 @@ from server.access.access import Access
 from server.access.guard import MAX_SETTLED, Guard
 from server.access.roles import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
-from server.node import Node
+from server.graph.node import Node
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
 

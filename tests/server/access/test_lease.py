@@ -4,7 +4,7 @@ import pytest
 
 from server.access.lease import RESERVED_S, Lease
 from server.access.roles import Identity, Role
-from server.node import Node
+from server.graph.node import Node
 
 
 class World:

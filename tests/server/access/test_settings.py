@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from server.access.settings import AccessSettings
-from server.config_reading import load
+from server.config_loader import load
 from server.errors import ConfigurationError
 
 LONG = "correct-horse-battery"

@@ -9,7 +9,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.errors import RefusedError

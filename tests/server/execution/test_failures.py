@@ -10,7 +10,7 @@ from planners.files import problem_file
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
-from robot import model
+from robot.description import model
 from server.execution.failures import Alternatives, FailedGoals
 from tests.helpers.moveit_services import HOME, ROBOT, DirectPool
 from tests.helpers.requests import EASY

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode
-from robot import model
-from robot.control.acceptance import refusal
-from robot.limits import JointBounds
+from robot.control.checks import refusal
+from robot.description import model
+from robot.description.limits import JointBounds
 from robot.messages import ArmState, Course, Mode, Pace
 from server.errors import RefusedError
 from server.execution.splicing import (

@@ -9,8 +9,8 @@ from protocol.codecs import png
 from protocol.limits import Limits
 from server.access.roles import Identity, Role
 from server.access.settings import AccessSettings
-from server.graph import Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Subscriber
 from tests.helpers.conformance import cases, play
 from tests.helpers.in_process import InProcess
 

@@ -10,7 +10,7 @@ from protocol.errors import MessageError, NothingToDoError, OperationError
 from protocol.operations import Advertise, Operation, Publish, SetLevel, Status, Subscribe, Unsubscribe
 from protocol.session import Refusal, Session
 from server.gateway.client_status import ClientStatus
-from server.node import Node
+from server.graph.node import Node
 
 
 class Told:

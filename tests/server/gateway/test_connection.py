@@ -18,8 +18,8 @@ from server.gateway.entrance.door import Door
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.entrance.turnstile import ConnectionLimits
 from server.gateway.listener import Listener
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 TALKER = Node("talker")
 TIMEOUT_S = 30.0

@@ -19,7 +19,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from server.errors import ServiceError
 from server.gateway import http as gate
 from server.gateway import page
@@ -27,7 +27,7 @@ from server.gateway.entrance.reception import OPEN_TIMEOUT_S
 from server.gateway.http import HttpGate
 from server.gateway.http_answers import Answer
 from server.gateway.listener import Listener
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.moveit import description
 
 REGISTRY = Registry.load()

@@ -20,7 +20,7 @@ from server.errors import ConfigurationError, StartError
 from server.gateway.entrance.door import Door
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.listener import Listener, tells_of_more_than_http
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.rosapi.api import RosApi
 from tests.helpers.conformance import cases, play
 

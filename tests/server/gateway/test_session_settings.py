@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from protocol.limits import Limits
-from server.config_reading import load
+from server.config_loader import load
 from server.errors import ConfigurationError
 from server.gateway.session_settings import SessionSettings
 

@@ -9,8 +9,8 @@ from websockets.asyncio.client import connect
 from protocol.registry import Registry
 from server.gateway.listener import Listener
 from server.gateway.traffic import Traffic, TrafficCounts
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 TALKER = Node("talker")
 

@@ -11,14 +11,14 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
-from protocol.parcel import Frame as Payload
-from protocol.parcel import Parcel
+from protocol.publication import Frame as Payload
+from protocol.publication import Parcel
 from protocol.registry import Registry
 from server.gateway import websocket
 from server.gateway.listener import Listener
 from server.gateway.websocket import WRITE_LIMIT_BYTES, WebSocket
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 TALKER = Node("talker")
 TIMEOUT_S = 30.0

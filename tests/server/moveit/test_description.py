@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from protocol.registry import Registry
-from robot import model
-from server.calls import Response
+from robot.description import model
 from server.errors import FileTooLargeError, ServiceError
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph, Subscriber
 from server.moveit import description
 from server.moveit.description import (
     FILE_SERVICE,
@@ -25,7 +26,6 @@ from server.moveit.description import (
     read_file,
     with_package_urls,
 )
-from server.node import Node
 
 REGISTRY = Registry.load()
 ROBOT = model.builtin()

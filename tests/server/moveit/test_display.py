@@ -7,11 +7,12 @@ import pytest
 
 from planners.scene import Pose
 from protocol.registry import Registry
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from robot.trajectory import Trajectory
 from server.execution.queue import Performed
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.display import (
     CONTACTS_TOPIC,
     PATH_TOPIC,
@@ -22,7 +23,6 @@ from server.moveit.display import (
     TransformsTopics,
 )
 from server.moveit.poses import matrix_of
-from server.node import Node
 from tests.helpers.moveit_requests import HOME, ROBOT
 
 MOTION = Trajectory(("elbow_flex",), np.array([0.0, 1.0]), np.array([[0.0], [0.5]]), np.zeros((2, 1)), np.zeros((2, 1)))

@@ -11,10 +11,11 @@ from planners.goals import JointGoal
 from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
-from robot import model
-from robot.forward import ForwardPlacements
-from server.calls import Response
-from server.graph import Graph
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph
 from server.moveit import goal_checks
 from server.moveit.goal_checks import (
     GOAL_TIME_S,
@@ -29,7 +30,6 @@ from server.moveit.goal_checks import (
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, pose_of
 from server.moveit.scene.state import SceneState
-from server.node import Node
 from tests.helpers.goal_translator import TRANSLATOR, At
 from tests.helpers.moveit_services import DirectPool
 

@@ -10,10 +10,11 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_topics import (
     CONFIRM_MODE_SERVICE,
     CONFIRM_TOPIC,
@@ -23,7 +24,6 @@ from server.moveit.goal_topics import (
     GoalStatusTopics,
     GoalTopics,
 )
-from server.node import Node
 from tests.helpers.arm_server import values_of
 from tests.helpers.goal_translator import TRANSLATOR
 

@@ -8,9 +8,9 @@ import pytest
 
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.description.model import builtin
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
-from robot.model import builtin
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.player import BRAKING_TIMEOUT_S

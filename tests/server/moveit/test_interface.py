@@ -12,11 +12,10 @@ from websockets.asyncio.client import connect
 
 from planners.pool import PlannerPool
 from protocol.registry import Registry
-from robot.model import RobotModel, builtin, parse
-from server.arm_guard_settings import GuardSettings
-from server.config import ArmSettings, GoalSettings, Settings
+from robot.description.model import RobotModel, builtin, parse
+from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.time_limits import TimeLimits
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.moveit.interface import MoveItInterface
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import seven_joint_arm

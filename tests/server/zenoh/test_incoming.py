@@ -7,7 +7,7 @@ import pytest
 import zenoh.ext
 
 from server.access.settings import AccessSettings
-from server.graph import Subscriber
+from server.graph.topics import Subscriber
 from tests.helpers.zenoh_network import RosMachine, Site, free_port, until
 
 STRING = "std_msgs/msg/String"

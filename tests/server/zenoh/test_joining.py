@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 from server.access.access import unlimited
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.zenoh.bridge import Bridge
 from server.zenoh.joining import bridge_of
 from server.zenoh.settings import ZenohSettings
@@ -25,7 +25,7 @@ def test_a_server_that_shares_nothing_does_not_load_zenoh() -> None:
     program = """
 import sys
 from server.access.access import unlimited
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.zenoh.joining import bridge_of
 from server.zenoh.settings import ZenohSettings
 from protocol.registry import Registry

@@ -5,11 +5,11 @@ from collections.abc import AsyncIterator
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.action_goals import Goal, GoalStatus
 from server.execution.motions import PlannedMotion
 from server.execution.queue import Answer, GoalState, Progress
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
 from server.moveit.actions.carrying_out import StateFeedback, carry_out, refuse, status_of
-from server.node import Node
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.played_arm import settle
 

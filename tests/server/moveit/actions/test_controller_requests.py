@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from robot import model
+from robot.description import model
 from server.moveit.actions.controller_requests import Refused, refusal_of, tolerances_in
 from server.moveit.actions.followed_goal import FollowCode, FollowedTolerances
 from tests.helpers.moveit_requests import HOME, message

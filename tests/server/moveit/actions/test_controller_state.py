@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from robot import model
-from server.graph import Graph, Subscriber
+from robot.description import model
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.controller_state import ControllerState
-from server.node import Node
 from tests.helpers.played_arm import JOINTS, PlayedArm
 
 GROUP = model.builtin().groups["arm"]

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from server.action_goals import GoalStatus
 from server.execution.motions import ExternalTrajectory
 from server.execution.queue import GoalState, Progress
+from server.graph.actions import GoalStatus
 from server.moveit.actions.follow_joint_trajectory import INDUSTRIAL_ACTION, ArmController
 from server.moveit.actions.followed_goal import FollowCode
 from tests.helpers.action_desk import ActionDesk

@@ -8,13 +8,13 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.messages import ArmState, Outcome
-from server.action_goals import Goal, GoalStatus, Result
 from server.execution.queue import Answer, GoalState, Performed, Progress
-from server.interfaces import Interfaces
+from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
 from server.moveit.actions.followed_goal import FollowCode, FollowedGoal, FollowedTolerances, code_of
-from server.node import Node
 from tests.helpers.played_arm import JOINTS, PlayedArm
 from tests.helpers.trajectories import smooth_move
 

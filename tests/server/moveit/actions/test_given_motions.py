@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from planners.problem import PlanningFailure
-from robot import model
+from robot.description import model
 from robot.trajectory import Trajectory
 from server.moveit.actions.given_motions import given_motion, smallest_group
 from tests.helpers.moveit_requests import message

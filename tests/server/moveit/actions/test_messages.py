@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from planners.problem import MoveItErrorCode
-from robot import model
+from robot.description import model
 from server.execution.queue import Answer, Performed
 from server.moveit.actions.messages import move_group_result, sequence_result
 from tests.helpers.moveit_requests import message

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from server.action_goals import GoalStatus
 from server.execution.motions import PlannedMotion
+from server.graph.actions import GoalStatus
 from server.moveit.actions.planning_goals import MOVE_ACTIONS, SEQUENCE_ACTION, PlanningActions
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_requests import joint

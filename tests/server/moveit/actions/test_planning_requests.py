@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
-from server.action_goals import Goal
 from server.execution.motions import PlannedMotion
+from server.graph.actions import Goal
 from server.moveit.actions.planning_requests import Asked, asked_by, motion_of, planned_only
 from tests.helpers.moveit_requests import joint, message
 from tests.helpers.moveit_services import HOME, ServiceRig

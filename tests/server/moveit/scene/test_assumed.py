@@ -5,8 +5,8 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from server.errors import RefusedError
+from server.graph.node import Node
 from server.moveit.scene.assumed import AssumedStates
-from server.node import Node
 from tests.helpers.planning_scene import BENT, ROBOT, message
 
 

@@ -5,10 +5,10 @@ import pytest
 
 from protocol.registry import Registry
 from server.errors import RefusedError
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.scene import geometry_files
 from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within
-from server.node import Node
 from tests.helpers.planning_scene import BENT, box, current_state, message, scene_state
 
 

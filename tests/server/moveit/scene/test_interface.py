@@ -1,6 +1,6 @@
 from planners.problem import MoveItErrorCode
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.interface import SceneInterface

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.poses import matrix_of
 from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.services import APPLY, CLEAR_OCTOMAP, GET, SceneServices
 from server.moveit.scene.state import SceneState
-from server.node import Node
 from tests.helpers.clock import FakeClock
 from tests.helpers.planning_scene import BENT, FORWARD, JOINTS, ROBOT, box, current_state, pose
 

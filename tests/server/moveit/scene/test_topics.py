@@ -4,10 +4,10 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.scene.state import SceneState
 from server.moveit.scene.topics import SceneTopics
-from server.node import Node
 from tests.helpers.planning_scene import ROBOT, box, current_state
 
 

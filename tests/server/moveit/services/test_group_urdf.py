@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from planners.problem import MoveItErrorCode
-from robot import model
+from robot.description import model
 from server.moveit.services.group_urdf import group_urdf
 from tests.helpers.moveit_requests import ROBOT
 from tests.helpers.moveit_services import ServiceRig

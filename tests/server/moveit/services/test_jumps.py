@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory
 from server.moveit.services.jumps import LEAST_JUMP_RAD, MAX_SAMPLES, Thresholds, first_jump
 from tests.helpers.moveit_requests import HOME, ROBOT, TIP

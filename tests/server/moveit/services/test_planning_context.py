@@ -4,8 +4,8 @@ import pytest
 
 from planners.problem import CartesianProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.errors import RefusedError
+from server.graph.node import Node
 from server.moveit.requests.motion_plan import PILZ
-from server.node import Node
 from tests.helpers.moveit_requests import HOME, assert_refused, joint, message
 from tests.helpers.moveit_services import ServiceRig
 

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
+from server.graph.node import Node
 from server.moveit.servo.gate import CommandType, Gate
 from server.moveit.servo.ownership import SILENCE_S
-from server.node import Node
 
 TIMEOUT_S = 0.25
 ONE, OTHER = Node("one"), Node("other")

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+from server.graph.node import Node
 from server.moveit.servo.ownership import SILENCE_S, Ownership
-from server.node import Node
 
 ONE, OTHER = Node("one"), Node("other")
 

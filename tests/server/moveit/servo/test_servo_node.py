@@ -11,7 +11,8 @@ import pytest
 from planners.pool import PlannerPool
 from planners.scene import EMPTY_SCENE, Pose, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.state import SceneState
 from server.moveit.servo.servo_node import (
@@ -25,7 +26,6 @@ from server.moveit.servo.servo_node import (
     ServoNode,
 )
 from server.moveit.servo.status import STATUS_TOPIC
-from server.node import Node
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.in_process import REGISTRY
 from tests.helpers.steerable_arm import ROBOT, SteerableArm

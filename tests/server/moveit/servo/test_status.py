@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from planners.servo.question import ServoStatus
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.servo.status import INT8, LOGGED_AGAIN_S, STATUS_TOPIC, StatusTopic
-from server.node import Node
 from tests.helpers.clock import FakeClock
 from tests.helpers.in_process import REGISTRY
 

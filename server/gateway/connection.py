@@ -20,7 +20,7 @@ from server.gateway.client import Client
 from server.gateway.client_auth import WayIn
 from server.gateway.entrance.wrong_tokens import WrongTokens
 from server.gateway.traffic import TrafficCounts
-from server.gateway.websocket import TURN_S, WebSocket
+from server.gateway.websocket import TURN_S, WebSocket, address_of
 from server.graph import Graph
 from server.node import Node
 
@@ -226,12 +226,6 @@ class Connection:
             return
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(wake.wait(), due_s - now_s)
-
-
-def address_of(websocket: WebSocket) -> tuple[str, int]:
-    """Address and port of the client; a connection that broke off at once has none any more."""
-    address = websocket.remote_address
-    return (str(address[0]), int(address[1])) if isinstance(address, tuple) else ("unknown", 0)
 
 
 def _dialect(websocket: WebSocket) -> Dialect:

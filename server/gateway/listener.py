@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import functools
 import logging
 import socket
 from collections.abc import Mapping
+from typing import Any, cast
 
+from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from protocol.limits import Limits
 from server.access.access import Access, unlimited
 from server.client_list import ClientList
-from server.gateway.connection import Connection, address_of
+from server.gateway.connection import Connection
 from server.gateway.entrance.descriptors import make_room_for
 from server.gateway.entrance.door import Caller
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.entrance.exposure import check_exposure
-from server.gateway.entrance.listening import listen, resolve
-from server.gateway.entrance.reception import Reception
+from server.gateway.entrance.listening import BACKLOG, listen, resolve
 from server.gateway.entrance.turnstile import RETRY_AFTER_S, Turnstile
 from server.gateway.http import HttpGate
 from server.gateway.http_answers import Answer, names
 from server.gateway.traffic import Traffic
-from server.gateway.websocket import WebSocket
+from server.gateway.websocket import WRITE_LIMIT_BYTES, WebSocket, address_of
 from server.graph import Graph
 
 log = logging.getLogger("armbridge.gateway")
@@ -30,6 +35,17 @@ log = logging.getLogger("armbridge.gateway")
 # A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
 # beyond it the socket is closed (1009) before it is read.
 OVERSIZE = 2
+
+# websockets counts an answer over HTTP as part of the handshake, and cuts it short when the time is up, without a word.
+# The largest mesh, 20 MB, takes so long at 170 kB/s, over a poor wireless link.
+OPEN_TIMEOUT_S = 120.0
+
+# Browsers close at once; a client that does not must not hold up the end of the server.
+CLOSE_TIMEOUT_S = 0.5
+
+# RFC 8446 needs two round trips; a slow device computes for a second.
+TLS_HANDSHAKE_TIMEOUT_S = 10.0
+TLS_SHUTDOWN_TIMEOUT_S = 1.0
 
 # Lines of websockets for each answer over HTTP, as if it were a failure: a page that is loaded is none.
 _HTTP_LINES = ("connection rejected", "HTTP response sent")
@@ -79,7 +95,10 @@ class Listener:
         self._takes_goals_along = takes_goals_along
         self._access = access or unlimited()
         self._sockets: list[socket.socket] = []
-        self._server: Reception | None = None
+        # One a socket.
+        self._servers: list[Server] = []
+        # From the first byte of HTTP on, or the last of the TLS handshake, to the end.
+        self._connections: set[WebSocket] = set()
         self._clients = ClientList(graph)
         self.traffic = Traffic()
 
@@ -125,11 +144,38 @@ class Listener:
         make_room_for(self._connection_limits.max_clients)
         self._clients.open()
         logging.getLogger("websockets.server").addFilter(tells_of_more_than_http)
-        max_size_bytes = OVERSIZE * self._limits.max_message_bytes
-        self._server = Reception(
-            self._sockets, self._turnstile, self._tls, max_size_bytes, self._answer, self._serve_client, self._pings
+        for listening in self._sockets:
+            self._servers.append(await self._serve_on(listening))
+
+    def _serve_on(self, listening: socket.socket) -> Server:
+        options: dict[str, Any] = {}
+        if self._tls is not None:
+            options = {
+                "ssl": self._tls.context,
+                "ssl_handshake_timeout": TLS_HANDSHAKE_TIMEOUT_S,
+                "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
+            }
+        make = functools.partial(WebSocket, turnstile=self._turnstile, connections=self._connections)
+        return serve(
+            self._serve_client,
+            sock=listening,
+            backlog=BACKLOG,
+            # websockets' documentation allows for a wrapper, its annotation does not.
+            create_connection=cast("type[ServerConnection]", make),
+            process_request=self._answer,
+            server_header=None,
+            # As in rosbridge_server: deflate doubles the cost of every message.
+            compression=None,
+            # Some clients offer a subprotocol and expect it to be passed over.
+            select_subprotocol=lambda _connection, _offered: None,
+            max_size=OVERSIZE * self._limits.max_message_bytes,
+            write_limit=WRITE_LIMIT_BYTES,
+            open_timeout=OPEN_TIMEOUT_S,
+            close_timeout=CLOSE_TIMEOUT_S,
+            ping_interval=self._pings.interval_s,
+            ping_timeout=self._pings.timeout_s,
+            **options,
         )
-        await self._server.open()
 
     def reload_certificate(self) -> None:
         """Read the certificate again, for connections from now on."""
@@ -140,12 +186,23 @@ class Listener:
 
     async def close(self) -> None:
         """Close every connection and the port."""
-        if self._server is not None:
-            await self._server.close()
+        for server in self._servers:
+            server.close()
+        # The servers have stopped to accept and begun to tell their clients when this turn of the loop is over; who has
+        # not asked for anything yet is not waited for.
+        await asyncio.sleep(0)
+        for websocket in [each for each in self._connections if each.state is State.CONNECTING]:
+            websocket.transport.abort()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2 * CLOSE_TIMEOUT_S):
+                for server in self._servers:
+                    await server.wait_closed()
         for each in self._sockets:
             each.close()
 
-    async def _answer(self, websocket: WebSocket, request: Request) -> Response | None:
+    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        websocket = cast(WebSocket, connection)
+        websocket.take_request()
         visit = websocket.visit
         if visit is not None and visit.turned_away is not None:
             retry = {"Retry-After": str(RETRY_AFTER_S)}
@@ -164,7 +221,8 @@ class Listener:
         websocket.identity = admitted
         return await self._http.process_request(websocket, request)
 
-    async def _serve_client(self, websocket: WebSocket) -> None:
+    async def _serve_client(self, server_connection: ServerConnection) -> None:
+        websocket = cast(WebSocket, server_connection)
         connection = Connection(
             websocket,
             self._graph,

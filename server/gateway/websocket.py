@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
+import socket
+import struct
 import time
 from collections.abc import Callable
 from typing import Any
 
-from websockets.asyncio.server import ServerConnection
+from websockets.asyncio.server import Server, ServerConnection
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
 from protocol.parcel import Parcel
 from server.access.roles import ANYONE, Identity
-from server.gateway.entrance.turnstile import Visit
+from server.gateway.entrance.turnstile import Turnstile, Visit
+
+log = logging.getLogger("armbridge.gateway")
 
 # Looking a member of an enumeration up takes as long as calling a function.
 _OPEN, _TEXT, _BINARY = State.OPEN, Opcode.TEXT, Opcode.BINARY
@@ -40,6 +45,10 @@ GROWTH = 4
 # Whoever connects asks for something at once; what sends its request more slowly only holds the connection.
 REQUEST_TIMEOUT_S = 10.0
 
+# SO_LINGER of no time: the connection is reset, and leaves no TIME_WAIT of two minutes in the kernel's table, which a
+# flood would fill.
+_RESET = struct.pack("ii", 1, 0)
+
 
 class WebSocket(ServerConnection):
     """An open connection.
@@ -48,8 +57,16 @@ class WebSocket(ServerConnection):
     none waits is handed over at once; what comes after the client's turn is over waits for whoever iterates over the
     connection, as it does with websockets' own class.
 
+    Args:
+        protocol: the state of the connection, of websockets.
+        server: the server that accepts it.
+        turnstile: counts connections.
+        connections: those of the listener whose TCP connection, and TLS handshake, is made; this one is among them
+            until it ends.
+        options: further arguments of :class:`ServerConnection`.
+
     Attributes:
-        visit: its place among all connections, given up when it ends; None where they are not counted.
+        visit: its place among all connections, given up when it ends; None for one that is closed without an answer.
         identity: who the client is; None until it says so.
         on_message: called with a message, text or bytes, None while nobody is there to be called; must not raise.
         received_bytes: what has come, the handshake included.
@@ -59,11 +76,13 @@ class WebSocket(ServerConnection):
 
     # Beside those of websockets' own class there is no room in a dictionary whose keys all connections share.
     __slots__ = (
+        "_connections",
         "_full",
         "_heard",
         "_last_sent_s",
         "_request_timer",
         "_turn_ends_s",
+        "_turnstile",
         "_unread",
         "_unsent",
         "_unsent_bytes",
@@ -75,10 +94,20 @@ class WebSocket(ServerConnection):
         "visit",
     )
 
-    def __init__(self, protocol: ServerProtocol, *args: Any, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        protocol: ServerProtocol,
+        server: Server,
+        *,
+        turnstile: Turnstile,
+        connections: set[WebSocket],
+        **options: Any,
+    ) -> None:
         # websockets' own log would have every address and every message, with the tokens in them.
         protocol.debug = False
-        super().__init__(protocol, *args, **kwargs)
+        super().__init__(protocol, server, **options)
+        self._turnstile = turnstile
+        self._connections = connections
         self.visit: Visit | None = None
         self.identity: Identity | None = ANYONE
         self._request_timer: asyncio.TimerHandle | None = None
@@ -96,8 +125,14 @@ class WebSocket(ServerConnection):
         self._unsent_bytes = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin to wait for the request."""
+        """Take a place among the connections, and begin to wait for the request."""
         super().connection_made(transport)
+        self._connections.add(self)
+        self.visit = self._turnstile.enter(address_of(self)[0], time.monotonic())
+        if self.visit is None:
+            self.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            self.transport.abort()
+            return
         self.recv_messages.pause = self._pause_reading
         self.recv_messages.resume = self._resume_reading
         self._request_timer = self.loop.call_later(REQUEST_TIMEOUT_S, self.transport.abort)
@@ -106,6 +141,7 @@ class WebSocket(ServerConnection):
         """Make room for others."""
         self.take_request()
         self._unread = b""
+        self._connections.discard(self)
         if self.visit is not None:
             self.visit.end()
         super().connection_lost(exc)
@@ -222,6 +258,12 @@ class WebSocket(ServerConnection):
 
     def _may_go_first(self) -> bool:
         return not len(self.recv_messages.frames) and time.monotonic() < self._turn_ends_s
+
+
+def address_of(websocket: ServerConnection) -> tuple[str, int]:
+    """Address and port of the client; a connection that broke off at once has none any more."""
+    address = websocket.remote_address
+    return (str(address[0]), int(address[1])) if isinstance(address, tuple) else ("unknown", 0)
 
 
 def _is_message(event: Any) -> bool:

@@ -8,9 +8,21 @@ from server.access.settings import AccessSettings
 from server.access.tokens import Tokens
 from server.config import ServerSettings
 from server.gateway.entrance.door import Door
-from server.gateway.entrance.reception import Pings
 from server.gateway.entrance.tls import Tls
 from server.gateway.entrance.turnstile import ConnectionLimits
+
+
+@dataclass(frozen=True)
+class Pings:
+    """How a client is found out whose machine is gone without a word.
+
+    Attributes:
+        interval_s: it is asked so often [s].
+        timeout_s: it has so long to answer [s].
+    """
+
+    interval_s: float = 20.0
+    timeout_s: float = 20.0
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import ssl
+from collections.abc import Callable
 from pathlib import Path
 
 from server.errors import ConfigurationError
@@ -23,7 +24,8 @@ class Tls:
         key: PEM file.
 
     Attributes:
-        context: for new connections; those that are open keep what they have.
+        context: for the listening sockets, as long as the server runs: each handshake gets the certificate of the
+            moment, connections that are open keep what they have.
 
     Raises:
         ConfigurationError: the files cannot be used.
@@ -32,16 +34,29 @@ class Tls:
     def __init__(self, certificate: Path, key: Path) -> None:
         self._certificate = certificate
         self._key = key
-        self.context = self._read()
+        self._told_plain_text = False
+        self._latest = self.context = self._read()
+        # Called in every handshake, also when the client names no server.
+        self.context.sni_callback = self._use_latest
+        self.context.sslobject_class = _handshakes(self._tell_plain_text)
 
     def reload(self) -> None:
         """Read the files again; ones that cannot be used change nothing, and are told of in the log."""
         try:
-            self.context = self._read()
+            self._latest = self._read()
         except ConfigurationError as error:
             log.warning("the certificate stays as it was: %s", error)
         else:
             log.info("certificate read again: %s", self._certificate)
+
+    def _use_latest(self, connection: ssl.SSLObject, _name: str | None, _context: ssl.SSLContext) -> None:
+        connection.context = self._latest
+
+    def _tell_plain_text(self) -> None:
+        """Tell once of a client that does not encrypt: asyncio closes its connection without a word."""
+        if not self._told_plain_text:
+            self._told_plain_text = True
+            log.warning("refused: a client speaks ws:// or http://, and here is wss:// and https://")
 
     def _read(self) -> ssl.SSLContext:
         for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
@@ -70,6 +85,21 @@ class Tls:
             if f"{kind}-----" not in file.read_text(errors="replace"):
                 return f"{setting}: {file} has no {kind} in PEM format"
         return f"{CERTIFICATE} {self._certificate} and {KEY} {self._key} cannot be used: {error}"
+
+
+def _handshakes(on_plain_text: Callable[[], None]) -> type[ssl.SSLObject]:
+    """Return the class of a context's connections, which says when a client has begun with HTTP instead of TLS."""
+
+    class Handshake(ssl.SSLObject):
+        def do_handshake(self) -> None:
+            try:
+                super().do_handshake()
+            except ssl.SSLError as error:
+                if error.reason == "HTTP_REQUEST":
+                    on_plain_text()
+                raise
+
+    return Handshake
 
 
 def _check_readable(setting: str, file: Path) -> None:

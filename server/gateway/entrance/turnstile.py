@@ -1,4 +1,7 @@
-"""How many may be connected, in all and from one address, and how often one may come; counted from the accept on."""
+"""How many may be connected, in all and from one address, and how often one may come.
+
+A connection counts from the moment websockets is told of it: the TCP connection is made, and with TLS the handshake.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from http import HTTPStatus
 
 from server.access.rates import Rate
 from server.gateway.entrance.addresses import peer
+from server.gateway.entrance.refusal_log import RefusalLog
 
 # What may come at once from an address, as time over which the rate holds.
 BURST_TIME_S = 10
@@ -52,7 +56,7 @@ class TurnedAway:
 
 
 class Visit:
-    """One connection, from its accept to its end.
+    """One connection, from its beginning to its end.
 
     Attributes:
         address: where it comes from.
@@ -102,6 +106,7 @@ class Turnstile:
         self._present = 0
         self._answered = 0
         self._answers = Rate(ANSWERS_PER_S, ANSWERS_PER_S)
+        self._log = RefusalLog()
 
     @property
     def present(self) -> int:
@@ -132,6 +137,7 @@ class Turnstile:
         if self._answered >= MAX_ANSWERED or not self._answers.take(now_s):
             return None
         self._answered += 1
+        self._log.tell("connections", address, f"{address}: {turned_away.sentence}")
         return Visit(address, turned_away, self._answer_given)
 
     def _visitor(self, key: str) -> _Visitor:

@@ -23,10 +23,9 @@ from robot import model
 from server.errors import ServiceError
 from server.gateway import http as gate
 from server.gateway import page
-from server.gateway.entrance.reception import OPEN_TIMEOUT_S
 from server.gateway.http import HttpGate
 from server.gateway.http_answers import Answer
-from server.gateway.listener import Listener
+from server.gateway.listener import OPEN_TIMEOUT_S, Listener
 from server.graph import Graph
 from server.moveit import robot_files
 

@@ -51,8 +51,8 @@ async def linked() -> AsyncIterator[Link]:
     await listener.open()
     try:
         async with connect(f"ws://127.0.0.1:{listener.port}", compression=None) as client:
-            assert listener._server is not None
-            (server,) = listener._server.connections
+            (websockets_server,) = listener._servers
+            (server,) = websockets_server.connections
             assert isinstance(server, WebSocket)
             yield Link(client, server, graph)
     finally:

@@ -8,8 +8,7 @@ from server.access.settings import AccessSettings
 from server.access.tokens import Tokens
 from server.config import ServerSettings
 from server.errors import ConfigurationError
-from server.gateway.entrance.entrance import Entrance
-from server.gateway.entrance.reception import Pings
+from server.gateway.entrance.entrance import Entrance, Pings
 from server.gateway.entrance.turnstile import ConnectionLimits
 from tests.helpers.certificates import make_pair
 

@@ -9,9 +9,9 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
+from server.gateway import listener as listener_module
 from server.gateway import websocket
-from server.gateway.entrance import reception
-from server.gateway.entrance.entrance import Entrance
+from server.gateway.entrance.entrance import Entrance, Pings
 from tests.helpers.listener import TIMEOUT_S, UPGRADE, exchange, listening, request, status
 
 LOWEST_S = 0.1
@@ -100,7 +100,7 @@ async def test_compression_is_not_agreed_to_and_a_compressed_frame_ends_the_conn
 
 
 async def test_a_client_whose_machine_is_gone_is_let_go(caplog: pytest.LogCaptureFixture) -> None:
-    async with listening(Entrance(pings=reception.Pings(LOWEST_S / 2, LOWEST_S / 2))) as listener:
+    async with listening(Entrance(pings=Pings(LOWEST_S / 2, LOWEST_S / 2))) as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(request(*UPGRADE))
         assert (await read_to_end(reader)).startswith(b"HTTP/1.1 101")
@@ -133,7 +133,7 @@ async def test_no_token_gets_into_the_log_whatever_its_level(caplog: pytest.LogC
 async def test_the_end_of_the_server_does_not_wait_for_those_who_have_asked_nothing_yet(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(reception, "CLOSE_TIMEOUT_S", 2 * TIMEOUT_S)
+    monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", 2 * TIMEOUT_S)
     async with listening() as listener:
         _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(b"GET / HTTP/1.1\r\n")
@@ -161,7 +161,7 @@ async def test_no_header_tells_which_program_serves() -> None:
 async def test_who_keeps_its_end_open_after_an_answer_is_let_go_without_a_traceback(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(reception, "CLOSE_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(request(path="/nothing"))

@@ -10,9 +10,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from robot.logs import LogFormat
 from robot.messages import EmergencyPolicy, EndState
-from server.access.settings import AccessSettings
+from server.access.settings import AccessSettings, SessionSettings
 from server.arm_guard_settings import GuardSettings
-from server.gateway.session_settings import SessionSettings
 from server.goal_queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
 from server.planning_settings import PlanningSettings

@@ -8,7 +8,7 @@ from typing import Any
 from protocol.dialect import Dialect
 from protocol.messages import Stamp
 from protocol.registry import Registry
-from server.access.globs import Globs
+from server.access.permissions import NameFilter
 from server.actions import Actions
 from server.calls import Call, answer
 from server.graph import Graph
@@ -50,7 +50,7 @@ class RosApi:
         actions: Actions,
         registry: Registry,
         wall_clock: Callable[[], float],
-        params: Globs | None = None,
+        params: NameFilter | None = None,
     ) -> None:
         self.parameters = Parameters(params)
         self._services = services

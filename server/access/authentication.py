@@ -22,18 +22,19 @@ from server.errors import ConfigurationError, sentence_of
 
 log = logging.getLogger("armbridge.access")
 
-# Of the one token that has no name of its own.
+# Name of the owner of `access.token`, which has no name of its own.
 TOKEN_NAME = "admin"  # noqa: S105 - a name
 
 _ROLES = {"admin_tokens": Role.ADMIN, "operate_tokens": Role.OPERATE, "view_tokens": Role.VIEW}
 _IN_FILE = frozenset({"token", *_ROLES})
 
-# As in rosauth: clocks may differ by so much, and a proof is good for so long.
+# As in rosauth: difference of the clocks, and age of a proof [s].
 GOOD_FOR_S = 5.0
 
-# Only right proofs are kept, each for twice `GOOD_FOR_S`.
+# Proofs that were used; only right ones are kept, each for twice `GOOD_FOR_S`.
 MAX_KEPT = 10_000
 
+# Wrong tokens from one address after which none is checked for the time of the window [s].
 MAX_WRONG = 10
 WINDOW_S = 60.0
 

@@ -26,14 +26,14 @@ from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
 from server.node import Node
 
-# How actions end that are sent and cancelled by services and topics.
+# Suffixes of the names by which actions are cancelled and, as actionlib's topics, sent.
 CANCEL_SERVICE = "/_action/cancel_goal"
 ACTIONLIB_GOAL, ACTIONLIB_CANCEL = "/goal", "/cancel"
 
 # The names of controllers begin with their joint group's.
 FOLLOW_ACTION, FOLLOW_TOPIC = "_controller/follow_joint_trajectory", "_controller/joint_trajectory"
 
-# Topics that a client is known to may use; one that uses more is asked anew for each.
+# Topics that a client is known to be allowed to publish on; those beyond are checked for each message.
 MAX_SETTLED = 1000
 
 _WHAT_TO_SHOW = {
@@ -42,7 +42,7 @@ _WHAT_TO_SHOW = {
     Role.ADMIN: "a token of access.admin_tokens",
 }
 
-# Whoever limits services wants clients to find out what there is all the same (rosbridge_server).
+# Open beside every filter of services, as in rosbridge_server: clients find out with them what there is.
 ALWAYS_SERVICES = ("/rosapi/*",)
 
 
@@ -150,14 +150,14 @@ SERVICES: Mapping[str, Rule] = {
     "/set_planner_params": CONFIGURING,
 }
 
-# By whoever publishes there; to subscribe is to look.
+# Rules of publishing; to subscribe needs LOOKING alone.
 TOPICS: Mapping[str, Rule] = {
     "/arm/speed_factor": SWITCHING,
     "/attached_collision_object": WORKING,
     "/collision_object": WORKING,
     "/emergency_stop": STOPPING,
     "/moveit_goal_cancel": STOPPING,
-    # Who looks on may be another than who drives.
+    # The client that confirms may be another than the one that drives.
     "/moveit_goal_confirm": WORKING,
     "/moveit_goal_joints": GOAL,
     "/moveit_goal_named": GOAL,

@@ -19,16 +19,16 @@ Policy: TypeAlias = Literal["lease", "shared"]
 
 RELEASE_SERVICE = "/arm/release_control"
 
-# Who has released another's control may take it first for so long, however often the other asks.
+# Time for which only the client that has released another's control may take it, however often the other asks [s].
 RESERVED_S = 3.0
 
 TOPIC = "/arm/control"
 TAKE_SERVICE = "/arm/take_control"
 
-# Tells a client apart from the others on the topic.
+# Tells a client its own name, by which it finds itself on the topic.
 WHO_SERVICE = "/arm/who_am_i"
 
-# How often it is looked whether the holder idles, and told for how long it has.
+# Period of the check for an idle holder, and of the messages while there is a holder [s].
 BEAT_S = 1.0
 
 

@@ -49,7 +49,7 @@ CLOSE_TIMEOUT_S = 0.5
 TLS_HANDSHAKE_TIMEOUT_S = 10.0
 TLS_SHUTDOWN_TIMEOUT_S = 1.0
 
-# Lines of websockets for each answer over HTTP, as if it were a failure: a page that is loaded is none.
+# Lines of websockets' log for each answer over HTTP: it takes every answer for a failed handshake.
 _HTTP_LINES = ("connection rejected", "HTTP response sent")
 
 # Connections that wait to be accepted; a flood of one client's must not keep another's out of the queue.
@@ -67,7 +67,7 @@ SPARE = 256
 
 @dataclass(frozen=True)
 class KeepaliveSettings:
-    """KeepaliveSettings, which detect a client whose machine is gone without a word.
+    """Pings, which detect a client whose machine is gone without a word.
 
     Attributes:
         interval_s: time between two pings [s].
@@ -226,14 +226,14 @@ class Listener:
                 "ssl_handshake_timeout": TLS_HANDSHAKE_TIMEOUT_S,
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
-        make = functools.partial(WebSocket, limiter=self._limiter, connections=self._connections)
+        create_connection = functools.partial(WebSocket, limiter=self._limiter, connections=self._connections)
         return serve(
-            self._serve_client,
+            self._handle_connection,
             sock=listening,
             backlog=BACKLOG,
             # websockets' documentation allows for a wrapper, its annotation does not.
-            create_connection=cast("type[ServerConnection]", make),
-            process_request=self._answer,
+            create_connection=cast("type[ServerConnection]", create_connection),
+            process_request=self._process_request,
             server_header=None,
             # As in rosbridge_server: deflate doubles the cost of every message.
             compression=None,
@@ -271,7 +271,7 @@ class Listener:
         for each in self._sockets:
             each.close()
 
-    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def _process_request(self, connection: ServerConnection, request: Request) -> Response | None:
         websocket = cast(WebSocket, connection)
         rejection = None if websocket.slot is None else websocket.slot.rejection
         if rejection is not None:
@@ -291,7 +291,7 @@ class Listener:
         websocket.identity = admitted
         return await self._http.process_request(websocket, request)
 
-    async def _serve_client(self, server_connection: ServerConnection) -> None:
+    async def _handle_connection(self, server_connection: ServerConnection) -> None:
         websocket = cast(WebSocket, server_connection)
         connection = Connection(
             websocket,
@@ -325,7 +325,7 @@ async def resolve(host: str, port: int) -> list[Place]:
         found = await asyncio.get_running_loop().getaddrinfo(
             host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )
-    # A name that no domain could have is refused before anybody is asked for it.
+    # UnicodeError: a name that no domain can have.
     except (OSError, UnicodeError) as error:
         raise StartError(_reason(host, port, error)) from error
     places = [

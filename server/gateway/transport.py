@@ -258,7 +258,8 @@ class WebSocket(ServerConnection):
         """Hand a message over, or leave it to the queue."""
         self._heard = True
         # The first event is the request.
-        self._end_request_timer()
+        if self._request_timer is not None:
+            self._end_request_timer()
         if self._on_message is None or not _is_message(event) or not self._may_go_first():
             super().process_event(event)
             return

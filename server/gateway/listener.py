@@ -33,6 +33,7 @@ from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket, address_of
 from server.graph import Graph
 
 log = logging.getLogger("armbridge.gateway")
+WEBSOCKETS_LOG = logging.getLogger("websockets.server")
 
 # A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
 # beyond it the socket is closed (1009) before it is read.
@@ -110,6 +111,13 @@ class ListenerSettings:
             tls,
             KeepaliveSettings(server.ping_interval_s, server.ping_timeout_s),
         )
+
+
+class _WebSocketsLog(logging.LoggerAdapter[logging.Logger]):
+    """Log of websockets without its debug lines: they contain every address and every message, and so every token."""
+
+    def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - logging's name
+        return level > logging.DEBUG and super().isEnabledFor(level)
 
 
 class Place(NamedTuple):
@@ -214,7 +222,7 @@ class Listener:
             raise AssertionError("open before bind")
         raise_file_limit(self._connection_limits.max_clients)
         self._clients.open()
-        logging.getLogger("websockets.server").addFilter(tells_of_more_than_http)
+        WEBSOCKETS_LOG.addFilter(tells_of_more_than_http)
         for listening in self._sockets:
             self._servers.append(await self._serve_on(listening))
 
@@ -245,6 +253,7 @@ class Listener:
             close_timeout=CLOSE_TIMEOUT_S,
             ping_interval=self._keepalive.interval_s,
             ping_timeout=self._keepalive.timeout_s,
+            logger=_WebSocketsLog(WEBSOCKETS_LOG),
             **options,
         )
 

@@ -1,8 +1,8 @@
 """WebSocket connection that hands messages over as they come, in turns that leave time to other connections.
 
 Of websockets it uses, beyond the documented interface: ``ServerConnection.process_event`` (overridden), ``drain``,
-``recv_messages`` with its ``frames``, ``pause`` and ``resume``, ``protocol.debug`` and
-``protocol.max_message_size``. The tests of this module and of :mod:`server.gateway.connection` cover each use.
+``recv_messages`` with its ``frames``, ``pause`` and ``resume``, and ``protocol.max_message_size``. The tests of this
+module and of :mod:`server.gateway.connection` cover each use.
 """
 
 from __future__ import annotations
@@ -104,8 +104,6 @@ class WebSocket(ServerConnection):
         connections: set[WebSocket],
         **options: Any,
     ) -> None:
-        # websockets' own log would have every address and every message, with the tokens in them.
-        protocol.debug = False
         super().__init__(protocol, server, **options)
         self._limiter = limiter
         self._connections = connections

@@ -11,8 +11,8 @@ from protocol.publication import Publication
 from server.gateway.client_context import ClientContext
 from server.graph import Subscriber
 
-# rosbridge_server's lifespan of what is published without latch (rosbridge_library, internal/publishers.py): clients
-# publish right after they have advertised, when nobody has had the time to subscribe.
+# rosbridge_server's lifespan of messages that are published without latch (rosbridge_library, internal/publishers.py):
+# clients publish right after they have advertised, when nobody has had the time to subscribe.
 LIFESPAN_S = 1.0
 
 

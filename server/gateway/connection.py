@@ -32,7 +32,7 @@ POLICY_VIOLATION = 1008
 # Time for a client that does not read to receive the reason why it is closed.
 CLOSE_TIMEOUT_S = 1.0
 
-# RFC 6455 5.5: what a close frame has room for beside its code.
+# RFC 6455 5.5: size of the reason in a close frame [bytes].
 MAX_REASON_BYTES = 123
 
 # Time for a client to authenticate.

@@ -44,7 +44,7 @@ MAX_UNREAD_BYTES = 256 << 20
 ROBOT = "robot"
 DESCRIPTIONS = ("description.urdf", "description.srdf")
 
-# As vite names what it builds with a hash of the content: such a file never changes.
+# Names that vite gives to files with a hash of their content: such a file never changes.
 _HASHED = re.compile(r"assets/[^/]+-[A-Za-z0-9_-]{8}\.[a-z0-9.]+")
 _FOR_EVER = "public, max-age=31536000, immutable"
 
@@ -107,7 +107,7 @@ _TEXTS = {
     ".html": "text/html",
     ".js": "text/javascript",
     ".mjs": "text/javascript",
-    # Browsers show plain text and would save what they are told is Markdown.
+    # Browsers show plain text, and save Markdown.
     ".md": "text/plain",
     ".txt": "text/plain",
     ".json": "application/json",
@@ -141,7 +141,7 @@ _COMPRESSED = frozenset((".png", ".jpg", ".jpeg", ".woff2"))
 # The page has one megabyte, an arm's meshes at their full size have 16, and less again when both forms are asked for.
 CACHE_BYTES = 64 << 20
 
-# Below this the header alone outweighs what is won.
+# Below this size the header outweighs the gain.
 MIN_GZIP_BYTES = 1000
 
 # Twice the time of the lowest level for a tenth less; more gains nothing on scripts and meshes.
@@ -286,7 +286,7 @@ class Answer:
     def of_text(cls, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Answer:
         """Return an answer with one sentence of text."""
         about = {"Content-Type": "text/plain; charset=utf-8", "Cache-Control": "no-store"}
-        # A file's name may have what is no character.
+        # A file name may have bytes that are no UTF-8.
         return cls(status, f"{text}\n".encode(errors="backslashreplace"), {**about, **(headers or {})})
 
     @classmethod
@@ -394,7 +394,7 @@ class HttpHandler:
         return response
 
     def _count(self, connection: ServerConnection, size_bytes: int) -> None:
-        """Count what is sent as unread until the connection has ended."""
+        """Count a body as unread until the connection has ended."""
 
         def read(reader: asyncio.Task[None]) -> None:
             self._readers.discard(reader)

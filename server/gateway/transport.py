@@ -13,7 +13,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.frames import Frame, Opcode
@@ -125,25 +125,33 @@ class WebSocket(ServerConnection):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a place among the connections, and limit the time for the request."""
+        peer = transport.get_extra_info("peername")
+        self.slot = self._limiter.acquire(_address_and_port(peer)[0], time.monotonic())
+        if self.slot is None:
+            # websockets, which would make a task for the handshake, is not told of it.
+            transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            cast(asyncio.Transport, transport).abort()
+            return
         super().connection_made(transport)
         self._connections.add(self)
-        self.slot = self._limiter.acquire(address_of(self)[0], time.monotonic())
-        if self.slot is None:
-            self.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-            self.transport.abort()
-            return
         self.recv_messages.pause = self._pause_reading
         self.recv_messages.resume = self._resume_reading
         self._request_timer = self.loop.call_later(REQUEST_TIMEOUT_S, self.transport.abort)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Release the place."""
+        if self.slot is None:
+            return
         self._end_request_timer()
         self._unread = b""
         self._connections.discard(self)
-        if self.slot is not None:
-            self.slot.release()
+        self.slot.release()
         super().connection_lost(exc)
+
+    def eof_received(self) -> None:
+        """End a connection that may stay, as websockets does."""
+        if self.slot is not None:
+            super().eof_received()
 
     def forget_handshake(self) -> None:
         """Free the headers of request and response: they take as much memory as all else of an idle client."""
@@ -208,6 +216,8 @@ class WebSocket(ServerConnection):
 
     def data_received(self, data: bytes) -> None:
         """Begin a turn with the bytes that the socket has received."""
+        if self.slot is None:
+            return
         self.received_bytes += len(data)
         if self._unread or self._full:
             self._unread += data
@@ -275,8 +285,11 @@ class WebSocket(ServerConnection):
 
 def address_of(websocket: ServerConnection) -> tuple[str, int]:
     """Return IP address and port of the client; a connection that broke off at once has none any more."""
-    address = websocket.remote_address
-    return (str(address[0]), int(address[1])) if isinstance(address, tuple) else ("unknown", 0)
+    return _address_and_port(websocket.remote_address)
+
+
+def _address_and_port(peer: object) -> tuple[str, int]:
+    return (str(peer[0]), int(peer[1])) if isinstance(peer, tuple) else ("unknown", 0)
 
 
 def _is_message(event: Any) -> bool:

@@ -19,7 +19,7 @@ from server.gateway.connection_limits import ConnectionLimiter, ConnectionLimits
 from server.gateway.listener import Listener, ListenerSettings
 from server.gateway.tls import Tls
 from tests.helpers.certificates import Pair, make_pair, openssl
-from tests.helpers.listener import TIMEOUT_S, exchange, listening, request
+from tests.helpers.listener import TIMEOUT_S, UPGRADE, exchange, listening, request
 from tests.helpers.server import ROOT
 
 
@@ -187,6 +187,23 @@ async def test_who_begins_no_tls_handshake_is_let_go_and_takes_no_place(
         assert await is_ended(reader)
         writer.close()
         await until_empty(listener)
+
+
+@pytest.mark.parametrize("over_tls", [False, True], ids=["plain", "tls"])
+async def test_a_connection_that_gets_no_answer_ends_at_once_and_is_not_read(
+    over_tls: bool, pair: Pair, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(ConnectionLimiter, "acquire", lambda *_: None)
+    async with listening(ListenerSettings(tls=Tls(*pair) if over_tls else None)) as listener:
+        with contextlib.suppress(ConnectionError):
+            reader, writer = await asyncio.open_connection(
+                "127.0.0.1", listener.port, ssl=trusting(pair) if over_tls else None
+            )
+            writer.write(request(*UPGRADE))
+            assert await is_ended(reader)
+            writer.close()
+        assert not listener._connections
+    assert "Error" not in caplog.text
 
 
 async def test_who_speaks_no_tls_is_told_of_in_the_log(encrypted: Listener, caplog: pytest.LogCaptureFixture) -> None:

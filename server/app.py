@@ -15,18 +15,16 @@ from protocol.registry import Registry
 from robot.arm import Arm
 from robot.messages import ArmHealth, ArmState, EndState, Mode
 from robot.processes import StartedChild
-from server.access.access import Access
-from server.access.control import Control
+from server.access.authorization import Access
+from server.access.control_lease import ControlServices
 from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates
 from server.config import RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.errors import StartError
-from server.gateway import page
-from server.gateway.entrance.entrance import Entrance
-from server.gateway.http import HttpGate
-from server.gateway.listener import Listener
+from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, page_is_built
+from server.gateway.listener import Listener, ListenerSettings
 from server.graph.topics import Graph
 from server.hangup import on_hangup
 from server.lifecycle import Step, stop_in_order, stop_signals, unless_ended
@@ -84,7 +82,7 @@ class App:
         )
         self._operations = Operations(self._graph, environment_manager())
         access = self._access = Access(settings.access)
-        self._control = Control(self._graph, access.lease, time.monotonic, call_later)
+        self._control = ControlServices(self._graph, access.lease, time.monotonic, call_later)
         self._rosapi = RosApi(
             self._graph, self._graph.services, self._graph.actions, registry, time.time, access.params
         )
@@ -100,9 +98,9 @@ class App:
             self._graph,
             settings.server.host,
             settings.server.port,
-            HttpGate(description.robot, routes=self._operations.routes),
+            HttpHandler(description.robot, routes=self._operations.routes),
             takes_goals_along=settings.goals.on_disconnect == "stop",
-            entrance=Entrance.of(settings.server, settings.access, access.tokens),
+            settings=ListenerSettings.from_settings(settings.server, settings.access, access.tokens),
             access=access,
             limits=settings.server.limits.limits(),
         )
@@ -132,8 +130,8 @@ class App:
     def _tell_start(self) -> None:
         self._operations.tell_started()
         log.info("%s", self._what_runs_where())
-        if not page.is_built(page.PAGE_DIRECTORY):
-            log.info("%s", page.HOW_TO_GET_IT)
+        if not page_is_built(PAGE_DIRECTORY):
+            log.info("%s", HOW_TO_BUILD_PAGE)
 
     async def _start(self) -> None:
         self._rosout = Rosout(self._graph, asyncio.get_running_loop())
@@ -229,7 +227,7 @@ class App:
             bus += f", NOT CONNECTED ({arm.state.reason})"
         elif arm.state.mode is not Mode.HOLDING:
             bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
-        shown = f"{self._listener.page_url} (page), " if page.is_built(page.PAGE_DIRECTORY) else ""
+        shown = f"{self._listener.page_url} (page), " if page_is_built(PAGE_DIRECTORY) else ""
         return (
             f"armbridge is ready: {self._listener.url} (rosbridge), {shown}"
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "

@@ -10,8 +10,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from robot.logs import LogFormat
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
-from server.access.settings import AccessSettings
-from server.gateway.session_settings import SessionSettings
+from server.access.settings import AccessSettings, SessionSettings
 from server.goal_queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
 from server.zenoh.settings import ZenohSettings

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from robot.messages import ArmHealth, ArmState
-from server.gateway.traffic import Traffic
+from server.gateway.connection import Traffic
 from server.operations.goal_tally import GoalTally
 
 

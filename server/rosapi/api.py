@@ -8,7 +8,7 @@ from typing import Any
 from protocol.dialect import Dialect
 from protocol.messages import Stamp
 from protocol.registry import Registry
-from server.access.globs import Globs
+from server.access.permissions import NameFilter
 from server.graph.actions import Actions
 from server.graph.node import Node
 from server.graph.services import LOCAL_TIMEOUT_S, Call, Services, answer
@@ -49,7 +49,7 @@ class RosApi:
         actions: Actions,
         registry: Registry,
         wall_clock: Callable[[], float],
-        params: Globs | None = None,
+        params: NameFilter | None = None,
     ) -> None:
         self.parameters = Parameters(params)
         self._services = services

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from server.access.access import Access
+from server.access.authorization import Access
 from server.graph.topics import Graph
 from server.zenoh.settings import ZenohSettings
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
-from server.access.guard import Guard
+from server.access.authorization import Authorizer
 from server.graph.services import Response
 from server.zenoh import attachment
 from server.zenoh.attachment import Attachment
@@ -107,14 +107,16 @@ class OfferedServices:
     Args:
         network: where they are offered.
         patterns: which ones.
-        guard: what others may ask for.
+        authorizer: what others may ask for.
         loop: the event loop.
     """
 
-    def __init__(self, network: Network, patterns: Patterns, guard: Guard, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, network: Network, patterns: Patterns, authorizer: Authorizer, loop: asyncio.AbstractEventLoop
+    ) -> None:
         self._network = network
         self._patterns = patterns
-        self._guard = guard
+        self._authorizer = authorizer
         self._loop = loop
         self._services: dict[str, OfferedService] = {}
         self._lock = threading.Lock()
@@ -159,7 +161,7 @@ class OfferedServices:
                 self._in_flight -= 1
             network.thread.do_call(lambda _session: asked.service.answer(asked, response))
 
-        refusal = self._guard.calling(name)
+        refusal = self._authorizer.calling(name)
         if refusal is not None:
             network.told.warn(refusal)
             respond(Response(ok=False, values=refusal))

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from protocol.publication import Publication
 from protocol.registry import Registry
-from server.access.access import Access
+from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.graph.node import Node
 from server.graph.services import Call

@@ -10,7 +10,7 @@ from protocol.registry import Registry
 from server.calls import Response
 from server.graph import Graph
 from server.node import Node
-from server.rosapi.api import RosApi
+from server.rosapi import RosApi
 
 TOPICS = 100
 CALLS = 200
@@ -35,7 +35,7 @@ def run() -> None:
 async def _measure() -> None:
     registry = Registry.load()
     graph = Graph(registry)
-    RosApi(graph, graph.services, graph.actions, registry, time.time).open()
+    RosApi(graph)
     talker = Node("talker")
     types = [name for name in registry.type_names() if "/msg/" in name]
     for number in range(TOPICS):

@@ -36,7 +36,7 @@ from server.moveit.readiness import ARM_START_TIMEOUT_S
 from server.operations.operations import Operations
 from server.operations.service_manager import environment_manager
 from server.planning_cluster import planning_cluster
-from server.rosapi.api import RosApi
+from server.rosapi import RosApi
 from server.rosout import Rosout
 from server.stopping import Step, stop_in_order, stop_signals, unless_ended
 from server.timers import call_later
@@ -88,9 +88,7 @@ class App:
         self._operations = Operations(self._graph, environment_manager())
         access = self._access = Access(settings.access)
         self._control = Control(self._graph, access.lease, time.monotonic, call_later)
-        self._rosapi = RosApi(
-            self._graph, self._graph.services, self._graph.actions, registry, time.time, access.params
-        )
+        self._rosapi = RosApi(self._graph, params=access.params)
         self._rosout: Rosout | None = None
         self._recorder: Recorder | None = None
         self._joint_states = JointStates(self._graph)
@@ -143,7 +141,6 @@ class App:
         self._rosout = Rosout(self._graph, asyncio.get_running_loop())
         self._rosout.open()
         self._operations.open()
-        self._rosapi.open()
         self._recorder = open_recorder(self._settings.recording, self._graph, self._description.robot.name)
         # The port first: nothing else needs to start, and no arm to be switched on, when it is taken.
         await self._listener.bind()

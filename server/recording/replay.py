@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import logging
 import signal
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from server.graph import Graph
 from server.hangup import on_hangup
 from server.recording.player import Player
 from server.recording.reader import Outline, Recording
-from server.rosapi.api import RosApi
+from server.rosapi import RosApi
 
 log = logging.getLogger("armbridge.replay")
 
@@ -73,7 +72,7 @@ class Replay:
         self._options = options
         registry = Registry.load()
         self._graph = Graph(registry)
-        self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
+        RosApi(self._graph)
         # Nobody drives an arm here, so nobody has to wait for the lease.
         access = Access(options.access.model_copy(update={"control": "shared"}))
         entrance = Entrance.of(options.server, options.access, access.tokens)
@@ -90,7 +89,6 @@ class Replay:
         on_hangup(self._listener.reload_certificate, ending.set)
         outline = await asyncio.to_thread(self._recording.outline)
         try:
-            self._rosapi.open()
             await self._listener.bind()
             await self._listener.open()
             # After the listener, whose own topics are not to be mixed with recorded ones.

@@ -5,7 +5,6 @@ import contextlib
 import json
 import logging
 import socket
-import time
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -21,7 +20,7 @@ from server.gateway.entrance.door import Door
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.listener import Listener, tells_of_more_than_http
 from server.graph import Graph
-from server.rosapi.api import RosApi
+from server.rosapi import RosApi
 from tests.helpers.conformance import cases, play
 
 REGISTRY = Registry.load()
@@ -99,7 +98,7 @@ async def listener() -> AsyncIterator[Listener]:
 async def test_conformance_over_sockets(case: dict[str, Any]) -> None:
     graph = Graph(REGISTRY, relay_unknown_types=case.get("relay_unknown_types", False))
     if case.get("rosapi", False):
-        RosApi(graph, graph.services, graph.actions, REGISTRY, time.time).open()
+        RosApi(graph)
     async with open_listener(graph) as listener:
         player = OverSockets(listener)
         try:

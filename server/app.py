@@ -261,6 +261,4 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
     # Imported when it is needed: most servers record nothing, and start without the library.
     from server.recording.recorder import Recorder
 
-    recorder = Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})
-    recorder.open()
-    return recorder
+    return Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})

@@ -6,7 +6,8 @@ import asyncio
 import gc
 import logging
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Coroutine
+from typing import TYPE_CHECKING, Any
 
 import uvloop
 
@@ -40,7 +41,7 @@ from server.rosapi import RosApi
 from server.rosout import Rosout
 from server.stopping import Step, stop_in_order, stop_signals, unless_ended
 from server.timers import call_later
-from server.zenoh.joining import bridge_of
+from server.zenoh.bridge import bridge_of
 
 if TYPE_CHECKING:
     from server.recording.recorder import Recorder
@@ -112,6 +113,7 @@ class App:
         self._cluster = planning_cluster(planning, description.robot, self._pool)
         self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
+        self._tasks: dict[str, asyncio.Task[None]] = {}
 
     async def run(self) -> None:
         """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
@@ -151,7 +153,7 @@ class App:
         self._show_parts()
         await self._listener.open()
         if self._bridge is not None:
-            self._bridge.open()
+            self._run_task("zenoh", self._bridge.run())
         await self._pool.start()
         # What lives as long as the server need not be looked at by every collection. Nothing moves yet that could wait.
         gc.collect()
@@ -192,6 +194,16 @@ class App:
         self._diagnostics.take_health(health)
         self._operations.parts.arm_health = health
 
+    def _run_task(self, name: str, running: Coroutine[Any, Any, None]) -> None:
+        self._tasks[name] = asyncio.create_task(running, name=name)
+
+    async def _end_task(self, name: str) -> None:
+        """Cancel a task, if it was started, and wait for its end."""
+        task = self._tasks.pop(name, None)
+        if task is not None:
+            task.cancel()
+            await asyncio.wait([task])
+
     def _steps_of_stop(self) -> list[Step]:
         """The arm first, brought to its end state; then the clients; then what nothing needs any more."""
         relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
@@ -215,8 +227,7 @@ class App:
         await self._listener.close()
 
     async def _close_bridge(self) -> None:
-        if self._bridge is not None:
-            await self._bridge.close()
+        await self._end_task("zenoh")
 
     async def _close_recorder(self) -> None:
         if self._recorder is not None:

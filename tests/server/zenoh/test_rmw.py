@@ -1,10 +1,11 @@
-"""The examples are those of ros2/rmw_zenoh, docs/design.md."""
-
 from __future__ import annotations
 
 import pytest
+import zenoh.ext
 
-from server.zenoh.keys import Endpoint, Entity, Kind, Tokens, is_name, read
+from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, LivelinessTokens, gid_of, is_name
+
+# Keys and tokens; the examples are those of ros2/rmw_zenoh, docs/design.md.
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
@@ -32,26 +33,28 @@ def test_a_service_has_the_key_that_rmw_zenoh_gives_it() -> None:
 
 
 def test_a_node_announces_itself_as_those_of_rmw_zenoh_do() -> None:
-    assert Tokens(2, "aac3", "").node() == "@ros2_lv/2/aac3/0/0/NN/%/%/armbridge"
-    assert Tokens(2, "aac3", "/arm1").node() == "@ros2_lv/2/aac3/0/0/NN/%/%arm1/armbridge"
+    assert LivelinessTokens(2, "aac3", "").node() == "@ros2_lv/2/aac3/0/0/NN/%/%/armbridge"
+    assert LivelinessTokens(2, "aac3", "/arm1").node() == "@ros2_lv/2/aac3/0/0/NN/%/%arm1/armbridge"
 
 
 def test_everything_announced_has_a_number_of_its_own() -> None:
-    tokens = Tokens(0, "aac3", "")
-    first, second = tokens.entity(Kind.SUBSCRIPTION, CHATTER), tokens.entity(Kind.SUBSCRIPTION, CHATTER)
+    tokens = LivelinessTokens(0, "aac3", "")
+    first, second = tokens.entity(EntityKind.SUBSCRIPTION, CHATTER), tokens.entity(EntityKind.SUBSCRIPTION, CHATTER)
     behind = f"MS/%/%/armbridge/%chatter/std_msgs::msg::dds_::String_/{STRING_HASH}/::,10:,:,:,,"
     assert (first, second) == (f"@ros2_lv/0/aac3/0/1/{behind}", f"@ros2_lv/0/aac3/0/2/{behind}")
 
 
 def test_tokens_of_rmw_zenoh_are_read() -> None:
-    assert read(TALKER) == Entity(Kind.PUBLISHER, "8b20917502ee955ac4476e0266340d5c", CHATTER, latched=False)
-    assert read(ADDER) == Entity(Kind.SERVICE, "f9980ee0495eaafb3e38f0d19e2eae12", ADD, latched=False)
+    assert Entity.parse(TALKER) == Entity(
+        EntityKind.PUBLISHER, "8b20917502ee955ac4476e0266340d5c", CHATTER, latched=False
+    )
+    assert Entity.parse(ADDER) == Entity(EntityKind.SERVICE, "f9980ee0495eaafb3e38f0d19e2eae12", ADD, latched=False)
 
 
 @pytest.mark.parametrize("latched", [True, False])
 def test_own_tokens_are_read_back(latched: bool) -> None:
-    token = Tokens(0, "aac3", "/arm1").entity(Kind.PUBLISHER, CHATTER, latched=latched)
-    assert read(token) == Entity(Kind.PUBLISHER, "aac3", CHATTER, latched=latched)
+    token = LivelinessTokens(0, "aac3", "/arm1").entity(EntityKind.PUBLISHER, CHATTER, latched=latched)
+    assert Entity.parse(token) == Entity(EntityKind.PUBLISHER, "aac3", CHATTER, latched=latched)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +71,7 @@ def test_own_tokens_are_read_back(latched: bool) -> None:
     ],
 )
 def test_what_is_no_topic_and_no_service_is_passed_over(token: str) -> None:
-    assert read(token) is None
+    assert Entity.parse(token) is None
 
 
 @pytest.mark.parametrize("name", ["/joint_states", "/arm1/joint_states", "/_hidden"])
@@ -79,3 +82,30 @@ def test_names_of_ros_are_names(name: str) -> None:
 @pytest.mark.parametrize("name", ["", "/", "joint_states", "/a//b", "/a/", "/*", "/a/**", "/a$*", "/1a", "/a b", "/ä"])
 def test_what_means_something_else_in_a_key_is_no_name(name: str) -> None:
     assert not is_name(name)
+
+
+# Attachments.
+
+GID = bytes(range(16))
+
+
+def test_an_attachment_is_written_as_zenoh_serializes_its_parts() -> None:
+    parts = (zenoh.ext.Int64(3), zenoh.ext.Int64(1_700_000_000_000_000_001), GID)
+    assert Attachment(3, 1_700_000_000_000_000_001, GID).encode() == bytes(zenoh.ext.z_serialize(parts))
+
+
+def test_an_attachment_is_read_back() -> None:
+    written = Attachment(7, 12, GID).encode()
+    assert Attachment.decode(written) == Attachment(7, 12, GID)
+
+
+def test_octets_that_are_no_attachment_are_none() -> None:
+    written = Attachment(7, 12, GID).encode()
+    assert Attachment.decode(b"") is None
+    assert Attachment.decode(written + b"\0") is None
+    assert Attachment.decode(written[:16] + b"\x0f" + GID) is None
+
+
+def test_everybody_has_an_id_of_their_own_that_stays() -> None:
+    assert gid_of("one") == gid_of("one") != gid_of("another")
+    assert len(gid_of("one")) == GID_BYTES

@@ -23,22 +23,22 @@ from server.arm_services import ArmServices
 from server.arm_setup import Description, arm_config, check_parameters
 from server.arm_state import ArmStateTopics
 from server.config import RecordingSettings, Settings
-from server.diagnostics import Diagnostics
 from server.errors import StartError
 from server.gateway import page
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.http import HttpGate
 from server.gateway.listener import Listener
 from server.graph import Graph
-from server.hangup import on_hangup
 from server.joint_states import JointStates
+from server.monitoring.diagnostics import Diagnostics
+from server.monitoring.monitor import Monitor
+from server.monitoring.ros_logging import Rosout, offer_level_services
+from server.monitoring.signals import on_debug_signal, on_hangup
+from server.monitoring.systemd import SystemdNotifier
 from server.moveit.face import MoveItFace
 from server.moveit.readiness import ARM_START_TIMEOUT_S
-from server.operations.operations import Operations
-from server.operations.service_manager import environment_manager
 from server.planning_cluster import planning_cluster
 from server.rosapi import RosApi
-from server.rosout import Rosout
 from server.stopping import Step, stop_in_order, stop_signals, unless_ended
 from server.timers import call_later
 from server.zenoh.bridge import bridge_of
@@ -86,7 +86,8 @@ class App:
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
-        self._operations = Operations(self._graph, environment_manager())
+        offer_level_services(self._graph)
+        self._monitor = Monitor(SystemdNotifier.from_environment())
         access = self._access = Access(settings.access)
         self._control = Control(self._graph, access.lease, time.monotonic, call_later)
         self._rosapi = RosApi(self._graph, params=access.params)
@@ -102,7 +103,7 @@ class App:
             self._graph,
             settings.server.host,
             settings.server.port,
-            HttpGate(description.robot, routes=self._operations.routes),
+            HttpGate(description.robot, routes=self._monitor.routes),
             takes_goals_along=settings.goals.on_disconnect == "stop",
             entrance=Entrance.of(settings.server, settings.access, access.tokens),
             access=access,
@@ -122,27 +123,28 @@ class App:
         """
         ending, hurry = stop_signals()
         on_hangup(self._listener.reload_certificate, ending.set)
+        on_debug_signal()
         try:
             if await unless_ended(ending, self._start()):
                 self._tell_start()
                 await ending.wait()
             log.info("stopping")
         finally:
-            self._operations.tell_stopping()
+            self._monitor.notify_stopping()
             await stop_in_order(self._steps_of_stop(), self._stop_total_s(), hurry)
-            self._operations.close()
+            await self._end_task("monitor")
+            self._monitor.close()
         log.info("stopped")
 
     def _tell_start(self) -> None:
-        self._operations.tell_started()
+        self._monitor.notify_started()
         log.info("%s", self._what_runs_where())
         if not page.is_built(page.PAGE_DIRECTORY):
             log.info("%s", page.HOW_TO_GET_IT)
 
     async def _start(self) -> None:
         self._rosout = Rosout(self._graph, asyncio.get_running_loop())
-        self._rosout.open()
-        self._operations.open()
+        self._run_task("monitor", self._monitor.run())
         self._recorder = open_recorder(self._settings.recording, self._graph, self._description.robot.name)
         # The port first: nothing else needs to start, and no arm to be switched on, when it is taken.
         await self._listener.bind()
@@ -150,7 +152,7 @@ class App:
         # want to be moved waits for the arm.
         await self._arm.launch()
         self._open_parts()
-        self._show_parts()
+        self._monitor_parts()
         await self._listener.open()
         if self._bridge is not None:
             self._run_task("zenoh", self._bridge.run())
@@ -168,20 +170,20 @@ class App:
     def _open_parts(self) -> None:
         self._joint_states.open()
         self._arm_state.open()
-        self._diagnostics.open()
+        self._run_task("diagnostics", self._diagnostics.run())
         self._arm_state.take_state(self._arm.state)
         self._face.open(self._arm, self._pool)
         self._arm_services.open(self._arm, self._face.stop)
         self._arm_pace.open(self._arm)
         self._control.open(lambda: self._face.busy)
 
-    def _show_parts(self) -> None:
-        """Let operations tell of all that is open now."""
-        parts = self._operations.parts
-        parts.traffic, parts.arm, parts.planners = self._listener.traffic, self._arm, self._pool
-        parts.refused_connections = self._listener.refused_connections
-        parts.goal_tally, parts.queue = self._face.goal_tally, self._face.queue
-        parts.recorder, parts.zenoh = self._recorder, self._bridge
+    def _monitor_parts(self) -> None:
+        """Monitor all parts that are open now."""
+        sources = self._monitor.sources
+        sources.traffic, sources.arm, sources.planners = self._listener.traffic, self._arm, self._pool
+        sources.refused_connections = self._listener.refused_connections
+        sources.goal_counters, sources.queue = self._face.goal_counters, self._face.queue
+        sources.recorder, sources.zenoh = self._recorder, self._bridge
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
@@ -192,7 +194,7 @@ class App:
     def _on_health(self, health: ArmHealth) -> None:
         self._arm_state.take_health(health)
         self._diagnostics.take_health(health)
-        self._operations.parts.arm_health = health
+        self._monitor.sources.arm_health = health
 
     def _run_task(self, name: str, running: Coroutine[Any, Any, None]) -> None:
         self._tasks[name] = asyncio.create_task(running, name=name)
@@ -223,7 +225,7 @@ class App:
 
     async def _close_clients(self) -> None:
         self._control.close()
-        self._diagnostics.close()
+        await self._end_task("diagnostics")
         await self._listener.close()
 
     async def _close_bridge(self) -> None:

@@ -22,7 +22,7 @@ from server.errors import GraphError
 from server.gateway.entrance.entrance import Entrance
 from server.gateway.listener import Listener
 from server.graph import Graph
-from server.hangup import on_hangup
+from server.monitoring.signals import on_hangup
 from server.node import Node
 from server.recording.files import RecordedMessage
 from server.recording.reader import RecordedTopic, Recording, Summary

@@ -12,17 +12,24 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from prometheus_client import Histogram
 from prometheus_client.parser import text_string_to_metric_families
+from websockets.datastructures import Headers
+from websockets.http11 import Request
 
-from protocol.registry import Registry
-from server.graph import Graph
-from server.operations.operations import Operations
-from server.operations.service_manager import ServiceManager
+from server.monitoring import monitor as monitor_module
+from server.monitoring.health import Health, Sources
+from server.monitoring.metrics import Metrics
+from server.monitoring.monitor import WATCHDOG_NOTIFICATIONS, EventLoopMonitor, Monitor
+from server.monitoring.systemd import SystemdNotifier
 from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
+from tests.helpers.metric_samples import samples
 from tests.helpers.server import RunningServer
+from tests.helpers.stepped_loop import SteppedLoop
 
 TIMEOUT_S = 30.0
 
@@ -55,13 +62,13 @@ def metrics(port: int) -> dict[str, float]:
 
 
 async def test_routes_are_answered_before_any_part_is_there() -> None:
-    operations = Operations(Graph(Registry.load()), ServiceManager())
-    assert set(operations.routes) == {"healthz", "readyz", "livez", "metrics"}
-    assert operations.health().reasons == ("the server is starting",)
-    operations.tell_started()
-    assert operations.health().ready
-    operations.tell_stopping()
-    assert operations.health().reasons == ("the server is stopping",)
+    monitor = Monitor(SystemdNotifier())
+    assert set(monitor.routes) == {"healthz", "readyz", "livez", "metrics"}
+    assert monitor.health().reasons == ("the server is starting",)
+    monitor.notify_started()
+    assert monitor.health().ready
+    monitor.notify_stopping()
+    assert monitor.health().reasons == ("the server is stopping",)
 
 
 async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus, client: ArmClient) -> None:
@@ -107,7 +114,7 @@ async def test_levels_of_the_log_are_changed_while_the_server_runs(served: Serve
 
 
 class Systemd:
-    """A service manager, which keeps all that it hears."""
+    """A service notifier, which keeps all that it hears."""
 
     def __init__(self, path: Path) -> None:
         self.heard: list[str] = []
@@ -210,3 +217,91 @@ def test_every_line_of_the_log_is_json_also_those_of_children(service: RunningSe
 def test_systemd_hears_that_the_server_ends(service: RunningServer, systemd: Systemd) -> None:
     assert service.end(signal.SIGTERM)[0] == 0
     assert systemd.has_heard("STOPPING=1")
+
+
+# The event loop.
+
+WELL = Health(live=True, ready=True)
+DEAD = Health(live=False, ready=False, reasons=("the arm process has been silent", "and so on"))
+
+
+def lag() -> Histogram:
+    return Metrics(Sources()).loop_lag_s
+
+
+class Listening(SystemdNotifier):
+    """A notifier that keeps its notifications."""
+
+    def __init__(self, watchdog_s: float = 3.0) -> None:
+        super().__init__()
+        self.watchdog_s = watchdog_s
+        self.heard: list[str] = []
+
+    def notify_watchdog(self) -> None:
+        self.heard.append("alive")
+
+    def notify_status(self, status: str) -> None:
+        self.heard.append(status)
+
+
+def test_a_sign_of_life_comes_well_before_it_is_missed() -> None:
+    notifier = Listening(watchdog_s=3.0)
+    monitored = EventLoopMonitor(notifier, lambda: WELL, lag())
+    for tick in range(13):
+        monitored.check(100.0 + 0.25 * tick)
+    assert notifier.heard == ["ready", *["alive"] * (1 + int(WATCHDOG_NOTIFICATIONS))]
+
+
+def test_a_server_that_is_not_live_gives_no_sign_of_life() -> None:
+    notifier = Listening()
+    monitored = EventLoopMonitor(notifier, lambda: DEAD, lag())
+    for now_s in range(100, 130):
+        monitored.check(float(now_s))
+    assert notifier.heard == ["the arm process has been silent; and so on"]
+
+
+def test_no_sign_of_life_is_given_where_nobody_waits_for_it() -> None:
+    notifier = Listening(watchdog_s=0.0)
+    monitored = EventLoopMonitor(notifier, lambda: WELL, lag())
+    monitored.check(100.0)
+    assert notifier.heard == ["ready"]
+
+
+def test_the_status_is_told_when_it_changes() -> None:
+    notifier, found = Listening(watchdog_s=0.0), [WELL, WELL, DEAD, DEAD, WELL]
+    monitored = EventLoopMonitor(notifier, lambda: found.pop(0), lag())
+    for now_s in range(5):
+        monitored.check(float(now_s))
+    assert notifier.heard == ["ready", "the arm process has been silent; and so on", "ready"]
+
+
+@pytest.mark.stepped_time
+async def test_what_holds_the_loop_up_shows_as_its_lag(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, SteppedLoop)
+    monkeypatch.setattr(monitor_module, "time", SimpleNamespace(monotonic=loop.time))
+    lag_s = lag()
+    watching = asyncio.create_task(EventLoopMonitor(Listening(), lambda: WELL, lag_s, period_s=0.01).run())
+    await asyncio.sleep(0.055)
+    name = "armbridge_event_loop_lag_seconds"
+    assert samples(lag_s.collect())[f"{name}_sum",] == pytest.approx(0.0)
+    loop.advance(0.1)
+    await asyncio.sleep(0.02)
+    watching.cancel()
+    # The look that was due 5 ms later came when the loop was free again.
+    assert samples(lag_s.collect())[f"{name}_sum",] == pytest.approx(0.095)
+    assert samples(lag_s.collect())[f"{name}_count",] == 7
+
+
+# Metrics over HTTP.
+
+
+async def test_who_scrapes_gets_the_metrics_in_the_format_that_is_wanted() -> None:
+    answer = Monitor(SystemdNotifier()).routes["metrics"]
+    plain = await answer(Request("/metrics", Headers()))
+    assert plain.headers["Content-Type"].startswith("text/plain; version=")
+    assert any(family.name == "armbridge_live" for family in text_string_to_metric_families(plain.body.decode()))
+    accepting = Headers({"Accept": "application/openmetrics-text; version=1.0.0"})
+    modern = await answer(Request("/metrics", accepting))
+    assert modern.headers["Content-Type"].startswith("application/openmetrics-text")
+    assert modern.body.endswith(b"# EOF\n")

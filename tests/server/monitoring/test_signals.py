@@ -1,14 +1,18 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import pty
 import signal
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from server.hangup import on_hangup
+from robot import log_levels as changed
+from robot.logs import OUR_LOGGER
+from server.monitoring import signals
+from server.monitoring.signals import on_hangup, toggle_debug
 
 
 class Told:
@@ -56,3 +60,21 @@ async def test_a_program_whose_terminal_is_gone_ends(told: Told) -> None:
     os.close(ours)
     assert await told.after_hangup() == ["end"]
     os.close(theirs)
+
+
+@pytest.fixture
+def levels_are_put_back(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(changed, "_changed", {})
+    before = {name: logging.getLogger(name).level for name in (OUR_LOGGER, "armbridge.gateway")}
+    yield
+    for name, level in before.items():
+        logging.getLogger(name).setLevel(level)
+
+
+@pytest.mark.usefixtures("levels_are_put_back")
+def test_the_signal_begins_and_ends_debugging(caplog: pytest.LogCaptureFixture) -> None:
+    toggle_debug()
+    assert signals.log.isEnabledFor(logging.DEBUG)
+    toggle_debug()
+    assert logging.getLogger(OUR_LOGGER).level == logging.NOTSET
+    assert ["debug now" in record.message for record in caplog.records] == [True, False]

@@ -1,4 +1,4 @@
-"""``/diagnostics``: the condition of arm, bus and servos, once a second, as ROS's tools show it."""
+"""The topic ``/diagnostics``: health of arm, bus and servos, once a second, for the tools of ROS."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from server.node import Node
 
 TOPIC = "/diagnostics"
 
-# Of diagnostic_msgs/DiagnosticStatus: nothing new is known.
+# diagnostic_msgs/DiagnosticStatus: no recent values.
 LEVEL_STALE = 3
 
 PERIOD_S = 1.0
 
-# Three reports missed: as diagnostic_aggregator, which waits 5 s, but sooner. A simulated arm that runs slower reports
-# as much more seldom.
+# Three missing reports; diagnostic_aggregator waits longer, 5 s. A simulated arm that runs slower than real time sends
+# its reports more rarely in proportion.
 STALE_AFTER_S = 3.0
 
-# A simulated arm that runs slower than this is seen to be slow.
+# A simulated arm with a smaller real-time factor is reported as slow.
 SLOW_FACTOR = 0.9
 
-# A servo is asked a hundred times a second.
+# A servo is read a hundred times a second.
 SERVO_STALE_AFTER_S = 1.0
 
 
 class Diagnostics:
-    """Publishes the latest condition, also when none comes any more.
+    """Publishes the latest health of the arm, also when no new report comes.
 
     Args:
-        graph: where the topic is.
-        robot_name: names the hardware.
+        graph: graph to publish on.
+        robot_name: name of the hardware.
     """
 
     def __init__(self, graph: Graph, robot_name: str) -> None:
@@ -46,42 +46,33 @@ class Diagnostics:
         self._node = Node("diagnostics")
         self._state: ArmState | None = None
         self._health: ArmHealth | None = None
-        self._task: asyncio.Task[None] | None = None
+        graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticArray")
 
-    def open(self) -> None:
-        """Advertise the topic, and begin to publish."""
-        self._graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticArray")
-        self._task = asyncio.create_task(self._run(), name="diagnostics")
-
-    def close(self) -> None:
-        """Publish no more."""
-        if self._task is not None:
-            self._task.cancel()
-
-    def take_state(self, state: ArmState) -> None:
-        """Take note of a state."""
-        self._state = state
-
-    def take_health(self, health: ArmHealth) -> None:
-        """Take note of a condition."""
-        self._health = health
-
-    async def _run(self) -> None:
+    async def run(self) -> None:
+        """Publish regularly from the first state on, until cancelled."""
         while True:
             await asyncio.sleep(PERIOD_S)
             if self._state is not None:
                 message = diagnostic_array(self._state, self._health, time.time(), self._robot_name)
                 self._graph.publish(self._node, TOPIC, message)
 
+    def take_state(self, state: ArmState) -> None:
+        """Keep the latest state."""
+        self._state = state
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Keep the latest report."""
+        self._health = health
+
 
 def diagnostic_array(state: ArmState, health: ArmHealth | None, now_s: float, robot_name: str) -> dict[str, Any]:
-    """The diagnostic_msgs/DiagnosticArray: the arm first, then every servo that was ever heard of.
+    """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos.
 
     Args:
-        state: the latest.
-        health: the latest, or None before the first.
+        state: latest state.
+        health: latest report; None before the first.
         now_s: wall-clock time [s since the epoch].
-        robot_name: names the hardware.
+        robot_name: name of the hardware.
     """
     arm = status(state, robot_name)
     age_s = now_s - state.stamp_s
@@ -143,7 +134,7 @@ def _joint_status(joint: JointHealth, *, stale: bool, faulty: bool) -> dict[str,
 
 
 def _joint_values(joint: JointHealth) -> dict[str, str]:
-    """Values of a joint; those that its hardware does not measure are left out."""
+    """Return the values of a joint, without those that its hardware does not measure."""
     torque = {None: "unknown", True: "on", False: "off"}[joint.torque_enabled]
     measured = {
         "position_rad": (joint.position_rad, ".4f"),

@@ -9,10 +9,8 @@ import pytest
 from robot.faults import FaultCode
 from server.commands.systemd_unit import unit
 from server.gateway.traffic import Traffic
-from server.operations.distribution import Distribution
-from server.operations.goal_tally import GoalTally
-from server.operations.metrics.exposition import PartsCollector
-from server.operations.parts import Parts
+from server.monitoring.health import Sources
+from server.monitoring.metrics import GoalCounters, Metrics
 from tests.helpers.server import ROOT
 from tests.helpers.watched_parts import (
     WatchedArm,
@@ -37,11 +35,11 @@ def rows() -> list[list[str]]:
     return [re.split(r" *\| *", line)[1:-1] for line in lines]
 
 
-def everything() -> Parts:
-    return Parts(
+def everything() -> Sources:
+    return Sources(
         Traffic(),
         lambda: {"limit": 0},
-        GoalTally(),
+        GoalCounters(),
         WatchedQueue(),
         WatchedArm(arm_state()),
         arm_health(),
@@ -58,7 +56,7 @@ def test_every_metric_is_on_the_page_with_its_kind_and_labels() -> None:
         for name in re.findall(r"`(armbridge_\w+)`", cells[0]):
             told[name] = (cells[1], set(filter(None, re.split(r",? +", cells[2].strip()))))
     found = {}
-    for family in PartsCollector(everything(), Distribution((1.0,)), 0.0).collect():
+    for family in Metrics(everything()).registry.collect():
         labels = {label for each in family.samples for label in each.labels} - {"le"}
         # Nobody has sent a goal.
         labels |= {"source", "result"} if family.name == "armbridge_goals" else set()

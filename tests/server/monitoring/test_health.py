@@ -8,19 +8,18 @@ import pytest
 
 from robot.faults import FaultCode
 from robot.messages import Mode
-from server.operations.health import ARM_SILENT_S, ARM_STALE_S, health_of
-from server.operations.parts import Parts
+from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_health
 from tests.helpers.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
 
 
 @pytest.fixture
-def parts() -> Parts:
+def sources() -> Sources:
     """A server at work."""
-    return Parts(arm=WatchedArm(arm_state()), planners=WatchedPlanners(), recorder=WatchedRecorder(), started=True)
+    return Sources(arm=WatchedArm(arm_state()), planners=WatchedPlanners(), recorder=WatchedRecorder(), started=True)
 
 
-def test_a_server_at_work_is_live_and_ready_and_has_nothing_to_say(parts: Parts) -> None:
-    health = health_of(parts)
+def test_a_server_at_work_is_live_and_ready_and_has_nothing_to_say(sources: Sources) -> None:
+    health = check_health(sources)
     assert (health.live, health.ready, health.reasons, health.warnings) == (True, True, (), ())
 
 
@@ -51,31 +50,31 @@ NOT_READY: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("changes", "reason"), NOT_READY.values(), ids=NOT_READY.keys())
 def test_what_keeps_goals_from_being_carried_out_is_a_reason_not_to_be_ready(
-    parts: Parts, changes: dict[str, Any], reason: str
+    sources: Sources, changes: dict[str, Any], reason: str
 ) -> None:
-    health = health_of(replace(parts, **changes))
+    health = check_health(replace(sources, **changes))
     assert (health.live, health.ready, health.reasons) == (True, False, (reason,))
 
 
-def test_a_simulated_arm_that_a_busy_machine_starves_is_ready(parts: Parts) -> None:
-    assert health_of(replace(parts, arm=WatchedArm(arm_state(), 4.9, state_max_age_s=5.0))).ready
+def test_a_simulated_arm_that_a_busy_machine_starves_is_ready(sources: Sources) -> None:
+    assert check_health(replace(sources, arm=WatchedArm(arm_state(), 4.9, state_max_age_s=5.0))).ready
 
 
-def test_an_arm_process_that_is_silent_for_long_makes_the_server_dead(parts: Parts) -> None:
-    parts.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
-    health = health_of(parts)
+def test_an_arm_process_that_is_silent_for_long_makes_the_server_dead(sources: Sources) -> None:
+    sources.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
+    health = check_health(sources)
     assert (health.live, health.ready) == (False, False)
     assert health.reasons == ("the arm process has been silent for more than 10 s",)
 
 
 @pytest.mark.parametrize("changes", [{"started": False}, {"stopping": True}])
-def test_at_start_and_end_a_silent_arm_process_is_no_death(parts: Parts, changes: dict[str, bool]) -> None:
-    parts.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
-    assert health_of(replace(parts, **changes)).live
+def test_at_start_and_end_a_silent_arm_process_is_no_death(sources: Sources, changes: dict[str, bool]) -> None:
+    sources.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
+    assert check_health(replace(sources, **changes)).live
 
 
 def test_before_there_is_any_part_the_server_starts() -> None:
-    health = health_of(Parts())
+    health = check_health(Sources())
     assert (health.live, health.reasons) == (True, ("the server is starting",))
 
 
@@ -87,21 +86,35 @@ WARNINGS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changes", "words"), WARNINGS.values(), ids=WARNINGS.keys())
-def test_what_keeps_nothing_from_working_is_a_warning(parts: Parts, changes: dict[str, Any], words: str) -> None:
-    health = health_of(replace(parts, **changes))
+def test_what_keeps_nothing_from_working_is_a_warning(sources: Sources, changes: dict[str, Any], words: str) -> None:
+    health = check_health(replace(sources, **changes))
     assert health.ready
     (warning,) = health.warnings
     assert words in warning
 
 
-def test_strangers_hear_of_no_device_file_or_address(parts: Parts) -> None:
-    parts.arm = WatchedArm(arm_state(Mode.DISCONNECTED, FaultCode.BUS_LOST, "no /dev/ttySECRET"))
-    parts.planners = WatchedPlanners(load_failure="cannot read /home/SECRET")
-    assert b"SECRET" not in health_of(parts).answer(good=False).body
+def test_strangers_hear_of_no_device_file_or_address(sources: Sources) -> None:
+    sources.arm = WatchedArm(arm_state(Mode.DISCONNECTED, FaultCode.BUS_LOST, "no /dev/ttySECRET"))
+    sources.planners = WatchedPlanners(load_failure="cannot read /home/SECRET")
+    assert b"SECRET" not in check_health(sources).response(good=False).body
 
 
-def test_the_answer_over_http_has_the_status_that_monitors_look_at(parts: Parts) -> None:
-    health = health_of(replace(parts, started=False))
-    assert [int(health.answer(good=good).status) for good in (True, False)] == [200, 503]
+def test_the_answer_over_http_has_the_status_that_monitors_look_at(sources: Sources) -> None:
+    health = check_health(replace(sources, started=False))
+    assert [int(health.response(good=good).status) for good in (True, False)] == [200, 503]
     told = {"live": True, "ready": False, "reasons": ["the server is starting"], "warnings": []}
-    assert json.loads(health.answer(good=False).body) == told
+    assert json.loads(health.response(good=False).body) == told
+
+
+# Sources.
+
+
+def test_children_are_those_that_run() -> None:
+    sources = Sources(arm=WatchedArm(arm_state(), pid=11), planners=WatchedPlanners(pids=(21, 22)))
+    assert sources.children() == {"arm": 11, "planner_1": 21, "planner_2": 22}
+    sources.arm = WatchedArm(arm_state(), pid=None)
+    assert sources.children() == {"planner_1": 21, "planner_2": 22}
+
+
+def test_before_the_start_there_are_none() -> None:
+    assert Sources().children() == {}

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from server.operations.service_manager import ServiceManager, environment_manager
+from server.monitoring.systemd import SystemdNotifier
 
 
 class Systemd:
-    """The socket of a service manager, which hears what services say."""
+    """The socket of systemd, which hears what services say."""
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -40,61 +40,61 @@ def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]
 
 
 def test_it_is_told_what_systemd_understands(systemd: Systemd) -> None:
-    manager = ServiceManager(systemd.address)
-    manager.tell_status("starting")
-    manager.tell_ready("ready")
-    manager.tell_alive()
-    manager.tell_stopping()
+    notifier = SystemdNotifier(systemd.address)
+    notifier.notify_status("starting")
+    notifier.notify_ready("ready")
+    notifier.notify_watchdog()
+    notifier.notify_stopping()
     assert [systemd.heard() for _ in range(4)] == [
         ["STATUS=starting"],
         ["READY=1", "STATUS=ready"],
         ["WATCHDOG=1"],
         ["STOPPING=1", "STATUS=stopping"],
     ]
-    manager.close()
+    notifier.close()
 
 
 def test_a_status_cannot_smuggle_in_another_assignment(systemd: Systemd) -> None:
-    manager = ServiceManager(systemd.address)
-    manager.tell_status("bad\nREADY=1")
+    notifier = SystemdNotifier(systemd.address)
+    notifier.notify_status("bad\nREADY=1")
     assert systemd.heard() == ["STATUS=bad READY=1"]
-    manager.close()
+    notifier.close()
 
 
 def test_one_that_does_not_read_holds_nobody_up(systemd: Systemd) -> None:
-    manager = ServiceManager(systemd.address)
+    notifier = SystemdNotifier(systemd.address)
     for _ in range(5000):
-        manager.tell_alive()
-        manager.tell_status("there is news")
-    manager.close()
-    manager.tell_alive()
+        notifier.notify_watchdog()
+        notifier.notify_status("there is news")
+    notifier.close()
+    notifier.notify_watchdog()
 
 
 def test_what_it_did_not_read_in_time_is_told_again(systemd: Systemd) -> None:
-    manager = ServiceManager(systemd.address)
+    notifier = SystemdNotifier(systemd.address)
     for _ in range(1000):
-        manager.tell_alive()
-    manager.tell_ready("ready")
+        notifier.notify_watchdog()
+    notifier.notify_ready("ready")
     assert not any("READY=1" in heard for heard in systemd.all_heard())
-    manager.tell_again()
-    manager.tell_alive()
+    notifier.flush()
+    notifier.notify_watchdog()
     assert [systemd.heard(), systemd.heard()] == [["WATCHDOG=1"], ["READY=1", "STATUS=ready"]]
     assert systemd.heard() == ["WATCHDOG=1"]
-    manager.close()
+    notifier.close()
 
 
 def test_without_one_nothing_is_told() -> None:
-    manager = ServiceManager.of_environment({}, 7)
-    manager.tell_ready("ready")
-    assert manager.watchdog_s == 0.0
+    notifier = SystemdNotifier.from_environment({}, 7)
+    notifier.notify_ready("ready")
+    assert notifier.watchdog_s == 0.0
 
 
 def test_one_that_cannot_be_reached_is_told_of_and_passed_over(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.WARNING)
-    manager = ServiceManager(str(tmp_path / "nobody"))
-    manager.tell_ready("ready")
+    notifier = SystemdNotifier(str(tmp_path / "nobody"))
+    notifier.notify_ready("ready")
     assert "NOTIFY_SOCKET" in caplog.text
 
 
@@ -111,16 +111,16 @@ WATCHED = {
 def test_the_watchdog_is_for_the_process_that_it_names(
     systemd: Systemd, variables: dict[str, str], watchdog_s: float
 ) -> None:
-    manager = ServiceManager.of_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
-    assert manager.watchdog_s == watchdog_s
-    manager.close()
+    notifier = SystemdNotifier.from_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
+    assert notifier.watchdog_s == watchdog_s
+    notifier.close()
 
 
 def test_children_do_not_inherit_the_variables(monkeypatch: pytest.MonkeyPatch, systemd: Systemd) -> None:
     variables = {"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "1", "WATCHDOG_PID": str(os.getpid())}
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    manager = environment_manager()
+    notifier = SystemdNotifier.from_environment()
     assert not set(variables) & set(os.environ)
-    assert manager.watchdog_s == pytest.approx(1e-6)
-    manager.close()
+    assert notifier.watchdog_s == pytest.approx(1e-6)
+    notifier.close()

@@ -6,7 +6,7 @@ from typing import Any
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
-from server.diagnostics import diagnostic_array
+from server.monitoring.diagnostics import diagnostic_array
 from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
 
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)

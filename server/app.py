@@ -197,7 +197,8 @@ class App:
         self._monitor.sources.arm_health = health
 
     def _run_task(self, name: str, running: Coroutine[Any, Any, None]) -> None:
-        self._tasks[name] = asyncio.create_task(running, name=name)
+        task = self._tasks[name] = asyncio.create_task(running, name=name)
+        task.add_done_callback(_log_failure)
 
     async def _end_task(self, name: str) -> None:
         """Cancel a task, if it was started, and wait for its end."""
@@ -213,7 +214,7 @@ class App:
             Step("goals", self._face.close, 1.1),
             Step("the arm", self._arm.close, 0.8 + relaxing_s),
             Step("clients", self._close_clients, 0.6),
-            Step("other machines", self._close_bridge, 0.4),
+            Step("other machines", lambda: self._end_task("zenoh"), 0.4),
             Step("the recording", self._close_recorder, 0.8),
             Step("the cluster", self._close_cluster, 0.4),
             Step("planners", self._pool.close, 0.4),
@@ -227,9 +228,6 @@ class App:
         self._control.close()
         await self._end_task("diagnostics")
         await self._listener.close()
-
-    async def _close_bridge(self) -> None:
-        await self._end_task("zenoh")
 
     async def _close_recorder(self) -> None:
         if self._recorder is not None:
@@ -256,6 +254,11 @@ class App:
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids)}"
         )
+
+
+def _log_failure(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and task.exception() is not None:
+        log.error("%s failed", task.get_name(), exc_info=task.exception())
 
 
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:

@@ -51,7 +51,7 @@ ARM_HEALTH_STALE_S = 5.0
 # Label values of a loop's and a bus's times: the quantiles that the arm reports.
 QUANTILES = ("0.5", "0.99", "1")
 
-# Those of ProcessCollector's metrics that are exposed; the others do not change, or mean nothing to the server.
+# Metrics of ProcessCollector that are exposed: those that docs/operations.md documents.
 PROCESS_METRICS = (
     "armbridge_process_resident_memory_bytes",
     "armbridge_process_open_fds",

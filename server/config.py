@@ -10,9 +10,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from robot.logs import LogFormat
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
-from server.access.settings import AccessSettings
+from server.access.settings import AccessSettings, SessionSettings
 from server.execution.queue import GoalPolicy
-from server.gateway.session_settings import SessionSettings
 from server.moveit.parameters import MoveItParameters
 from server.zenoh.settings import ZenohSettings
 

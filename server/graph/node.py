@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from server.access.roles import ANYONE, Identity
+from server.access.permissions import ANYONE, Identity
 
 
 class Node:

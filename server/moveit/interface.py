@@ -21,6 +21,7 @@ from server.execution.queue import Answer, GoalQueue, QueuedGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.monitoring.metrics import GoalCounters
 from server.moveit.actions.motion_actions import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
@@ -37,7 +38,6 @@ from server.moveit.scene.state import SceneState
 from server.moveit.services.offer import offer_services
 from server.moveit.services.planning_context import PlanningContext
 from server.moveit.servo.servo_node import ServoNode
-from server.operations.goal_tally import GoalTally
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
@@ -55,7 +55,7 @@ class MoveItInterface:
         pool: the planners; likewise.
 
     Attributes:
-        goal_tally: counts the ends of goals.
+        goal_counters: counters of answered goals.
         queue: of goals.
     """
 
@@ -99,7 +99,7 @@ class MoveItInterface:
             time_limits,
         )
         node = Node("moveit")
-        self.goal_tally = GoalTally()
+        self.goal_counters = GoalCounters()
         self._goal_status = GoalStatusTopics(graph, node, robot)
         self.queue: GoalQueue[Motion] = GoalQueue(
             self._executor, goals.policy, goals.capacity, self._goal_status.publish_progress, self._on_answer
@@ -173,6 +173,6 @@ class MoveItInterface:
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
 
     def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
-        self.goal_tally.take(goal.source, answer)
+        self.goal_counters.count(goal.source, answer)
         self._display.contacts_of(answer.details)
         self._goal_status.publish_answer(goal, answer)

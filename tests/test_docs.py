@@ -1,4 +1,4 @@
-"""What README and docs tell to run or to send is run and sent; what needs an arm or a network is at least a command."""
+"""Commands, programs, messages, settings and links of README and docs: run or sent where possible, else checked."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SERVER_PORT = "9090"
 RUN_TIMEOUT_S = 60
 ANSWER_TIMEOUT_S = 60
 
-# Begins of commands that bring something of others; they are not run.
+# Beginnings of commands of other programs, which are not run.
 FOREIGN = (
     "python3 -m venv ",
     "python3 -m http.server ",
@@ -38,7 +38,7 @@ FOREIGN = (
     "socat ",
 )
 
-# The page of the protocol shows what comes as well as what is sent.
+# Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.
 SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
 WITH_CODE = ("browser.md", "unity.md", "unreal.md")
 
@@ -122,7 +122,7 @@ def test_the_options_of_commands_of_dask_exist(command: str) -> None:
 
 
 def messages_in_code(page: str) -> list[str]:
-    """What the component of an engine or the page for a browser sends once it is connected."""
+    """Operations that the code on a page (C++, C# or JavaScript) sends after connecting."""
     text = (ROOT / "docs" / page).read_text()
     frames = re.findall(r"TEXT\(R\"\((.*?)\)\"\)", text)
     frames += [line.replace('""', '"') for line in re.findall(r"@\"(\{.*\})\"", text)]
@@ -163,7 +163,7 @@ def test_the_settings_of_a_page_are_taken(settings: str, tmp_path: Path) -> None
 
 
 def anchors(page: Path) -> set[str]:
-    """What a link to a heading of a page ends in, as GitHub makes it of the heading."""
+    """Anchors of a page's headings, as GitHub derives them."""
     text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
@@ -186,7 +186,7 @@ def test_every_test_that_the_table_of_attacks_names_exists() -> None:
 
 
 def printed_sentences() -> str:
-    """Every string in the code as it would be printed, one a line; what is filled in is an ellipsis."""
+    """Strings of the code as they are printed, one a line, with an ellipsis for each value."""
     found = []
     for file in (
         path for folder in ("planners", "protocol", "robot", "server") for path in (ROOT / folder).rglob("*.py")
@@ -205,7 +205,7 @@ def test_the_sentences_of_the_page_about_troubles_are_printed_by_the_code() -> N
     others = ("armbridge ", "make ", "curl ", "echo ", "journalctl ", "{", "access.allowed_")
     quoted = [text for text in re.findall(r"`([^`]+)`", text) if text.count(" ") >= 3 and not text.startswith(others)]
     assert len(quoted) > 80
-    # A sentence may be put together of two at a colon.
+    # Some sentences are joined from two strings at a colon.
     parts = [part for text in quoted for part in re.split(r"…|: ", text)]
     assert [part for part in parts if len(part) > 4 and part.strip(" ();,") not in printed] == []
 

@@ -88,7 +88,7 @@ class TrackedGoals:
 
     @property
     def full(self) -> bool:
-        """Whether no more goals can be taken on."""
+        """True when no more goals can be accepted."""
         return sum(goal.ended_s is None for goal in self._goals.values()) >= MAX_GOALS
 
     def add(self, goal_id: GoalId, now: Stamp) -> Tracked | None:
@@ -130,7 +130,7 @@ class TrackedGoals:
         return goal
 
     def to_cancel(self, goal_id: GoalId) -> list[str]:
-        """Which goals a message on the topic ``cancel`` means.
+        """Return the goals that a message on the topic ``cancel`` selects.
 
         All of them when it says nothing; else that of its id, and all that are no younger than its stamp.
         """
@@ -172,7 +172,7 @@ STATUS_ARRAY = "actionlib_msgs/GoalStatusArray"
 
 
 def has_actionlib_types(registry: Registry, type_name: str) -> bool:
-    """Whether ROS 1 has an action of this type, and so the messages of its topics."""
+    """Tell whether ROS 1 has an action of this type, and so the messages of its topics."""
     return registry.knows(_message_type(type_name, "ActionGoal"))
 
 
@@ -323,7 +323,7 @@ def _message_type(type_name: str, part: str) -> str:
 
 
 def _sentence(result: Mapping[str, Any]) -> str:
-    """What a result says in words, which ROS 1's error codes have no field for."""
+    """Return a result's sentence, for which ROS 1's error codes have no field."""
     code = result.get("response", result).get("error_code")
     if isinstance(code, Mapping):
         return str(code.get("message", ""))

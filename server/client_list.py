@@ -1,4 +1,4 @@
-"""Who is connected, on the latched topics of rosbridge_server."""
+"""Connected clients, on the latched topics of rosbridge_server."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ _DEFAULT = GuardLimits()
 
 
 class GuardSettings(BaseModel):
-    """How hard the servos may push, and what is borne before a motion has failed.
+    """Torque limits of the servos, and the tolerances within which a motion succeeds.
 
     Attributes:
         torque_limit: share of full motor duty that each servo may use; less is gentler, and carries less.
@@ -94,7 +94,7 @@ class _Section(BaseModel):
 
 
 class ServerSettings(_Section):
-    """Where clients connect.
+    """Address and limits of the server.
 
     Attributes:
         host: address to listen on.

@@ -1,7 +1,4 @@
-"""What can be set: every setting of a model with its meaning, unit, range and default, and the key that was meant.
-
-A configuration file with every setting at its default, each explained.
-"""
+"""Settings as a list: each with its meaning, unit, range and default; the key that was probably meant; a template file."""
 
 from __future__ import annotations
 

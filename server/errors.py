@@ -71,5 +71,5 @@ class StartError(ServerError):
 
 
 def sentence_of(flaw: Mapping[str, Any]) -> str:
-    """What pydantic says of a flaw, one of ``ValidationError.errors()``; a validator's own sentence as it stands."""
+    """Return the sentence of one of ``ValidationError.errors()``; a validator's own sentence as it stands."""
     return str(flaw["msg"]).removeprefix("Value error, ")

@@ -84,7 +84,7 @@ async def stop_in_order(
 
 
 def allowance_s(deadline_s: float, left_s: float, steps_after: int) -> float:
-    """What a step gets [s]: its deadline, or what is left of the total when the steps after it have their share.
+    """Return the time of a step [s]: its deadline, or the rest of the total less the shares of later steps.
 
     Args:
         deadline_s: of the step [s].

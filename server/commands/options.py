@@ -175,7 +175,7 @@ def _put(values: dict[str, Any], path: tuple[str, ...] | list[str], value: Any) 
 
 
 def _key(text: str) -> str:
-    """What is a key in a text that should be an assignment; the rest may be secret."""
+    """Return the key of a text that should be an assignment; the rest may be secret."""
     return re.split(r"[^\w.]", text, maxsplit=1)[0]
 
 

@@ -84,7 +84,7 @@ def _overrides(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _number(kind: Callable[[str], float], least: float, greatest: float) -> Callable[[str], float]:
-    """What reads a number of an option, within bounds."""
+    """Return a reader of an option's number, within bounds."""
 
     def read(text: str) -> float:
         try:

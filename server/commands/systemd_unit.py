@@ -109,7 +109,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def server_command(python: Path) -> list[str]:
-    """How this installation's server is called.
+    """Return the command line of this installation's server.
 
     Args:
         python: the interpreter.

@@ -19,7 +19,7 @@ _REDRAW = "\x1b[{lines}A\x1b[J"
 
 
 class ExitCode(IntEnum):
-    """How a command ended, for scripts."""
+    """Exit code of a command, for scripts."""
 
     DONE = 0
     FAILED = 1
@@ -35,7 +35,7 @@ class AnswerMissing(RobotError):  # noqa: N818 - named by the fact
 
 
 class Terminal:
-    """Where a command speaks and listens.
+    """Terminal of a command: its output and its keyboard.
 
     Args:
         input_descriptor: where answers come from.
@@ -82,7 +82,7 @@ class Terminal:
         self._line()
 
     def entered(self) -> bool:
-        """Whether Enter was pressed since the last question; does not wait.
+        """Tell whether Enter was pressed since the last question; does not wait.
 
         Raises:
             AnswerMissing: the input ended.

@@ -1,8 +1,6 @@
-"""One goal of an action on its way, from the goal to its one result.
+"""Actions of the graph: local parts and remote clients offer them and send goals alike.
 
-Actions in one process: a local part and a remote client offer them and send goals alike.
-
-Whoever sends a goal gets exactly one result: the provider's, or the reason why there is none.
+A sender gets exactly one result: the provider's, or the reason for which there is none.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from server.timers import CallLater
 
 
 class GoalStatus(enum.IntEnum):
-    """How a goal ended: values of action_msgs/GoalStatus."""
+    """Final status of a goal: values of action_msgs/GoalStatus."""
 
     # The goal was never taken on.
     UNKNOWN = 0
@@ -150,7 +148,7 @@ ALL_GOALS = b64encode(bytes(16)).decode()
 
 @dataclass(eq=False)
 class Sender:
-    """Who sent a goal, and what it wants to hear; nothing once it has left."""
+    """Sender of a goal, and the callbacks that it gets; none once it has left."""
 
     node: Node
     on_result: Callable[[Result], None] | None

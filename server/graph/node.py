@@ -1,4 +1,4 @@
-"""Who takes part in the graph."""
+"""Participants of the graph."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Work that somebody waits for: it ends once, whoever ends it.
+"""Providers of services and actions: one table by name, and the base of requests on their way.
 
-Who offers what under which name: the one table behind services and behind actions.
+A request is ended once, by its provider, its deadline or its caller's departure; whatever comes later goes nowhere.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _TYPE_KINDS: dict[OfferedKind, Kind] = {"service": "srv", "action": "action"}
 
 @dataclass(eq=False)
 class Offer:
-    """What somebody offers.
+    """A service or an action that a node provides.
 
     Attributes:
         node: who offers it.
@@ -133,7 +133,7 @@ class Offers(Generic[AnOffer]):
 
 
 class Directory(Generic[AnOffer]):
-    """Who offers what, for whoever asks.
+    """Names and types of what is provided, for introspection.
 
     Args:
         offers: the table.
@@ -152,6 +152,6 @@ class Directory(Generic[AnOffer]):
         return None if offer is None else offer.type_name
 
     def provider(self, name: str) -> Node | None:
-        """Who offers a fully qualified name; None when nobody does."""
+        """Return the node that provides a fully qualified name; None when there is none."""
         offer = self._offers.get(name)
         return None if offer is None else offer.node

@@ -1,8 +1,6 @@
-"""One call of a service on its way, from the request to its one response.
+"""Services of the graph: local parts and remote clients offer and call them alike.
 
-Services in one process: a local part and a remote client offer and call them alike.
-
-Whoever calls gets exactly one response: the provider's, or the reason why there is none.
+A caller gets exactly one response: the provider's, or the reason for which there is none.
 """
 
 from __future__ import annotations

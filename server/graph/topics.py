@@ -1,12 +1,10 @@
-"""What a topic keeps for those who subscribe later: its latched message, and its messages of the last moment.
+"""Topics of the graph, latched messages included; services and actions stand beside them.
+
+Local parts and remote clients use a topic alike. Every message is complete and valid against the topic's type. The first
+to name a type for a topic decides it, for as long as anyone publishes or subscribes there, and a little longer.
 
 rosbridge_server publishes with transient-local durability: with ``latch`` the last message is kept for as long as its
 publisher lives, without it every message for a second (rosbridge_library, internal/publishers.py).
-
-Topics in one process, and services and actions beside them: a local part and a remote client use them alike.
-
-Every message on a topic is complete and valid against the topic's type. The first to name a type for a topic
-decides it, for as long as anyone publishes or subscribes there, and a little longer.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ MAX_RECENT_PER_TOPIC = 10
 
 
 class _Kept(NamedTuple):
-    """A publication, how large it is, and until when it is kept [s]."""
+    """A message, its size, and the time until which it is kept [s]."""
 
     publication: Publication
     size_bytes: int
@@ -48,7 +46,7 @@ class _Kept(NamedTuple):
 
 
 class Retained:
-    """The messages that are kept, of all topics."""
+    """Latched and recent messages of all topics, for those who subscribe later."""
 
     def __init__(self) -> None:
         self._latched: dict[str, _Kept] = {}
@@ -118,7 +116,7 @@ class Retained:
         self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 
     def _give_up_old(self, now: float) -> None:
-        """Give up what is too old, and what is too much: the oldest of the topic that has been quiet for longest."""
+        """Drop what is too old, and what is too much: the oldest message of the topic that has been quiet for longest."""
         while self._recent:
             topic, recent = next(iter(self._recent.items()))
             if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:
@@ -143,7 +141,7 @@ Watcher: TypeAlias = Callable[[Publication, bool], None]
 
 @dataclass(frozen=True)
 class Subscriber:
-    """What a node wants of a topic.
+    """Subscription of a node to a topic.
 
     Attributes:
         deliver: called with every message, at once and in order.
@@ -159,7 +157,7 @@ class Subscriber:
 
 @dataclass
 class Topic:
-    """One topic and who takes part in it."""
+    """One topic with its publishers and subscribers."""
 
     name: str
     type_name: str
@@ -170,11 +168,11 @@ class Topic:
 
     @property
     def used(self) -> bool:
-        """Whether anyone takes part."""
+        """True while anyone publishes or subscribes."""
         return bool(self.publishers or self.subscribers)
 
     def keeps(self, node: Node) -> bool:
-        """Whether what ``node`` publishes is kept; a client's does not replace what a part of the server keeps."""
+        """Tell whether the node's messages are latched; a client's do not replace those of the server itself."""
         return node in self.latching and (not node.remote or all(each.remote for each in self.latching))
 
 
@@ -223,26 +221,26 @@ class Graph:
         self._watchers = tuple(each for each in self._watchers if each != watcher)
 
     def topic_types(self) -> dict[str, str]:
-        """Canonical type of every topic in use."""
+        """Return the canonical type of every topic in use."""
         return {name: topic.type_name for name, topic in self._topics.items() if topic.used}
 
     def topic_type(self, name: str) -> str | None:
-        """Canonical type of a topic, given by its fully qualified name; None when nobody has said it."""
+        """Return the canonical type of a topic, given by its fully qualified name; None when it is not known."""
         topic = self._topics.get(name)
         return None if topic is None or self._outlived(topic) else topic.type_name
 
     def publishers(self, name: str) -> list[Node]:
-        """Who publishes on a topic, given by its fully qualified name."""
+        """Return the publishers of a topic, given by its fully qualified name."""
         topic = self._topics.get(name)
         return [] if topic is None else list(topic.publishers)
 
     def subscribers(self, name: str) -> list[Node]:
-        """Who has subscribed to a topic, given by its fully qualified name."""
+        """Return the subscribers of a topic, given by its fully qualified name."""
         topic = self._topics.get(name)
         return [] if topic is None else list(topic.subscribers)
 
     def is_latched(self, name: str) -> bool:
-        """Whether a topic, given by its fully qualified name, keeps its last message for who subscribes later."""
+        """Tell whether a topic, given by its fully qualified name, is latched."""
         topic = self._topics.get(name)
         return topic is not None and bool(topic.latching)
 

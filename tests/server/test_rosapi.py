@@ -7,7 +7,7 @@ import pytest
 
 from protocol.dialect import Dialect
 from server import rosapi
-from server.access.permissions import Globs
+from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.rosapi import MAX_PARAMETER_BYTES, Parameters, Request, names_of_type, node_name
 from tests.helpers.asked_world import ARM, CLIENT, AskedWorld
@@ -285,10 +285,10 @@ def test_long_names_count_too(kept: Kept) -> None:
         kept.ask("set_param", name="x" * MAX_PARAMETER_BYTES, value="1")
 
 
-class TestGlobs:
+class TestNameFilters:
     @pytest.fixture
     def some(self) -> Kept:
-        some = Kept(Globs("access.params_glob", ["/open/*"]))
+        some = Kept(NameFilter("access.params_glob", ["/open/*"]))
         some.keep("/robot_description", '"<robot/>"')
         some.ask("set_param", name="/open/speed", value="1")
         return some

@@ -21,10 +21,8 @@ from server.calls import Response
 from server.graph import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.assumed import AssumedStates
-from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.services import APPLY, GET
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.interface import APPLY, GET, SceneInterface
+from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.node import Node
 
 OBJECTS = 50

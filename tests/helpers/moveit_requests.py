@@ -10,7 +10,7 @@ from robot import model
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.context import RequestContext
 from server.moveit.scene.frames import Frames
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.planning_scene import ROBOT, message
 from tests.helpers.seven_joint_arm import SRDF, URDF
 

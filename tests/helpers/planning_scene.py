@@ -14,9 +14,9 @@ from robot import model
 from robot.forward import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server.moveit.current_state import CurrentState
-from server.moveit.scene.contents import Draft
 from server.moveit.scene.frames import LinkPlaces
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.planning_scene import Draft
+from server.moveit.scene.scene_state import SceneState
 
 REGISTRY = Registry.load()
 ROBOT = model.builtin()

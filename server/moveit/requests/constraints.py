@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from planners.goals import (
     AnyOf,
@@ -15,16 +15,264 @@ from planners.goals import (
     JointConstraint,
     JointGoal,
     OrientationConstraint,
+    Point,
     PoseGoal,
+    PositionConstraint,
     PositionGoal,
     SingleGoal,
 )
 from planners.scene import Pose
-from server.moveit.requests import joint_constraints as joints
+from robot.model import Joint
 from server.moveit.requests.context import Message, RequestContext
-from server.moveit.requests.orientations import is_binding, is_free, orientation_constraint
-from server.moveit.requests.refusals import invalid, refusals_as_data
-from server.moveit.requests.regions import Region, regions
+from server.moveit.requests.error_codes import invalid, refusals_as_data
+
+# Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
+LEAST_JOINT_TOLERANCE_RAD = 1e-4
+
+
+def joint_constraints(messages: Sequence[Message], context: RequestContext, where: str) -> tuple[JointConstraint, ...]:
+    """Read constraints on joints, one of each joint: several on the same joint are their common range.
+
+    Args:
+        messages: moveit_msgs/JointConstraint.
+        context: what they are read against.
+        where: path of their field.
+
+    Raises:
+        RefusedError: an unknown joint, a number that is not finite, a negative tolerance, a position beyond the
+            limits, or ranges that have nothing in common.
+    """
+    found: dict[str, JointConstraint] = {}
+    for index, message in enumerate(messages):
+        constraint = _constraint(message, context, f"{where}.joint_constraints[{index}]")
+        known = found.get(constraint.joint)
+        found[constraint.joint] = constraint if known is None else _common(known, constraint, where)
+    return tuple(found.values())
+
+
+def _constraint(message: Message, context: RequestContext, where: str) -> JointConstraint:
+    joint = context.robot.joints.get(message["joint_name"])
+    if joint is None or not joint.movable:
+        known = ", ".join(one.name for one in context.robot.movable_joints)
+        raise invalid(
+            f"{where}: there is no joint {message['joint_name']!r}; there are: {known}", joint=message["joint_name"]
+        )
+    for field in ("position", "tolerance_above", "tolerance_below", "weight"):
+        if not math.isfinite(message[field]):
+            raise invalid(f"{where}.{field} of joint {joint.name} must be a finite number, not {message[field]}")
+    above, below = message["tolerance_above"], message["tolerance_below"]
+    for field, value in (("tolerance_above", above), ("tolerance_below", below)):
+        if value < 0.0:
+            raise invalid(
+                f"{where}.{field} of joint {joint.name} must be 0 rad or more, not {value:g}", joint=joint.name
+            )
+    position = _within_limits(joint, message, context, where)
+    lower, upper = min(position, message["position"] - below), max(position, message["position"] + above)
+    return JointConstraint(joint.name, position, upper - position, position - lower, max(0.0, message["weight"]))
+
+
+def _within_limits(joint: Joint, message: Message, context: RequestContext, where: str) -> float:
+    """The position, moved to the limit that it is a little beyond, or beyond by less than its own tolerance."""
+    asked = float(message["position"])
+    inside = min(max(asked, joint.lower), joint.upper)
+    own = message["tolerance_below"] if asked > inside else message["tolerance_above"]
+    if abs(asked - inside) > max(context.parameters.joint_tolerance, own):
+        raise invalid(
+            f"{where}: the position of joint {joint.name!r}, {asked:.4g} rad, is beyond its limits"
+            f" {joint.lower:.4g} to {joint.upper:.4g} rad",
+            joint=joint.name,
+            position_rad=asked,
+            lower_rad=joint.lower,
+            upper_rad=joint.upper,
+        )
+    if inside != asked:
+        context.warnings.append(
+            f"the goal of joint {joint.name} is moved from {asked:.4g} rad to its limit {inside:.4g} rad"
+        )
+    return inside
+
+
+def _common(first: JointConstraint, second: JointConstraint, where: str) -> JointConstraint:
+    """The range that two constraints on one joint have in common."""
+    lower = max(first.position_rad - first.below_rad, second.position_rad - second.below_rad)
+    upper = min(first.position_rad + first.above_rad, second.position_rad + second.above_rad)
+    if lower > upper + LEAST_JOINT_TOLERANCE_RAD:
+        raise invalid(
+            f"{where}: the constraints on joint {first.joint!r} leave it no position:"
+            f" one ends at {upper:.4g} rad, another begins at {lower:.4g} rad",
+            joint=first.joint,
+        )
+    position = min(max(first.position_rad, lower), upper)
+    weight = max(first.weight, second.weight)
+    return JointConstraint(first.joint, position, max(0.0, upper - position), max(0.0, position - lower), weight)
+
+
+AXES = ("x", "y", "z")
+
+# No client asks for less than MoveGroupInterface's default; no search ends on a point.
+LEAST_ORIENTATION_TOLERANCE_RAD = 1e-3
+
+# The widest tolerance that a client fills in without being asked: compas_fab's. MoveGroupInterface's is 0.001, and
+# sparse goals have 0. Nobody with five joints means these.
+UNMEANT_TOLERANCE_RAD = 0.01
+
+# From pi on an axis is free, as a rotation vector is never longer.
+FREE_RAD = math.pi
+
+
+def orientation_constraint(message: Message, context: RequestContext, where: str) -> OrientationConstraint:
+    """Read one.
+
+    Args:
+        message: a moveit_msgs/OrientationConstraint; its tolerances are about the link's axes, whatever the
+            ``parameterization``: those of the two kinds differ only where they are wide about several axes.
+        context: what it is read against.
+        where: path of its field.
+
+    Raises:
+        RefusedError: an unknown link or frame, a number that is not finite, or a negative tolerance.
+    """
+    link = context.link(message["link_name"])
+    pose = {"position": dict.fromkeys(AXES, 0.0), "orientation": message["orientation"]}
+    wanted = context.placed(message["header"]["frame_id"], pose, where)
+    tolerances = [_tolerance(message, axis, where) for axis in AXES]
+    if not math.isfinite(message["weight"]):
+        raise invalid(f"{where}.weight must be a finite number, not {message['weight']}")
+    x, y, z = tolerances
+    return OrientationConstraint(link, wanted.orientation, (x, y, z), max(0.0, float(message["weight"])))
+
+
+def is_free(tolerance_rad: Point) -> bool:
+    """Whether any orientation will do."""
+    return min(tolerance_rad) >= FREE_RAD
+
+
+def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
+    """Whether an orientation outside its tolerance is to be refused rather than told.
+
+    It is where the group has the joints to meet any orientation. Where it has fewer, tolerances that a client
+    fills in by itself are a wish; one that is wider about any axis was chosen, and is kept.
+    """
+    return context.chooses_orientation or max(tolerance_rad) > UNMEANT_TOLERANCE_RAD
+
+
+def _tolerance(message: Message, axis: str, where: str) -> float:
+    field = f"absolute_{axis}_axis_tolerance"
+    value = float(message[field])
+    if math.isnan(value) or value < 0.0:
+        raise invalid(f"{where}.{field} must be a number of 0 rad or more, not {value:g}")
+    return min(max(value, LEAST_ORIENTATION_TOLERANCE_RAD), 2.0 * FREE_RAD)
+
+
+# A point within this of another is there: MoveGroupInterface's default position tolerance, which a servo arm misses
+# anyway. Regions that are smaller, and those of size 0, are taken as if they were as large.
+LEAST_TOLERANCE_M = 1e-4
+
+# shape_msgs/SolidPrimitive's types.
+UNSET, BOX, SPHERE, CYLINDER = 0, 1, 2, 3
+
+DIMENSIONS = {BOX: ("x", "y", "z"), SPHERE: ("radius",), CYLINDER: ("height", "radius")}
+
+
+@dataclass(frozen=True)
+class Region:
+    """One of the regions of a constraint.
+
+    Attributes:
+        constraint: the constraint as if this were its only region.
+        within_m: radius of the largest ball around the region's middle that is inside it [m].
+        elongated: whether that ball leaves out much of the region.
+    """
+
+    constraint: PositionConstraint
+    within_m: float
+    elongated: bool
+
+
+# A box whose edges differ by more than this factor is a shape of its own, not a tolerance around a point.
+ELONGATED_FACTOR = 2.0
+
+
+def regions(message: Message, context: RequestContext, where: str) -> tuple[Region, ...]:
+    """The regions of one constraint; any one of them will do.
+
+    A pose in ``primitive_poses`` that has no primitive, and one whose primitive says nothing, is a point to reach
+    within the position tolerance of the parameters.
+
+    Args:
+        message: a moveit_msgs/PositionConstraint.
+        context: what it is read against.
+        where: path of its field.
+
+    Raises:
+        RefusedError: an unknown link or frame, no region, a region of a kind or size that cannot be had.
+    """
+    link = context.link(message["link_name"])
+    volume = message["constraint_region"]
+    if volume["meshes"]:
+        raise invalid(f"{where}.constraint_region.meshes: regions can be boxes, spheres and cylinders, not meshes")
+    primitives, poses = list(volume["primitives"]), volume["primitive_poses"]
+    if not poses:
+        what = "no pose for its primitive" if primitives else "no region: give a primitive and its pose"
+        raise invalid(f"{where}.constraint_region has {what}", link=link)
+    if len(primitives) > len(poses):
+        raise invalid(f"{where}.constraint_region has {len(primitives)} primitives and {len(poses)} primitive_poses")
+    primitives += [None] * (len(poses) - len(primitives))
+    offset = _offset(message["target_point_offset"], f"{where}.target_point_offset")
+    weight = _weight(message["weight"], where)
+    frame, found = message["header"]["frame_id"], []
+    for index, (primitive, pose) in enumerate(zip(primitives, poses, strict=True)):
+        at = context.placed(frame, pose, f"{where}.constraint_region.primitive_poses[{index}]")
+        size_m = _size(primitive, context, f"{where}.constraint_region.primitives[{index}]")
+        found.append(_region(PositionConstraint(link, at, *size_m, offset, weight)))
+    return tuple(found)
+
+
+def _region(constraint: PositionConstraint) -> Region:
+    if constraint.half_size_m is None:
+        return Region(constraint, constraint.radius_m or LEAST_TOLERANCE_M, elongated=False)
+    least, most = min(constraint.half_size_m), max(constraint.half_size_m)
+    return Region(constraint, least, elongated=most > ELONGATED_FACTOR * least)
+
+
+def _size(primitive: Message | None, context: RequestContext, where: str) -> tuple[Point | None, float | None]:
+    """Half the edges of a box or the radius of a sphere, the other None [m]."""
+    if primitive is None or (primitive["type"] == UNSET and not primitive["dimensions"]):
+        return None, context.parameters.position_tolerance
+    kind, given = primitive["type"], primitive["dimensions"]
+    if kind not in DIMENSIONS:
+        raise invalid(
+            f"{where}.type: regions can be boxes ({BOX}), spheres ({SPHERE}) and cylinders ({CYLINDER}), not {kind}"
+        )
+    names = DIMENSIONS[kind]
+    if len(given) != len(names):
+        raise invalid(f"{where}.dimensions must have {len(names)} values ({', '.join(names)}), not {len(given)}")
+    for name, value in zip(names, given, strict=True):
+        if not (math.isfinite(value) and value >= 0.0):
+            raise invalid(f"{where}.dimensions: {name} must be a finite number of 0 m or more, not {value:g}")
+    if kind == SPHERE:
+        return None, max(float(given[0]), LEAST_TOLERANCE_M)
+    if kind == CYLINDER:
+        # The largest upright box with a square base in it: what is in the box is in the cylinder.
+        height, across = given[0], math.sqrt(2.0) * given[1]
+        given = (across, across, height)
+    x, y, z = (max(0.5 * float(edge), LEAST_TOLERANCE_M) for edge in given)
+    return (x, y, z), None
+
+
+def _offset(message: Message, where: str) -> Point:
+    for axis in "xyz":
+        if not math.isfinite(message[axis]):
+            raise invalid(f"{where}.{axis} must be a finite number, not {message[axis]}")
+    return float(message["x"]), float(message["y"]), float(message["z"])
+
+
+def _weight(weight: float, where: str) -> float:
+    """Weights that are not above 0 count like any other, as with MoveIt."""
+    if not math.isfinite(weight):
+        raise invalid(f"{where}.weight must be a finite number, not {weight}")
+    return max(0.0, float(weight))
+
 
 # The planners' own bound; each alternative takes milliseconds to solve.
 MAX_ALTERNATIVES = 64
@@ -62,13 +310,13 @@ def path_constraints_of(message: Message, context: RequestContext, where: str = 
         if len(region) > 1:
             raise invalid(f"{where}.position_constraints[{index}] has {len(region)} regions; on the way it can be one")
         inside.append(region[0].constraint)
-    return Constraints(joints.joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
+    return Constraints(joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
 
 
 def _goals(message: Message, context: RequestContext, where: str, most: int) -> Iterator[SingleGoal]:
     """The alternatives that one moveit_msgs/Constraints leaves."""
     _refuse_visibility(message, where)
-    ranges = _of_group(joints.joint_constraints(message["joint_constraints"], context, where), context, where)
+    ranges = _of_group(joint_constraints(message["joint_constraints"], context, where), context, where)
     turned = _orientations(message, context, where)
     choices = _regions(message, context, where)
     if not (message["joint_constraints"] or choices or turned):
@@ -116,8 +364,8 @@ def _link_goal(
 
 def _solvable(constraint: JointConstraint) -> JointConstraint:
     """A range that a search can end in, for joints that are not simply set."""
-    above = max(constraint.above_rad, joints.LEAST_TOLERANCE_RAD)
-    below = max(constraint.below_rad, joints.LEAST_TOLERANCE_RAD)
+    above = max(constraint.above_rad, LEAST_JOINT_TOLERANCE_RAD)
+    below = max(constraint.below_rad, LEAST_JOINT_TOLERANCE_RAD)
     return replace(constraint, above_rad=above, below_rad=below)
 
 

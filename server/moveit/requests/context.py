@@ -11,7 +11,7 @@ from planners.scene import Pose
 from robot.model import Group, RobotModel
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import read_pose
-from server.moveit.requests.refusals import refused, required
+from server.moveit.requests.error_codes import refused, required
 from server.moveit.scene.frames import in_root
 
 Message: TypeAlias = Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""moveit_msgs/RobotTrajectory and trajectory_msgs/JointTrajectory: motions in messages, there and back."""
+"""moveit_msgs/RobotTrajectory and trajectory_msgs/JointTrajectory."""
 
 from __future__ import annotations
 
@@ -7,14 +7,59 @@ from typing import Any
 
 import numpy as np
 
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
-from robot.model import RobotModel
+from robot.control.acceptance import refusal
+from robot.limits import JointBounds
+from robot.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
+from server.moveit.motions import GivenMotion, Positions
 from server.moveit.requests.context import Message
-from server.moveit.requests.monotone_spline import knot_accelerations, knot_velocities
-from server.moveit.requests.refusals import refusals_as_data, refused
+from server.moveit.requests.error_codes import refusals_as_data, refused
+
+
+def knot_velocities(time_s: Vector, positions_rad: Vector) -> Vector:
+    """Velocities at the points, shape (n, joints) [rad/s]: zero at the ends and where a joint turns round.
+
+    Args:
+        time_s: shape (n,), increasing [s].
+        positions_rad: shape (n, joints) [rad].
+    """
+    velocities = np.zeros_like(positions_rad)
+    spans = np.diff(time_s)[:, np.newaxis]
+    slopes = np.diff(positions_rad, axis=0) / spans
+    before, after = slopes[:-1], slopes[1:]
+    # The harmonic mean of the two slopes, the one of the shorter span counting more.
+    weight_before, weight_after = 2.0 * spans[1:] + spans[:-1], spans[1:] + 2.0 * spans[:-1]
+    onward = before * after > 0.0
+    weighted = np.divide(weight_before, before, where=onward, out=np.ones_like(before))
+    weighted += np.divide(weight_after, after, where=onward, out=np.ones_like(after))
+    velocities[1:-1] = np.where(onward, (weight_before + weight_after) / weighted, 0.0)
+    return velocities
+
+
+def knot_accelerations(time_s: Vector, positions_rad: Vector, velocities_rad_s: Vector) -> Vector:
+    """Mean of the accelerations before and after each point on cubics with these velocities, shape (n, joints).
+
+    Args:
+        time_s: shape (n,), increasing [s].
+        positions_rad: shape (n, joints) [rad].
+        velocities_rad_s: shape (n, joints) [rad/s].
+    """
+    accelerations = np.zeros_like(positions_rad)
+    spans = np.diff(time_s)[:, np.newaxis]
+    slopes = np.diff(positions_rad, axis=0) / spans
+    first, last = velocities_rad_s[:-1], velocities_rad_s[1:]
+    starts = (6.0 * slopes - 4.0 * first - 2.0 * last) / spans
+    ends = (2.0 * first + 4.0 * last - 6.0 * slopes) / spans
+    accelerations[:-1] += 0.5 * starts
+    accelerations[1:] += 0.5 * ends
+    if len(time_s) > 1:
+        accelerations[0] *= 2.0
+        accelerations[-1] *= 2.0
+    return accelerations
+
 
 # Scripts that put motions together have the end of one and the begin of the next at one time, but for rounding.
 SAME_TIME_S = 1e-6
@@ -167,3 +212,66 @@ def _after_rest(array: Vector | None) -> Vector | None:
 
 def _invalid(message: str, **details: Any) -> RefusedError:
     return refused(MoveItErrorCode.INVALID_MOTION_PLAN, f"trajectory.{message}", **details)
+
+
+def given_motion(message: Message, robot: RobotModel) -> GivenMotion:
+    """A motion to play, from a trajectory_msgs/JointTrajectory.
+
+    Joints of its group that it does not name keep the position that the arm holds.
+    """
+
+    def trajectory(held_rad: Positions) -> Trajectory | PlanningFailure:
+        motion = from_joint_trajectory(message, robot, held_rad)
+        if isinstance(motion, PlanningFailure):
+            return motion
+        group = smallest_group(robot, motion.joint_names)
+        if group is None:
+            return _no_group(robot, motion.joint_names)
+        whole = of_group(motion, group, held_rad)
+        return _beyond_limits(whole, robot) or whole
+
+    return GivenMotion(trajectory)
+
+
+def smallest_group(robot: RobotModel, joint_names: tuple[str, ...]) -> Group | None:
+    """The group of fewest joints that has all of these; None when there is none."""
+    fitting = [group for group in robot.groups.values() if set(joint_names) <= set(group.joints)]
+    return min(fitting, key=lambda group: len(group.joints), default=None)
+
+
+def of_group(motion: Trajectory, group: Group, held_rad: Positions) -> Trajectory:
+    """The same motion with a column for every joint of a group, those that it leaves out standing still."""
+    samples = len(motion.time_s)
+    columns = {name: column for column, name in enumerate(motion.joint_names)}
+
+    def spread(array: np.ndarray, still: Positions | None) -> np.ndarray:
+        return np.column_stack(
+            [
+                array[:, columns[name]] if name in columns else np.full(samples, still[name] if still else 0.0)
+                for name in group.joints
+            ]
+        )
+
+    return Trajectory(
+        group.joints,
+        motion.time_s,
+        spread(motion.positions_rad, held_rad),
+        spread(motion.velocities_rad_s, None),
+        spread(motion.accelerations_rad_s2, None),
+    )
+
+
+def _beyond_limits(motion: Trajectory, robot: RobotModel) -> PlanningFailure | None:
+    """Why the arm's driver would not play a motion from its own start."""
+    bounds = JointBounds.of(robot, motion.joint_names)
+    reason = refusal(motion, motion.joint_names, bounds, motion.positions_rad[0])
+    return PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, reason) if reason else None
+
+
+def _no_group(robot: RobotModel, joint_names: tuple[str, ...]) -> PlanningFailure:
+    groups = "; ".join(f"{name}: {', '.join(group.joints)}" for name, group in robot.groups.items())
+    return PlanningFailure(
+        MoveItErrorCode.INVALID_MOTION_PLAN,
+        f"trajectory.joint_names {list(joint_names)} are not all of one group; the groups are {groups}",
+        {"joints": list(joint_names)},
+    )

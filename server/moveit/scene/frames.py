@@ -11,7 +11,7 @@ from robot.forward import ForwardPlacements
 from robot.model import RobotModel
 from robot.trajectory import Vector
 from server.moveit.poses import composed, inverse, pose_of
-from server.moveit.scene.things import IDENTITY, HeldThing, Thing
+from server.moveit.scene.collision_objects import IDENTITY, HeldThing, Thing
 
 # MoveIt's name for where the robot stands, which is its root link here.
 WORLD = "world"

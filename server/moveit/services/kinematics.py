@@ -1,26 +1,25 @@
-"""``/compute_ik`` and ``/compute_fk``: from poses to joints and back."""
+"""``/compute_ik``, ``/compute_fk`` and ``/check_state_validity``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from planners.goals import ConstraintGoal, Constraints, Goal, OrientationConstraint, PoseGoal, PositionConstraint
-from planners.problem import IkQuestion, MoveItErrorCode
-from planners.scene import Pose
+from planners.problem import IkQuestion, MoveItErrorCode, StateAnswer, StateQuestion
+from planners.scene import Pose, Scene
 from protocol.messages import Stamp
 from robot.model import RobotModel
 from server.moveit.current_state import state_message
 from server.moveit.parameters import MAX_KINEMATICS_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import pose_of, write_pose
-from server.moveit.requests.codes import deviation_note, success
-from server.moveit.requests.constraints import path_constraints_of
+from server.moveit.requests.constraints import LEAST_ORIENTATION_TOLERANCE_RAD
+from server.moveit.requests.constraints import LEAST_TOLERANCE_M, path_constraints_of
 from server.moveit.requests.context import Message, RequestContext
-from server.moveit.requests.orientations import LEAST_TOLERANCE_RAD
-from server.moveit.requests.refusals import invalid, refused, required
-from server.moveit.requests.regions import LEAST_TOLERANCE_M
+from server.moveit.requests.error_codes import deviation_note, invalid, refused, required, success
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import seen_from
-from server.moveit.services.planning_context import PlanningContext
 from server.node import Node
 
 NANOSECONDS_PER_S = 1e9
@@ -98,7 +97,11 @@ def _ik_goal(asked: Message, reading: RequestContext) -> Goal:
     link = asked["ik_link_name"] or (links[0] if links else "")
     pose = _pose(poses[0] if poses else asked["pose_stamped"], reading)
     return PoseGoal(
-        reading.link(link), pose, LEAST_TOLERANCE_M, (LEAST_TOLERANCE_RAD,) * 3, strict=reading.chooses_orientation
+        reading.link(link),
+        pose,
+        LEAST_TOLERANCE_M,
+        (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3,
+        strict=reading.chooses_orientation,
     )
 
 
@@ -114,7 +117,9 @@ def _several(links: Sequence[str], poses: Sequence[Message], reading: RequestCon
     if not reading.chooses_orientation:
         reading.warnings.append("the orientations of several links are not heeded")
         return ConstraintGoal(Constraints(positions=positions))
-    turned = tuple(OrientationConstraint(link, pose.orientation, (LEAST_TOLERANCE_RAD,) * 3) for link, pose in placed)
+    turned = tuple(
+        OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3) for link, pose in placed
+    )
     return ConstraintGoal(Constraints(positions=positions, orientations=turned))
 
 
@@ -125,3 +130,80 @@ def _pose(stamped: Message, reading: RequestContext) -> Pose:
 def _timeout_s(duration: Message, parameters: MoveItParameters) -> float:
     timeout_s = duration["sec"] + duration["nanosec"] / NANOSECONDS_PER_S
     return min(timeout_s, MAX_KINEMATICS_TIMEOUT_S) if timeout_s > 0.0 else parameters.kinematics_solver_timeout
+
+
+log = logging.getLogger("armbridge.moveit")
+
+# moveit_msgs/ContactInformation's body types.
+ROBOT_LINK, WORLD_OBJECT, ROBOT_ATTACHED = 0, 1, 2
+
+
+async def check_state_validity(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Tell all that is wrong with a state; the response of moveit_msgs/GetStateValidity.
+
+    Raises:
+        RefusedError: a state, group or constraint that cannot be asked about.
+    """
+    group = context.group(request["group_name"])
+    positions_rad = context.positions_rad(request["robot_state"], caller)
+    scene = context.scene_of(request["robot_state"], positions_rad)
+    reading = context.request_context(group, positions_rad)
+    constraints = required(path_constraints_of(request["constraints"], reading, "constraints"))
+    state = required(await context.pool.ask(StateQuestion(group.name, positions_rad), scene))
+    results = [
+        _result(required(await context.pool.ask(StateQuestion(group.name, positions_rad, one), scene)))
+        for one in _singly(constraints)
+    ]
+    for problem in state.problems:
+        log.info("/check_state_validity: %s", problem.message)
+    pairs = [pair for problem in state.problems for pair in problem.details.get("pairs", ())]
+    context.display.contacts(pairs)
+    return {
+        "valid": state.valid and all(result["result"] for result in results),
+        "contacts": [_contact(pair, context.robot, scene) for pair in pairs],
+        "constraint_result": results,
+    }
+
+
+def _singly(constraints: Constraints) -> Iterator[Constraints]:
+    """Each constraint alone, in MoveIt's order of results."""
+    yield from (Constraints(joints=(one,)) for one in constraints.joints)
+    yield from (Constraints(positions=(one,)) for one in constraints.positions)
+    yield from (Constraints(orientations=(one,)) for one in constraints.orientations)
+
+
+def _result(answer: StateAnswer) -> dict[str, Any]:
+    """The moveit_msgs/ConstraintEvalResult: how far beyond its tolerance a constraint is, 0 where it holds."""
+    for problem in answer.problems:
+        if problem.code is MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED:
+            log.info("/check_state_validity: %s", problem.message)
+            return {"result": False, "distance": _distance(problem.details)}
+    return {"result": True, "distance": 0.0}
+
+
+def _distance(details: Mapping[str, Any]) -> float:
+    """By how much a constraint does not hold [m], [rad]."""
+    if "beyond_m" in details or "beyond_rad" in details:
+        return float(details.get("beyond_m", 0.0) or details.get("beyond_rad", 0.0))
+    position = details["position_rad"]
+    return float(max(details["lower_rad"] - position, position - details["upper_rad"], 0.0))
+
+
+def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[str, Any]:
+    held = {attached.object.name for attached in scene.attached}
+
+    def body_type(name: str) -> int:
+        if name in robot.links:
+            return ROBOT_LINK
+        return ROBOT_ATTACHED if name in held else WORLD_OBJECT
+
+    return {
+        "header": {"frame_id": robot.root_link},
+        "position": dict(zip("xyz", pair["point_m"], strict=True)),
+        "normal": dict(zip("xyz", pair["normal"], strict=True)),
+        "depth": pair["depth_m"],
+        "contact_body_1": pair["first"],
+        "body_type_1": body_type(pair["first"]),
+        "contact_body_2": pair["second"],
+        "body_type_2": body_type(pair["second"]),
+    }

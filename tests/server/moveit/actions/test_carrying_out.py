@@ -7,7 +7,7 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.action_goals import Goal, GoalStatus
 from server.goal_queue import Answer, GoalState, Progress
-from server.moveit.actions.carrying_out import StateFeedback, carry_out, refuse, status_of
+from server.moveit.actions.goal_bridge import StateFeedback, carry_out, refuse, status_of
 from server.moveit.motions import PlannedMotion
 from server.node import Node
 from tests.helpers.action_desk import ActionDesk

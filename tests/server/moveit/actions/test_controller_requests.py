@@ -5,8 +5,13 @@ from typing import Any
 import pytest
 
 from robot import model
-from server.moveit.actions.controller_requests import Refused, refusal_of, tolerances_in
-from server.moveit.actions.followed_goal import FollowCode, FollowedTolerances
+from server.moveit.actions.joint_trajectory_controller import (
+    FollowCode,
+    FollowedTolerances,
+    Refused,
+    refusal_of,
+    tolerances_in,
+)
 from tests.helpers.moveit_requests import HOME, message
 
 ROBOT = model.builtin()

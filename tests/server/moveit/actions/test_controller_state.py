@@ -9,7 +9,7 @@ import pytest
 from protocol.registry import Registry
 from robot import model
 from server.graph import Graph, Subscriber
-from server.moveit.actions.controller_state import ControllerState
+from server.moveit.actions.joint_trajectory_controller import ControllerState
 from server.node import Node
 from tests.helpers.played_arm import JOINTS, PlayedArm
 

@@ -4,7 +4,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from server.moveit.actions.execute_trajectory import EXECUTE_ACTION, ExecuteTrajectory
+from server.moveit.actions.move_group import EXECUTE_ACTION, ExecuteTrajectory
 from server.moveit.motions import GivenMotion
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_services import ROBOT

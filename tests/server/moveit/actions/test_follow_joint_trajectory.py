@@ -7,8 +7,7 @@ import pytest
 
 from server.action_goals import GoalStatus
 from server.goal_queue import GoalState, Progress
-from server.moveit.actions.follow_joint_trajectory import INDUSTRIAL_ACTION, ArmController
-from server.moveit.actions.followed_goal import FollowCode
+from server.moveit.actions.joint_trajectory_controller import INDUSTRIAL_ACTION, ArmController, FollowCode
 from server.moveit.motions import GivenMotion
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_services import ROBOT

@@ -13,7 +13,7 @@ from robot.messages import ArmState, Outcome
 from server.action_goals import Goal, GoalStatus, Result
 from server.goal_queue import Answer, GoalState, Performed, Progress
 from server.interfaces import Interfaces
-from server.moveit.actions.followed_goal import FollowCode, FollowedGoal, FollowedTolerances, code_of
+from server.moveit.actions.joint_trajectory_controller import FollowCode, FollowedGoal, FollowedTolerances, code_of
 from server.node import Node
 from tests.helpers.played_arm import JOINTS, PlayedArm
 from tests.helpers.trajectories import smooth_move

@@ -7,7 +7,7 @@ import pytest
 from planners.problem import PlanningFailure
 from robot import model
 from robot.trajectory import Trajectory
-from server.moveit.actions.given_motions import given_motion, smallest_group
+from server.moveit.requests.trajectories import given_motion, smallest_group
 from tests.helpers.moveit_requests import message
 
 ROBOT = model.builtin()

@@ -3,7 +3,7 @@ from __future__ import annotations
 from planners.problem import MoveItErrorCode
 from robot import model
 from server.goal_queue import Answer, Performed
-from server.moveit.actions.messages import move_group_result, sequence_result
+from server.moveit.actions.goal_bridge import move_group_result, sequence_result
 from tests.helpers.moveit_requests import message
 from tests.helpers.trajectories import smooth_move
 

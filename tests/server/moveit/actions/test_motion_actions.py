@@ -4,7 +4,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from server.moveit.actions.motion_actions import MotionActions
+from server.moveit.actions.move_group import MotionActions
 from tests.helpers.action_desk import ActionDesk
 
 OFFERED = {

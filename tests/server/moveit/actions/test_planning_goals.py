@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from server.action_goals import GoalStatus
-from server.moveit.actions.planning_goals import MOVE_ACTIONS, SEQUENCE_ACTION, PlanningActions
+from server.moveit.actions.move_group import MOVE_ACTIONS, SEQUENCE_ACTION, PlanningActions
 from server.moveit.motions import PlannedMotion
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_requests import joint

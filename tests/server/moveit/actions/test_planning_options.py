@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from planners.problem import PlanningFailure
-from server.moveit.actions.planning_options import DEFAULT_ATTEMPTS, MAX_ATTEMPTS, Options, options_of
+from server.moveit.actions.move_group import DEFAULT_ATTEMPTS, MAX_ATTEMPTS, Options, options_of
 from tests.helpers.moveit_requests import message
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.action_goals import Goal
-from server.moveit.actions.planning_requests import Asked, asked_by, motion_of, planned_only
+from server.moveit.actions.move_group import Asked, asked_by, motion_of, planned_only
 from server.moveit.motions import PlannedMotion
 from tests.helpers.moveit_requests import joint, message
 from tests.helpers.moveit_services import HOME, ServiceRig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planners.problem import PlanningFailure
-from server.moveit.actions.tolerances import tolerances_of, violated
+from server.moveit.actions.joint_trajectory_controller import tolerances_of, violated
 from tests.helpers.moveit_requests import message
 from tests.helpers.played_arm import JOINTS, PlayedArm
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
-from server.moveit.requests.codes import deviation_note, error_code, failure_code, success
+from server.moveit.requests.error_codes import deviation_note, error_code, failure_code, success
 
 
 @pytest.mark.parametrize("code", list(MoveItErrorCode))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from planners.goals import JointConstraint
 from planners.problem import MoveItErrorCode
 from server.errors import RefusedError
-from server.moveit.requests.joint_constraints import joint_constraints
+from server.moveit.requests.constraints import joint_constraints
 from tests.helpers.moveit_requests import ROBOT, assert_refused, constraints, context, joint
 
 ELBOW = ROBOT.joints["elbow_flex"]

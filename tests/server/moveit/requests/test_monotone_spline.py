@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.trajectory import Trajectory
-from server.moveit.requests.monotone_spline import knot_accelerations, knot_velocities
+from server.moveit.requests.trajectories import knot_accelerations, knot_velocities
 from tests.helpers.examples import examples
 
 SPANS = st.lists(st.floats(0.05, 3.0), min_size=1, max_size=8)

@@ -6,13 +6,8 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from server.errors import RefusedError
-from server.moveit.requests.orientations import (
-    LEAST_TOLERANCE_RAD,
-    UNMEANT_TOLERANCE_RAD,
-    is_binding,
-    is_free,
-    orientation_constraint,
-)
+from server.moveit.requests.constraints import LEAST_ORIENTATION_TOLERANCE_RAD
+from server.moveit.requests.constraints import UNMEANT_TOLERANCE_RAD, is_binding, is_free, orientation_constraint
 from tests.helpers.moveit_requests import SEVEN, TIP, assert_refused, constraints, context, turned
 
 HALF = math.sqrt(0.5)
@@ -27,7 +22,7 @@ def test_a_constraint_without_fields_is_the_root_links_orientation_of_the_tip() 
     one = read({})
     assert one.link == TIP
     assert one.orientation == (0.0, 0.0, 0.0, 1.0)
-    assert one.tolerance_rad == (LEAST_TOLERANCE_RAD,) * 3
+    assert one.tolerance_rad == (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3
 
 
 def test_a_quaternion_of_any_length_is_its_direction() -> None:

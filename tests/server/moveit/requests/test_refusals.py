@@ -4,7 +4,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.errors import RefusedError
-from server.moveit.requests.refusals import invalid, refusals_as_data, refused, required
+from server.moveit.requests.error_codes import invalid, refusals_as_data, refused, required
 
 
 @refusals_as_data

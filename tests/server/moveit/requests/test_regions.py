@@ -6,7 +6,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from server.errors import RefusedError
-from server.moveit.requests.regions import LEAST_TOLERANCE_M, regions
+from server.moveit.requests.constraints import LEAST_TOLERANCE_M, regions
 from tests.helpers.moveit_requests import (
     BOX,
     CONE,

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode
-from server.moveit.requests.robot_state import (
+from server.moveit.requests.planning_context import (
     MAX_START_BOUNDS_ERROR_RAD,
     Start,
     attached_diff,

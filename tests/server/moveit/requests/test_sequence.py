@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from planners.problem import MoveItErrorCode
-from server.moveit.requests.sequence import MAX_ITEMS, requests_of
+from server.moveit.requests.motion_plan import MAX_ITEMS, requests_of
 from tests.helpers.moveit_requests import assert_refused, message
 
 NAMED_START = {"start_state": {"joint_state": {"name": ["elbow_flex"], "position": [0.1]}}}

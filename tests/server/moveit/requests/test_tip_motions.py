@@ -9,7 +9,7 @@ from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.problem import Arc, Line, MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from server.errors import RefusedError
-from server.moveit.requests.tip_motions import CIRCULAR, STRAIGHT, tip_problem
+from server.moveit.requests.motion_plan import CIRCULAR, STRAIGHT, tip_problem
 from tests.helpers.moveit_requests import FRAMES, HOME, TIP, assert_refused, ball, constraints, context
 
 END = (0.3, 0.0, 0.2)

@@ -5,7 +5,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from server.errors import RefusedError
-from server.moveit.scene.assumed import AssumedStates
+from server.moveit.scene.scene_state import AssumedStates
 from server.node import Node
 from tests.helpers.planning_scene import BENT, ROBOT, message
 

@@ -6,8 +6,8 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from planners.scene_checks import MAX_SHAPES
 from server.errors import RefusedError
-from server.moveit.scene.changes import MAX_COLORS, change_scene, change_world
-from server.moveit.scene.matrix import ContactMatrix
+from server.moveit.scene.allowed_collision_matrix import ContactMatrix
+from server.moveit.scene.planning_scene import MAX_COLORS, change_scene, change_world
 from tests.helpers.planning_scene import ROBOT, box, collision_object, diff, draft, held, message, pose
 
 OF_ROBOT = ContactMatrix.of_robot(ROBOT)

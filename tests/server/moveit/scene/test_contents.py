@@ -3,8 +3,8 @@ import pytest
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from server.errors import RefusedError
-from server.moveit.scene.contents import Draft
-from server.moveit.scene.things import read_thing
+from server.moveit.scene.collision_objects import read_thing
+from server.moveit.scene.planning_scene import Draft
 from tests.helpers.planning_scene import ROBOT, box, collision_object, draft, pose, scene_state
 
 CUP = collision_object(**box("cup", at=pose(0.3)))

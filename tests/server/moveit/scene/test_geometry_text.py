@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from planners.scene import Box, Cylinder
 from server.errors import RefusedError
-from server.moveit.scene.geometry_text import read_geometry, write_geometry
+from server.moveit.scene.geometry_files import read_geometry, write_geometry
 from tests.helpers.examples import examples
 from tests.helpers.planning_scene import BENT, box, diff, pose, scene_state
 

@@ -5,10 +5,9 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Box, Pose
 from server.errors import RefusedError
 from server.moveit.poses import matrix_of
-from server.moveit.scene.contents import Draft
+from server.moveit.scene.collision_objects import APPEND, MOVE, REMOVE
 from server.moveit.scene.frames import LinkPlaces
-from server.moveit.scene.held_objects import change_held_object
-from server.moveit.scene.things import APPEND, MOVE, REMOVE
+from server.moveit.scene.planning_scene import Draft, change_held_object
 from tests.helpers.planning_scene import BENT, FORWARD, ROBOT, box, collision_object, draft, held, message, pose
 
 CUP = collision_object(**box("cup", at=pose(0.3)))

@@ -2,9 +2,8 @@ from planners.problem import MoveItErrorCode
 from protocol.registry import Registry
 from server.graph import Graph
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.assumed import AssumedStates
 from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import AssumedStates, SceneState
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.planning_scene import ROBOT, box, current_state, pose

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from server.errors import RefusedError
-from server.moveit.scene.matrix import MAX_NAMES, ContactMatrix, read_matrix, unchecked_pairs
+from server.moveit.scene.allowed_collision_matrix import MAX_NAMES, ContactMatrix, read_matrix, unchecked_pairs
 from tests.helpers.planning_scene import ROBOT, message
 
 OF_ROBOT = ContactMatrix.of_robot(ROBOT)

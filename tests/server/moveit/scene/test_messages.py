@@ -3,7 +3,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from server.moveit.current_state import state_message
-from server.moveit.scene.messages import (
+from server.moveit.scene.interface import (
     ALLOWED_COLLISION_MATRIX,
     EVERYTHING,
     LINK_PADDING_AND_SCALING,
@@ -19,7 +19,7 @@ from server.moveit.scene.messages import (
     difference,
     scene_message,
 )
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.examples import examples
 from tests.helpers.planning_scene import BENT, ROBOT, box, diff, held, message, pose, scene_state
 

@@ -1,6 +1,6 @@
 from protocol.registry import Registry
 from server.graph import Graph, Subscriber
-from server.moveit.scene.monitored import TOPIC, MonitoredScene
+from server.moveit.scene.interface import TOPIC, MonitoredScene
 from server.node import Node
 from tests.helpers.clock import FakeClock
 from tests.helpers.planning_scene import BENT, ROBOT, box, collision_object, current_state, scene_state

@@ -7,9 +7,8 @@ import pytest
 from protocol.registry import Registry
 from server.graph import Graph
 from server.moveit.poses import matrix_of
-from server.moveit.scene.assumed import AssumedStates
-from server.moveit.scene.services import APPLY, CLEAR_OCTOMAP, GET, SceneServices
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.interface import APPLY, CLEAR_OCTOMAP, GET, SceneServices
+from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.node import Node
 from tests.helpers.clock import FakeClock
 from tests.helpers.planning_scene import BENT, FORWARD, JOINTS, ROBOT, box, current_state, pose

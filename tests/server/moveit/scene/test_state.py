@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_checks import MAX_SHAPES
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.planning_scene import (
     BENT,
     ROBOT,

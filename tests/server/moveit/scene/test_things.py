@@ -4,7 +4,7 @@ import pytest
 
 from planners.scene import Box, Plane, Pose, Sphere
 from server.errors import RefusedError
-from server.moveit.scene.things import (
+from server.moveit.scene.collision_objects import (
     MAX_SUBFRAMES,
     HeldThing,
     has_geometry,

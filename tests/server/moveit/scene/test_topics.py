@@ -5,8 +5,8 @@ import pytest
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.graph import Graph
-from server.moveit.scene.state import SceneState
-from server.moveit.scene.topics import SceneTopics
+from server.moveit.scene.interface import SceneTopics
+from server.moveit.scene.scene_state import SceneState
 from server.node import Node
 from tests.helpers.planning_scene import ROBOT, box, current_state
 

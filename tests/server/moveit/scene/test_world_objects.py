@@ -7,8 +7,8 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Box, Pose, Sphere
 from server.errors import RefusedError
 from server.moveit.poses import matrix_of
-from server.moveit.scene.things import ADD, APPEND, MOVE, REMOVE
-from server.moveit.scene.world_objects import change_object
+from server.moveit.scene.collision_objects import ADD, APPEND, MOVE, REMOVE
+from server.moveit.scene.planning_scene import change_object
 from tests.helpers.planning_scene import BENT, FORWARD, box, collision_object, draft, pose
 
 QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))

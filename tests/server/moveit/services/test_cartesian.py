@@ -8,8 +8,8 @@ import pytest
 
 from planners.problem import CartesianPlan, CartesianProblem, MoveItErrorCode, PlanningFailure
 from robot.trajectory import Trajectory
-from server.moveit.requests.codes import failure_code, success
-from server.moveit.services.cartesian import _code
+from server.moveit.requests.error_codes import failure_code, success
+from server.moveit.services.cartesian_path import _code
 from tests.helpers.moveit_requests import TIP, joint, point
 from tests.helpers.moveit_services import ServiceRig
 

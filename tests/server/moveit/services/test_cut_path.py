@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from planners.problem import Line
 from planners.scene import Pose
-from server.moveit.services.cut_path import cut_lines, length_m
+from server.moveit.services.cartesian_path import cut_lines, length_m
 from tests.helpers.examples import examples
 
 HALF = math.sqrt(0.5)

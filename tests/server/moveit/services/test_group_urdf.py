@@ -4,7 +4,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from robot import model
-from server.moveit.services.group_urdf import group_urdf
+from server.moveit.services.move_group_services import group_urdf
 from tests.helpers.moveit_requests import ROBOT
 from tests.helpers.moveit_services import ServiceRig
 

@@ -7,7 +7,7 @@ import pytest
 
 from robot.forward import ForwardPlacements
 from robot.trajectory import Trajectory
-from server.moveit.services.jumps import LEAST_JUMP_RAD, MAX_SAMPLES, Thresholds, first_jump
+from server.moveit.services.cartesian_path import LEAST_JUMP_RAD, MAX_SAMPLES, Thresholds, first_jump
 from tests.helpers.moveit_requests import HOME, ROBOT, TIP
 
 FORWARD = ForwardPlacements(ROBOT)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from server.moveit.services.offer import OFFERS
+from server.moveit.services.move_group_services import OFFERS
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.messages import made_up
 from tests.helpers.moveit_requests import TIP

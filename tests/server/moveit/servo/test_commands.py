@@ -11,7 +11,8 @@ from planners.scene import Pose
 from planners.servo.question import JointVelocities, TipTarget, TipTwist
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from server.moveit.servo.commands import (
+from server.moveit.servo.parameters import ServoParameters
+from server.moveit.servo.servo_loop import (
     FramedTwist,
     in_root_link,
     read_joint_jog,
@@ -19,7 +20,6 @@ from server.moveit.servo.commands import (
     read_twist,
     rest_of,
 )
-from server.moveit.servo.parameters import ServoParameters
 
 REGISTRY = Registry.load()
 UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0.5)

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from server.moveit.servo.gate import CommandType, Gate
-from server.moveit.servo.ownership import SILENCE_S
+from server.moveit.servo.servo_node import SILENCE_S, CommandType, Gate
 from server.node import Node
 
 TIMEOUT_S = 0.25

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from server.moveit.servo.ownership import SILENCE_S, Ownership
+from server.moveit.servo.servo_node import SILENCE_S, Ownership
 from server.node import Node
 
 ONE, OTHER = Node("one"), Node("other")

@@ -13,18 +13,18 @@ from planners.scene import EMPTY_SCENE, Pose, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from server.graph import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from server.moveit.servo.servo_node import (
     JOINT_TOPIC,
     PAUSE_SERVICE,
     POSE_TOPIC,
     START_SERVICE,
+    STATUS_TOPIC,
     STOP_SERVICE,
     SWITCH_SERVICE,
     TWIST_TOPIC,
     ServoNode,
 )
-from server.moveit.servo.status import STATUS_TOPIC
 from server.node import Node
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.in_process import REGISTRY

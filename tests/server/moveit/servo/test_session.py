@@ -16,8 +16,7 @@ from planners.servo.question import (
     ServoStatus,
     TipTwist,
 )
-from server.moveit.servo.commands import FramedTwist
-from server.moveit.servo.session import REST_S, ServoSession, Steered
+from server.moveit.servo.servo_loop import REST_S, FramedTwist, ServoSession, Steered
 from tests.helpers.clock import FakeClock
 from tests.helpers.steerable_arm import ROBOT, SteerableArm
 

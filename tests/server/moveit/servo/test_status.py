@@ -7,7 +7,7 @@ import pytest
 
 from planners.servo.question import ServoStatus
 from server.graph import Graph, Subscriber
-from server.moveit.servo.status import INT8, LOGGED_AGAIN_S, STATUS_TOPIC, StatusTopic
+from server.moveit.servo.servo_node import INT8, LOGGED_AGAIN_S, STATUS_TOPIC, StatusTopic
 from server.node import Node
 from tests.helpers.clock import FakeClock
 from tests.helpers.in_process import REGISTRY

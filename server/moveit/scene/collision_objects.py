@@ -1,4 +1,4 @@
-"""Things of the scene: what a moveit_msgs/CollisionObject says of one, kept so that it can be said again."""
+"""Collision objects and attached ones, as moveit_msgs/CollisionObject describes them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planners.scene import AttachedObject, Pose, SceneObject, Shape
 from planners.scene_checks import pose_fault
 from server.errors import RefusedError
 from server.moveit.poses import read_pose, write_pose
-from server.moveit.requests.refusals import invalid, required
+from server.moveit.requests.error_codes import invalid, required
 from server.moveit.scene import shapes
 
 Message = Mapping[str, Any]

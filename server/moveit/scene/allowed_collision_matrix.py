@@ -1,4 +1,4 @@
-"""The allowed collision matrix: which two things may touch."""
+"""The allowed collision matrix: the pairs of links and objects that may touch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from robot.model import RobotModel
-from server.moveit.requests.refusals import invalid
+from server.moveit.requests.error_codes import invalid
 
 Message = Mapping[str, Any]
 Pair = frozenset[str]

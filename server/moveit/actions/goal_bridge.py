@@ -1,15 +1,21 @@
-"""From an action's goal to the queue before the arm and back: what all actions that move the arm have in common."""
+"""Goal bridge"""
 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from robot.model import RobotModel
+from robot.trajectory import Trajectory
 from server.action_goals import Goal, GoalStatus
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.moveit.current_state import state_message
 from server.moveit.motions import Motion
+from server.moveit.requests.error_codes import error_code
+from server.moveit.requests.trajectories import to_message
 
 log = logging.getLogger("armbridge.actions")
 
@@ -89,3 +95,57 @@ class StateFeedback:
             return None
         self._last = state
         return {"state": state}
+
+
+def code_message(answer: Answer) -> dict[str, Any]:
+    """The moveit_msgs/MoveItErrorCodes of an answer."""
+    return error_code(answer.code, answer.message)
+
+
+def start_message(answer: Answer, robot: RobotModel) -> dict[str, Any]:
+    """The moveit_msgs/RobotState that the motions of an answer begin in; without joints when there are none."""
+    start_rad = {} if answer.performed is None else dict(answer.performed.start_rad)
+    return state_message(start_rad, robot.root_link, time.time())
+
+
+def trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[str, Any]:
+    """The moveit_msgs/RobotTrajectory of a motion; one that goes nowhere has no points, as MoveIt's."""
+    return to_message(None if motion is None or motion.duration_s == 0.0 else motion, robot.root_link)
+
+
+def planned_messages(answer: Answer, robot: RobotModel) -> list[dict[str, Any]]:
+    """The moveit_msgs/RobotTrajectory of every motion that was planned."""
+    planned = () if answer.performed is None else answer.performed.planned
+    return [trajectory_message(motion, robot) for motion in planned]
+
+
+def planning_time_s(answer: Answer) -> float:
+    """What planning took [s]."""
+    return 0.0 if answer.performed is None else answer.performed.planning_time_s
+
+
+def move_group_result(answer: Answer, robot: RobotModel) -> Mapping[str, Any]:
+    """The result of moveit_msgs/MoveGroup."""
+    planned = planned_messages(answer, robot)
+    return {
+        "error_code": code_message(answer),
+        "trajectory_start": start_message(answer, robot),
+        "planned_trajectory": planned[0] if planned else trajectory_message(None, robot),
+        "executed_trajectory": trajectory_message(_executed(answer), robot),
+        "planning_time": planning_time_s(answer),
+    }
+
+
+def sequence_result(answer: Answer, robot: RobotModel) -> Mapping[str, Any]:
+    """The result of moveit_msgs/MoveGroupSequence."""
+    response = {
+        "error_code": code_message(answer),
+        "sequence_start": start_message(answer, robot),
+        "planned_trajectories": planned_messages(answer, robot),
+        "planning_time": planning_time_s(answer),
+    }
+    return {"response": response}
+
+
+def _executed(answer: Answer) -> Trajectory | None:
+    return None if answer.performed is None else answer.performed.executed

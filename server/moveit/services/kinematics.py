@@ -14,8 +14,7 @@ from robot.model import RobotModel
 from server.moveit.current_state import state_message
 from server.moveit.parameters import MAX_KINEMATICS_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import pose_of, write_pose
-from server.moveit.requests.constraints import LEAST_ORIENTATION_TOLERANCE_RAD
-from server.moveit.requests.constraints import LEAST_TOLERANCE_M, path_constraints_of
+from server.moveit.requests.constraints import LEAST_ORIENTATION_TOLERANCE_RAD, LEAST_TOLERANCE_M, path_constraints_of
 from server.moveit.requests.context import Message, RequestContext
 from server.moveit.requests.error_codes import deviation_note, invalid, refused, required, success
 from server.moveit.requests.planning_context import PlanningContext

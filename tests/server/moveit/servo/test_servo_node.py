@@ -1,8 +1,9 @@
-"""The node on a real graph with an arm that only listens; and once with everything, over rosbridge."""
+"""Topics and services of MoveIt Servo."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 from typing import Any, cast
 
 import numpy as np
@@ -15,18 +16,26 @@ from server.graph import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.servo.servo_node import (
+    INT8,
     JOINT_TOPIC,
+    LOGGED_AGAIN_S,
     PAUSE_SERVICE,
     POSE_TOPIC,
+    SILENCE_S,
     START_SERVICE,
     STATUS_TOPIC,
     STOP_SERVICE,
     SWITCH_SERVICE,
     TWIST_TOPIC,
+    CommandType,
+    Gate,
+    Ownership,
     ServoNode,
+    StatusTopic,
 )
 from server.node import Node
 from tests.helpers.arm_server import ArmClient
+from tests.helpers.clock import FakeClock
 from tests.helpers.in_process import REGISTRY
 from tests.helpers.steerable_arm import ROBOT, SteerableArm
 
@@ -166,3 +175,135 @@ async def test_a_stick_moves_the_arm_and_gives_way_to_a_goal(client: ArmClient) 
     reached = await client.until("/moveit_goal_result", lambda all_: len(all_) > results)
     assert reached[-1]["val"] == 1
     assert client.topics["/joint_states"][-1]["position"] == pytest.approx(np.array(before), abs=0.05)
+
+
+class StatusRig:
+    """A status topic and what is heard there."""
+
+    def __init__(self, type_name: str) -> None:
+        graph = Graph(REGISTRY)
+        self.clock = FakeClock()
+        self.heard: list[dict[str, Any]] = []
+        self.topic = StatusTopic(graph, Node("servo_node"), type_name, self.clock)
+        self.topic.open()
+        subscriber = Subscriber(lambda publication: self.heard.append(dict(publication.msg)))
+        graph.subscribe(Node("client"), STATUS_TOPIC, type_name, subscriber)
+
+
+def test_code_and_words_are_told() -> None:
+    rig = StatusRig("moveit_msgs/ServoStatus")
+    rig.topic.tell(ServoStatus.JOINT_BOUND, "elbow_flex at the limit")
+    assert rig.heard == [{"code": 6, "message": "elbow_flex at the limit"}]
+
+
+def test_humble_gets_its_own_numbers() -> None:
+    rig = StatusRig(INT8)
+    for status in (ServoStatus.JOINT_BOUND, ServoStatus.HALT_FOR_COLLISION, ServoStatus.HALT_FOR_SINGULARITY):
+        rig.topic.tell(status, "")
+    assert [each["data"] for each in rig.heard] == [5, 4, 2]
+
+
+def test_a_refusal_is_logged_once_while_it_is_repeated(caplog: pytest.LogCaptureFixture) -> None:
+    rig = StatusRig("moveit_msgs/ServoStatus")
+    with caplog.at_level(logging.WARNING, "armbridge.servo"):
+        for _ in range(10):
+            rig.topic.tell(ServoStatus.INVALID, "the arm is relaxed")
+            rig.topic.tell(ServoStatus.NO_WARNING, "")
+        assert len(caplog.records) == 1
+        rig.clock.advance(1.1 * LOGGED_AGAIN_S)
+        rig.topic.tell(ServoStatus.INVALID, "the arm is relaxed")
+    assert len(caplog.records) == 2
+    assert len(rig.heard) == 21
+
+
+TIMEOUT_S = 0.25
+ONE, OTHER = Node("one"), Node("other")
+TWIST, JOG = CommandType.TWIST, CommandType.JOINT_JOG
+
+
+class GateRig:
+    """A gate, and why the arm is busy."""
+
+    def __init__(self) -> None:
+        self.busy = ""
+        self.gate = Gate(lambda _client: True, TIMEOUT_S, lambda: self.busy)
+
+    def said(self, at_s: float, client: Node = ONE, kind: CommandType = TWIST) -> str:
+        refusal = self.gate.refusal(client, kind, at_s)
+        return "" if refusal is None else refusal.message
+
+
+@pytest.fixture
+def gate_rig() -> GateRig:
+    return GateRig()
+
+
+def test_the_first_command_needs_no_permission_and_the_kind_may_change(gate_rig: GateRig) -> None:
+    assert gate_rig.said(0.0) == ""
+    assert gate_rig.said(0.1, kind=JOG) == ""
+
+
+def test_a_second_client_is_turned_away_by_the_name_of_the_first(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    refusal = gate_rig.gate.refusal(OTHER, TWIST, 0.1)
+    assert refusal is not None
+    assert "one does" in refusal.message
+    assert not refusal.of_owner
+
+
+def test_a_selected_kind_excludes_the_others_until_the_stick_is_let_go_of(gate_rig: GateRig) -> None:
+    gate_rig.gate.select(TWIST)
+    assert gate_rig.said(0.0) == ""
+    assert "TWIST was selected" in gate_rig.said(0.1, kind=JOG)
+    assert gate_rig.said(0.2 + SILENCE_S, OTHER, JOG) == ""
+
+
+def test_a_pause_lets_nothing_through(gate_rig: GateRig) -> None:
+    gate_rig.gate.paused = True
+    assert "paused" in gate_rig.said(0.0)
+    gate_rig.gate.paused = False
+    assert gate_rig.said(0.1) == ""
+
+
+def test_after_an_interruption_a_stick_that_is_still_held_does_not_go_on(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    gate_rig.gate.interrupt("stopped by /arm/stop")
+    for step in range(1, 20):
+        assert "stopped by /arm/stop" in gate_rig.said(0.1 * step)
+    assert gate_rig.said(1.9 + 1.1 * TIMEOUT_S) == ""
+
+
+def test_an_interruption_can_be_reset(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    gate_rig.gate.interrupt("stopped")
+    gate_rig.gate.reset()
+    assert gate_rig.said(0.1) == ""
+
+
+def test_a_busy_arm_is_told(gate_rig: GateRig) -> None:
+    gate_rig.busy = "goal 7 is worked on"
+    assert gate_rig.said(0.0) == "goal 7 is worked on"
+
+
+def test_who_takes_it_first_keeps_it_while_it_steers() -> None:
+    ownership = Ownership(lambda _client: True)
+    assert ownership.take(ONE, 0.0)
+    assert not ownership.take(OTHER, 0.5)
+    assert ownership.take(ONE, 0.9 * SILENCE_S)
+    assert not ownership.take(OTHER, 1.8 * SILENCE_S)
+
+
+def test_silence_sets_it_free() -> None:
+    ownership = Ownership(lambda _client: True)
+    ownership.take(ONE, 0.0)
+    assert ownership.take(OTHER, 1.1 * SILENCE_S)
+    assert ownership.owner(1.2 * SILENCE_S) is OTHER
+
+
+def test_leaving_sets_it_free() -> None:
+    present = {ONE, OTHER}
+    ownership = Ownership(lambda client: client in present)
+    ownership.take(ONE, 0.0)
+    present.remove(ONE)
+    assert ownership.owner(0.1) is None
+    assert ownership.take(OTHER, 0.1)

@@ -1,3 +1,7 @@
+"""Collision objects as moveit_msgs/CollisionObject describes them."""
+
+from __future__ import annotations
+
 import math
 
 import pytest

@@ -1,23 +1,63 @@
+"""Services of MoveIt that plan, and those that describe planners and groups."""
+
 from __future__ import annotations
 
 from typing import Any
 
 import pytest
 
-from planners.problem import MoveItErrorCode
+from planners.problem import PLANNER_IDS, MoveItErrorCode
+from robot import model
 from server.moveit.requests.motion_plan import PILZ
-from tests.helpers.moveit_requests import HOME, SPHERE, TIP, ball, joint, point, region, turned
-from tests.helpers.moveit_services import ServiceRig
-
-# Shoulder and gripper overlap by centimetres.
-FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.6, "wrist_flex": 1.6}
-REACHABLE = {"position_constraints": [ball(0.3, 0.0, 0.2)]}
-ELBOW = {"joint_constraints": [joint("elbow_flex", 0.5)]}
+from server.moveit.services.move_group_services import OFFERS, group_urdf
+from tests.helpers.arm_server import ArmClient
+from tests.helpers.messages import made_up
+from tests.helpers.moveit_requests import HOME, ROBOT, SPHERE, TIP, ball, joint, point, region, turned
+from tests.helpers.moveit_services import REGISTRY, ServiceRig
 
 
 @pytest.fixture
 def rig() -> ServiceRig:
     return ServiceRig()
+
+
+def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
+    for name, offer in OFFERS.items():
+        assert rig.graph.services.type_of(name) == offer.type_name
+
+
+@pytest.mark.parametrize("name", OFFERS)
+async def test_a_request_that_says_nothing_is_answered(rig: ServiceRig, name: str) -> None:
+    ok, values = await rig.outcome(name)
+    assert ok, values
+
+
+@pytest.mark.parametrize("name", OFFERS)
+async def test_a_request_for_an_arm_that_is_not_read_is_answered(rig: ServiceRig, name: str) -> None:
+    rig.arm.at_rad = None
+    ok, values = await rig.outcome(name)
+    assert ok, values
+
+
+@pytest.mark.parametrize("name", OFFERS)
+async def test_nonsense_is_answered_too(rig: ServiceRig, name: str) -> None:
+    for seed in range(10):
+        _, values = await rig.outcome(name, **made_up(REGISTRY, f"{OFFERS[name].type_name}_Request", seed))
+        assert "inside the server" not in str(values)
+
+
+async def test_a_running_server_offers_them(client: ArmClient) -> None:
+    answer = await client.call("/compute_fk", fk_link_names=[TIP])
+    assert answer["fk_link_names"] == [TIP]
+    goal = {"joint_constraints": [{"joint_name": "shoulder_pan", "position": 0.2}]}
+    planned = await client.call("/plan_kinematic_path", motion_plan_request={"goal_constraints": [goal]})
+    assert planned["motion_plan_response"]["error_code"]["val"] == 1
+
+
+# Shoulder and gripper overlap by centimetres.
+FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.6, "wrist_flex": 1.6}
+REACHABLE = {"position_constraints": [ball(0.3, 0.0, 0.2)]}
+ELBOW = {"joint_constraints": [joint("elbow_flex", 0.5)]}
 
 
 async def planned(rig: ServiceRig, *goals: Any, **fields: Any) -> Any:
@@ -164,3 +204,112 @@ async def test_whoever_listens_hears_what_the_planners_were_asked_and_answered(r
     await planned(rig, planner_id="RRT")
     assert heard[-1]["request"]["planner_id"] == "RRT"
     assert heard[-1]["response"]["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def planned_sequence(rig: ServiceRig, *items: Any) -> Any:
+    return (await rig.call("/plan_sequence_path", request={"items": list(items)}))["response"]
+
+
+def to(position: float, **item: Any) -> Any:
+    return {"req": {"goal_constraints": [{"joint_constraints": [joint("elbow_flex", position)]}]}, **item}
+
+
+def ends(motion: Any) -> tuple[Any, Any]:
+    points = motion["joint_trajectory"]["points"]
+    return points[0]["positions"], points[-1]["positions"]
+
+
+async def test_each_motion_begins_where_the_one_before_ends(rig: ServiceRig) -> None:
+    response = await planned_sequence(rig, to(0.3), to(0.6), to(0.1))
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    motions = [ends(motion) for motion in response["planned_trajectories"]]
+    assert [last for _, last in motions[:-1]] == [pytest.approx(first) for first, _ in motions[1:]]
+
+
+async def test_the_motions_before_the_one_that_fails_are_told_with_its_place(rig: ServiceRig) -> None:
+    far = {"req": {"goal_constraints": [{"position_constraints": [ball(0.9, 0.0, 0.2)]}]}}
+    response = await planned_sequence(rig, to(0.3), far)
+    assert response["error_code"]["val"] == MoveItErrorCode.NO_IK_SOLUTION
+    assert "items[1]" in response["error_code"]["message"]
+    assert len(response["planned_trajectories"]) == 1
+
+
+@pytest.mark.parametrize("items", [[], [to(0.3, blend_radius=0.05), to(0.6)]])
+async def test_a_sequence_that_cannot_be_is_refused(rig: ServiceRig, items) -> None:
+    response = await planned_sequence(rig, *items)
+    assert response["error_code"]["val"] == MoveItErrorCode.INVALID_MOTION_PLAN
+    assert not response["planned_trajectories"]
+
+
+async def params(rig: ServiceRig, **fields):
+    told = (await rig.call("/get_planner_params", **fields))["params"]
+    return dict(zip(told["keys"], told["values"], strict=True))
+
+
+async def test_every_planner_is_told_under_its_pipeline(rig: ServiceRig) -> None:
+    told = (await rig.call("/query_planner_interface"))["planner_interfaces"]
+    by_pipeline = {one["pipeline_id"]: one["planner_ids"] for one in told}
+    assert by_pipeline["ompl"] == list(PLANNER_IDS)
+    assert by_pipeline["pilz_industrial_motion_planner"] == ["PTP", "LIN", "CIRC"]
+
+
+async def test_what_is_set_is_told(rig: ServiceRig) -> None:
+    wanted = {"keys": ["num_planning_attempts", "range"], "values": ["3", "0.1"]}
+    await rig.call("/set_planner_params", group="arm", params=wanted)
+    told = await params(rig, group="arm")
+    assert (told["num_planning_attempts"], told["range"]) == ("3", "0.1")
+
+
+async def test_a_parameter_that_changes_nothing_says_so(rig: ServiceRig) -> None:
+    await rig.call("/set_planner_params", params={"keys": ["range"], "values": ["0.1"]})
+    told = (await rig.call("/get_planner_params"))["params"]
+    described = dict(zip(told["keys"], told["descriptions"], strict=True))
+    assert described["range"]
+    assert not described["planner_id"]
+
+
+BAD = {
+    "value": ({"params": {"keys": ["num_planning_attempts"], "values": ["many"]}}, "num_planning_attempts"),
+    "lists": ({"params": {"keys": ["range"], "values": []}}, "1 entries"),
+    "group": ({"group": "manipulator"}, "'manipulator'"),
+    "pipeline": ({"pipeline_id": "chomp"}, "'chomp'"),
+}
+
+
+@pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
+async def test_what_cannot_be_set_fails_with_a_sentence(rig: ServiceRig, fields, words) -> None:
+    ok, said = await rig.outcome("/set_planner_params", **fields)
+    assert not ok
+    assert words in said
+
+
+async def test_what_failed_to_be_set_changed_nothing(rig: ServiceRig) -> None:
+    before = await params(rig)
+    await rig.outcome("/set_planner_params", params={"keys": ["range", "planner_id"], "values": ["1", "CHOMP"]})
+    assert await params(rig) == before
+
+
+@pytest.mark.parametrize("name", ["arm", "gripper"])
+def test_a_groups_urdf_is_a_robot_with_its_joints(name: str) -> None:
+    group = ROBOT.groups[name]
+    chain = f'<chain base_link="{group.base_link}" tip_link="{group.tip_link}"/>'
+    srdf = f'<robot name="{name}"><group name="{name}">{chain}</group></robot>'
+    part = model.parse(group_urdf(ROBOT, group), srdf)
+    assert part.groups[name].joints == group.joints
+    assert part.root_link == group.base_link
+
+
+def test_links_beside_the_group_are_left_out() -> None:
+    assert "moving_jaw" not in group_urdf(ROBOT, ROBOT.groups["arm"])
+
+
+async def test_an_unknown_group_has_no_urdf() -> None:
+    answer = await ServiceRig().call("/get_urdf", group_name="manipulator")
+    assert answer["error_code"]["val"] == MoveItErrorCode.INVALID_GROUP_NAME
+    assert answer["urdf_string"] == ""
+
+
+async def test_an_empty_name_is_the_configured_group() -> None:
+    answer = await ServiceRig().call("/get_urdf")
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert "gripper_frame_link" in answer["urdf_string"]

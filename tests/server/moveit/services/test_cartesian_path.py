@@ -1,3 +1,5 @@
+"""``/compute_cartesian_path``."""
+
 from __future__ import annotations
 
 import math
@@ -5,12 +7,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from planners.problem import CartesianPlan, CartesianProblem, MoveItErrorCode, PlanningFailure
+from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
+from planners.scene import Pose
+from robot.forward import ForwardPlacements
 from robot.trajectory import Trajectory
 from server.moveit.requests.error_codes import failure_code, success
-from server.moveit.services.cartesian_path import _code
-from tests.helpers.moveit_requests import TIP, joint, point
+from server.moveit.services.cartesian_path import (
+    LEAST_JUMP_RAD,
+    MAX_SAMPLES,
+    Thresholds,
+    _code,
+    cut_lines,
+    first_jump,
+    length_m,
+)
+from tests.helpers.examples import examples
+from tests.helpers.moveit_requests import HOME, ROBOT, TIP, joint, point
 from tests.helpers.moveit_services import ServiceRig
 
 NEAR, FAR = point(0.33, 0.0, 0.2, w=1.0), point(0.33, 0.6, 0.2, w=1.0)
@@ -155,3 +170,116 @@ async def test_a_path_that_cannot_be_begun_has_its_code_and_a_sentence(rig: Serv
 async def test_no_waypoints_are_refused(rig: ServiceRig) -> None:
     answer = await rig.call("/compute_cartesian_path", waypoints=[], max_step=0.01)
     assert answer["error_code"]["val"] == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+
+
+HALF = math.sqrt(0.5)
+START = Pose()
+ALONG_X = Line(Pose((0.3, 0.0, 0.0)))
+THEN_Y = Line(Pose((0.3, 0.4, 0.0), (0.0, 0.0, 1.0, 0.0)))
+
+
+def test_the_length_of_a_path_is_that_of_its_lines() -> None:
+    assert length_m(START, [ALONG_X, THEN_Y]) == pytest.approx(0.7)
+
+
+@examples(50)
+@given(st.floats(0.0, 0.7))
+def test_what_is_left_has_the_length_that_is_wanted(along_m: float) -> None:
+    assert length_m(START, cut_lines(START, [ALONG_X, THEN_Y], along_m)) == pytest.approx(along_m, abs=1e-12)
+
+
+def test_lines_before_the_cut_stay_as_they_are() -> None:
+    first, second = cut_lines(START, [ALONG_X, THEN_Y], 0.5)
+    assert first is ALONG_X
+    assert second.end.position_m == pytest.approx((0.3, 0.2, 0.0))
+
+
+def test_an_orientation_is_cut_in_the_same_proportion() -> None:
+    *_, last = cut_lines(START, [ALONG_X, THEN_Y], 0.5)
+    assert last.end.orientation == pytest.approx((0.0, 0.0, HALF, HALF))
+
+
+def test_orientations_turn_the_shorter_way() -> None:
+    flipped = Line(Pose((1.0, 0.0, 0.0), (0.0, 0.0, -HALF, -HALF)))
+    (half,) = cut_lines(START, [flipped], 0.5)
+    assert abs(np.dot(half.end.orientation, (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8)))) > 1.0 - 1e-9
+
+
+def test_a_cut_beyond_the_end_leaves_the_path_whole() -> None:
+    assert cut_lines(START, [ALONG_X, THEN_Y], 9.0) == (ALONG_X, THEN_Y)
+
+
+def test_a_path_that_only_turns_is_kept() -> None:
+    turn = Line(Pose((0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)))
+    assert cut_lines(START, [turn], 0.0) == (turn,)
+
+
+FORWARD = ForwardPlacements(ROBOT)
+
+
+def panned(*angles_rad: float, duration_s: float = 1.0) -> Trajectory:
+    """The shoulder turns: the tip goes round on a circle of 0.35 m."""
+    times = np.linspace(0.0, duration_s, len(angles_rad))
+    positions = np.array(angles_rad)[:, np.newaxis]
+    speeds = np.gradient(positions[:, 0], times)[:, np.newaxis] if len(times) > 1 else np.zeros((1, 1))
+    return Trajectory(("shoulder_pan",), times, positions, speeds, np.zeros_like(positions))
+
+
+def jump(motion, step_m=0.05, step_rad=0.0, factor=0.0):
+    return first_jump(motion, (FORWARD, TIP), HOME, step_m, Thresholds(step_rad, factor))
+
+
+EVEN = panned(*np.linspace(0.0, 1.0, 20))
+
+
+def test_a_step_is_what_joints_do_while_the_tip_moves_by_a_length() -> None:
+    radius_m = math.hypot(*FORWARD.transforms(HOME)[TIP][:2, 3] - FORWARD.transforms(HOME)["shoulder_link"][:2, 3])
+    expected_rad = 0.05 / radius_m
+    assert jump(EVEN, step_rad=1.02 * expected_rad) is None
+    found = jump(EVEN, step_rad=0.98 * expected_rad)
+    assert found is not None
+    assert found.joint == "shoulder_pan"
+    assert found.step_rad == pytest.approx(expected_rad, rel=0.01)
+
+
+def test_an_even_motion_exceeds_no_factor() -> None:
+    assert jump(EVEN, step_m=0.1, factor=1.2) is None
+
+
+def test_the_mean_times_a_factor_is_the_limit_of_a_step() -> None:
+    assert Thresholds(0.0, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == pytest.approx(2.0)
+
+
+def test_small_steps_exceed_no_factor() -> None:
+    assert Thresholds(0.0, 2.0).limit_rad(np.array([0.01, 0.01])) == LEAST_JUMP_RAD
+
+
+def test_of_two_thresholds_the_stricter_counts() -> None:
+    assert Thresholds(0.3, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == 0.3
+
+
+def test_the_first_jump_is_told_with_the_length_before_it() -> None:
+    assert jump(EVEN, step_rad=0.01).along_m == 0.0
+
+
+def test_a_motion_that_stands_has_no_jump() -> None:
+    assert jump(panned(0.3), step_rad=0.01, factor=1.0) is None
+
+
+def test_without_thresholds_nothing_is_a_jump() -> None:
+    assert not Thresholds(0.0, 0.0).any
+    assert jump(EVEN) is None
+
+
+def test_a_slow_path_is_looked_at_no_more_often_than_is_quick() -> None:
+    placed = 0
+
+    class Counting(ForwardPlacements):
+        def transforms(self, positions_rad):
+            nonlocal placed
+            placed += 1
+            return super().transforms(positions_rad)
+
+    slow = panned(0.0, 1.0, duration_s=1000.0)
+    assert first_jump(slow, (Counting(ROBOT), TIP), HOME, 0.05, Thresholds(9.0, 0.0)) is None
+    assert placed <= MAX_SAMPLES

@@ -1,3 +1,7 @@
+"""The allowed collision matrix."""
+
+from __future__ import annotations
+
 import itertools
 
 import pytest

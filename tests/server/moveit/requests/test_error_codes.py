@@ -1,0 +1,67 @@
+"""Errors of requests, and the codes of responses."""
+
+from __future__ import annotations
+
+import pytest
+
+from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
+from server.errors import RefusedError
+from server.moveit.requests.error_codes import (
+    deviation_note,
+    error_code,
+    failure_code,
+    invalid,
+    refusals_as_data,
+    refused,
+    required,
+    success,
+)
+
+
+@pytest.mark.parametrize("code", list(MoveItErrorCode))
+def test_a_failure_keeps_its_code_and_its_sentence(code: MoveItErrorCode) -> None:
+    told = failure_code(PlanningFailure(code, "so it is"))
+    assert told == {"val": int(code), "message": "so it is", "source": "armbridge"}
+
+
+def test_a_success_tells_what_the_caller_should_know_all_the_same() -> None:
+    assert success("a", "", "b") == error_code(MoveItErrorCode.SUCCESS, "a; b")
+
+
+def test_a_deviation_is_told_in_millimetres_and_degrees() -> None:
+    note = deviation_note(Deviation(position_m=0.0042, orientation_rad=0.5))
+    assert "4.2 mm" in note
+    assert "28.6 degrees" in note
+
+
+def test_a_deviation_below_what_the_arm_has_anyway_is_not_told() -> None:
+    assert not deviation_note(Deviation(position_m=0.0005, orientation_rad=0.005))
+
+
+@refusals_as_data
+def halved(value: int) -> int:
+    if value % 2:
+        raise invalid(f"value must be even, not {value}", value=value)
+    return value // 2
+
+
+def test_a_refusal_that_is_raised_comes_out_as_data() -> None:
+    answer = halved(3)
+    assert answer == PlanningFailure(
+        MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "value must be even, not 3", {"value": 3}
+    )
+
+
+def test_what_is_not_refused_comes_out_as_it_is() -> None:
+    assert halved(4) == 2
+
+
+def test_a_failure_where_something_is_required_is_raised() -> None:
+    failure = PlanningFailure(MoveItErrorCode.INVALID_LINK_NAME, "no such link")
+    with pytest.raises(RefusedError) as raised:
+        required(failure)
+    assert raised.value.failure is failure
+
+
+def test_a_refusal_reads_as_its_sentence() -> None:
+    assert str(refused(MoveItErrorCode.FAILURE, "not so")) == "not so"

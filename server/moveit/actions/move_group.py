@@ -32,6 +32,7 @@ from server.moveit.actions.goal_bridge import (
 from server.moveit.actions.joint_trajectory_controller import ArmController, ControllerState
 from server.moveit.current_state import CurrentState
 from server.moveit.motions import Motion, PlannedMotion, Positions
+from server.moveit.requests.error_codes import refusals_as_data
 from server.moveit.requests.motion_plan import requests_of
 from server.moveit.requests.planning_context import PlanningContext, Situation, attached_diff
 from server.moveit.requests.trajectories import given_motion
@@ -168,11 +169,9 @@ async def planned_only(goal: Goal, asked: Asked, context: PlanningContext) -> An
     state, options = asked.requests[0]["start_state"], asked.options
     try:
         situation = context.situation(state, goal.sender)
+        scene = _scene_from(situation, options.scene_diff, state, context)
     except RefusedError as refused:
         return Answer.of(refused.failure)
-    scene = _scene_from(situation, options.scene_diff, state, context)
-    if isinstance(scene, PlanningFailure):
-        return Answer.of(scene)
     warnings = [*situation.warnings, *options.warnings]
     refusal = _refusal(asked.requests, situation.start_rad, context, warnings)
     if refusal is not None:
@@ -206,12 +205,10 @@ def _scene_of(
     """What scene a motion is planned in, None for the present one."""
     if scene_diff is None:
         return None
-    return lambda present_rad: context.scene_state.with_diff(scene_diff, present_rad)
+    return refusals_as_data(lambda present_rad: context.scene_state.with_diff(scene_diff, present_rad))
 
 
-def _scene_from(
-    situation: Situation, scene_diff: Message | None, state: Message, context: PlanningContext
-) -> Scene | PlanningFailure:
+def _scene_from(situation: Situation, scene_diff: Message | None, state: Message, context: PlanningContext) -> Scene:
     """The scene of a start state, with what the options change in it."""
     if scene_diff is None:
         return situation.scene

@@ -143,10 +143,13 @@ class PlanningSceneState(Protocol):
     def scene(self) -> Scene:
         """What is around now."""
 
-    def with_diff(self, message: Message, positions_rad: Mapping[str, float] | None) -> Scene | PlanningFailure:
-        """The scene with a moveit_msgs/PlanningScene applied to it, which itself stays as it is.
+    def with_diff(self, message: Message, positions_rad: Mapping[str, float] | None) -> Scene:
+        """Return the scene with a moveit_msgs/PlanningScene applied; the state stays as it is.
 
-        Fields of the message that are left out say nothing.
+        Fields of the message may be left out.
+
+        Raises:
+            RefusedError: it cannot be applied.
         """
 
 
@@ -236,7 +239,7 @@ class PlanningContext:
         diff = attached_diff(state)
         if diff is None or not (scene.attached or state["attached_collision_objects"]):
             return scene
-        return required(self.scene_state.with_diff(diff, positions_rad))
+        return self.scene_state.with_diff(diff, positions_rad)
 
     def group(self, name: str) -> Group:
         """A planning group; the configured one for an empty name.

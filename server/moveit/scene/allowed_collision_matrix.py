@@ -20,19 +20,19 @@ Pair = frozenset[str]
 MAX_NAMES = 1000
 
 
-def unchecked_pairs(robot: RobotModel) -> frozenset[Pair]:
-    """Pairs of links that may touch without being told so: neighbours, and those that the SRDF disables."""
+def disabled_collisions(robot: RobotModel) -> frozenset[Pair]:
+    """Return the pairs of links whose collisions are not checked: neighbours, and those that the SRDF disables."""
     return robot.disabled_pairs | {frozenset((joint.parent, joint.child)) for joint in robot.joints.values()}
 
 
 @dataclass(frozen=True)
-class ContactMatrix:
-    """What a moveit_msgs/AllowedCollisionMatrix says; pairs it does not name follow the SRDF.
+class AllowedCollisionMatrix:
+    """Contents of a moveit_msgs/AllowedCollisionMatrix; pairs that it does not name follow the SRDF.
 
     Attributes:
-        names: those of whom every pair is said something.
+        names: links and objects with an entry for each of their pairs.
         allowed: pairs of them that may touch; the others may not.
-        defaults: name -> what holds for its pairs with those not in ``names``.
+        defaults: name -> value for its pairs with names that are not in ``names``.
     """
 
     names: tuple[str, ...]
@@ -40,9 +40,9 @@ class ContactMatrix:
     defaults: Mapping[str, bool]
 
     @classmethod
-    def of_robot(cls, robot: RobotModel) -> ContactMatrix:
-        """The matrix of the SRDF."""
-        return cls(robot.links, unchecked_pairs(robot), {})
+    def of_robot(cls, robot: RobotModel) -> AllowedCollisionMatrix:
+        """Return the matrix of the SRDF."""
+        return cls(robot.links, disabled_collisions(robot), {})
 
     @cached_property
     def message(self) -> dict[str, Any]:
@@ -60,8 +60,8 @@ class ContactMatrix:
             "default_entry_values": list(self.defaults.values()),
         }
 
-    def without(self, name: str) -> ContactMatrix:
-        """The matrix that says nothing of a name."""
+    def without(self, name: str) -> AllowedCollisionMatrix:
+        """Return the matrix without the entries of a name."""
         if name not in self.names and name not in self.defaults:
             return self
         return replace(
@@ -71,33 +71,33 @@ class ContactMatrix:
             defaults={each: value for each, value in self.defaults.items() if each != name},
         )
 
-    def exceptions(self, unchecked: frozenset[Pair], known: Collection[str]) -> dict[Pair, bool]:
-        """Where it differs from the SRDF: pair -> whether it may touch.
+    def exceptions(self, disabled: frozenset[Pair], known: Collection[str]) -> dict[Pair, bool]:
+        """Return the pairs for which the matrix differs from the SRDF: pair -> true if it may touch.
 
         Args:
-            unchecked: pairs that may touch by the SRDF.
-            known: names of all links and things.
+            disabled: pairs that may touch by the SRDF.
+            known: names of all links and objects.
         """
         named = frozenset(self.names)
-        said = dict.fromkeys(self.allowed - unchecked, True)
-        said |= {pair: False for pair in unchecked - self.allowed if pair <= named}
+        exceptions = dict.fromkeys(self.allowed - disabled, True)
+        exceptions |= {pair: False for pair in disabled - self.allowed if pair <= named}
         for first, default in self.defaults.items():
             for second in known:
                 pair = frozenset((first, second))
                 if first != second and not pair <= named:
-                    # Where both names have a default, both must allow it.
+                    # As in MoveIt: where both names have a default, both must allow it.
                     may_touch = default and self.defaults.get(second, True)
-                    if may_touch != (pair in unchecked):
-                        said[pair] = may_touch
-        return said
+                    if may_touch != (pair in disabled):
+                        exceptions[pair] = may_touch
+        return exceptions
 
 
-def read_matrix(message: Message, where: str) -> ContactMatrix:
-    """Read a moveit_msgs/AllowedCollisionMatrix; what is above the diagonal counts, as in MoveIt.
+def read_allowed_collision_matrix(message: Message, where: str) -> AllowedCollisionMatrix:
+    """Read a moveit_msgs/AllowedCollisionMatrix; only entries above the diagonal count, as in MoveIt.
 
     Args:
         message: the matrix.
-        where: path of the field, for the refusal.
+        where: path of the field, for errors.
 
     Raises:
         RefusedError: it contradicts itself.
@@ -115,4 +115,4 @@ def read_matrix(message: Message, where: str) -> ContactMatrix:
     pairs = itertools.combinations(names, 2)
     above = np.array(rows, dtype=bool).reshape(len(names), len(names))[np.triu_indices(len(names), 1)]
     allowed = frozenset(frozenset(pair) for pair in itertools.compress(pairs, above.tolist()))
-    return ContactMatrix(tuple(names), allowed, dict(zip(*defaults, strict=True)))
+    return AllowedCollisionMatrix(tuple(names), allowed, dict(zip(*defaults, strict=True)))

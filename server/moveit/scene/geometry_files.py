@@ -1,10 +1,16 @@
-"""``/save_geometry_to_file`` and ``/load_geometry_from_file``."""
+"""Files of a scene's geometry: MoveIt's ``.scene`` format, and the services that save and load it.
+
+In the format of planning_scene's ``saveGeometryToStream``, the scene's name is followed by the objects. Each has a line
+``* ID``, its pose (a line of position [m], one of the quaternion x y z w), the number of its shapes, each with kind,
+figures, pose and colour, and the number of its subframes, each with name and pose. A line with a dot ends the file.
+Files of older versions have neither the objects' poses nor subframes.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,61 +19,69 @@ from protocol.errors import MessageError
 from server.errors import RefusedError
 from server.graph import Graph
 from server.moveit.current_state import CurrentState
-from server.moveit.requests.error_codes import invalid, required
+from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
-from server.moveit.scene.collision_objects import ADD, NO_STAMP, Thing
+from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
 from server.node import Node
 
+log = logging.getLogger("armbridge.scene")
+
 Message = Mapping[str, Any]
 
-# What MoveIt writes for a thing without colour.
+SAVE = "/save_geometry_to_file"
+LOAD = "/load_geometry_from_file"
+
+# A mesh of a hundred thousand triangles, with its vertices, has as much text.
+MAX_FILE_BYTES = 10_000_000
+
+# MoveIt's colour for objects without one.
 NO_COLOR = "0 0 0 0"
 
 END = "."
-THING = "* "
+OBJECT = "* "
 
 
 def write_geometry(contents: SceneContents) -> str:
-    """The text of what stands around; prisms become meshes, which is what the format has."""
+    """Write the collision objects of a scene; prisms become meshes, because the format has no prisms."""
     lines = [contents.name]
-    for thing in contents.objects.values():
-        color = contents.colors.get(thing.name)
-        lines += _thing_lines(thing, NO_COLOR if color is None else _figures(color[part] for part in "rgba"))
+    for each in contents.objects.values():
+        color = contents.colors.get(each.name)
+        lines += _object_lines(each, NO_COLOR if color is None else _figures(color[part] for part in "rgba"))
     return "\n".join([*lines, END, ""])
 
 
 def read_geometry(text: str, frame: str) -> list[dict[str, Any]]:
-    """The things of a text, as moveit_msgs/CollisionObject that add them.
+    """Read the objects of a text, as moveit_msgs/CollisionObject that add them.
 
     Args:
         text: as :func:`write_geometry` or MoveIt writes it.
         frame: the planning frame.
 
     Raises:
-        RefusedError: a line that is not as it must be, named by its number.
+        RefusedError: a line that cannot be read; the error has its number.
     """
     lines = _Lines(text)
     lines.next("the scene's name")
     objects = []
     while (line := lines.next(f"a thing or {END!r}")) != END:
-        if not line.startswith(THING):
-            raise lines.wrong(f"{THING + 'ID'!r} or {END!r}")
-        objects.append(_read_thing(lines, line.removeprefix(THING).strip(), frame))
+        if not line.startswith(OBJECT):
+            raise lines.wrong(f"{OBJECT + 'ID'!r} or {END!r}")
+        objects.append(_read_object(lines, line.removeprefix(OBJECT).strip(), frame))
     return objects
 
 
-def _thing_lines(thing: Thing, color: str) -> Iterator[str]:
-    yield THING + thing.name
-    yield from _pose_lines(thing.pose)
-    yield str(len(thing.shapes))
-    for shape, pose in thing.shapes:
+def _object_lines(collision_object: CollisionObject, color: str) -> Iterator[str]:
+    yield OBJECT + collision_object.name
+    yield from _pose_lines(collision_object.pose)
+    yield str(len(collision_object.shapes))
+    for shape, pose in collision_object.shapes:
         yield from _shape_lines(shape)
         yield from _pose_lines(pose)
         yield color
-    yield str(len(thing.subframes))
-    for name, pose in thing.subframes.items():
+    yield str(len(collision_object.subframes))
+    for name, pose in collision_object.subframes.items():
         yield name
         yield from _pose_lines(pose)
 
@@ -96,34 +110,34 @@ def _shape_lines(shape: Shape) -> list[str]:
 
 
 def _figures(values: Any) -> str:
-    # repr gives every digit that matters and no more.
+    # repr has as many digits as a float needs to be read back exactly.
     return " ".join(repr(float(value)) for value in values)
 
 
 class _Lines:
-    """The lines of a text, one after the other."""
+    """Lines of a text, read one after the other."""
 
     def __init__(self, text: str) -> None:
         self._lines = text.splitlines()
         self._number = 0
 
     def peek(self) -> str:
-        """The next line, which stays the next; empty at the end."""
+        """Return the next line without consuming it; empty at the end."""
         return self._lines[self._number] if self._number < len(self._lines) else ""
 
     def next(self, wanted: str) -> str:
-        """The next line; the argument says what should be there."""
+        """Consume the next line; the argument says for errors what it should have."""
         if self._number >= len(self._lines):
             raise invalid(f"the file ends after line {self._number}, where {wanted} should be")
         self._number += 1
         return self._lines[self._number - 1].strip()
 
     def wrong(self, wanted: str) -> Exception:
-        """A refusal of the last line, to be raised."""
+        """Make the error for the line consumed last."""
         return invalid(f"line {self._number} must be {wanted}, not {self._lines[self._number - 1][:40]!r}")
 
     def figures(self, count: int, wanted: str) -> list[float]:
-        """The next line as so many numbers."""
+        """Consume the next line as ``count`` numbers."""
         words = self.next(wanted).split()
         try:
             values = [float(word) for word in words]
@@ -134,18 +148,18 @@ class _Lines:
         return values
 
     def counts(self, count: int, wanted: str) -> list[int]:
-        """The next line as so many whole numbers from 0 on."""
+        """Consume the next line as ``count`` whole numbers from 0 on."""
         values = self.figures(count, wanted)
-        # What is counted follows line by line, so there cannot be more of it than lines.
+        # Each counted item has at least a line, so a greater count is an error, found before memory is allocated.
         if not all(value.is_integer() and 0 <= value <= len(self._lines) for value in values):
             raise self.wrong(wanted)
         return [int(value) for value in values]
 
 
-def _read_thing(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
+def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
     has_pose = len(lines.peek().split()) > 1
     pose = _read_pose(lines) if has_pose else _pose_message([0.0] * 3, [0.0, 0.0, 0.0, 1.0])
-    told: dict[str, list[Any]] = {"primitives": [], "meshes": [], "planes": []}
+    geometry: dict[str, list[Any]] = {"primitives": [], "meshes": [], "planes": []}
     poses: dict[str, list[Any]] = {"primitives": [], "meshes": [], "planes": []}
     (count,) = lines.counts(1, "the number of shapes")
     for _ in range(count):
@@ -153,7 +167,7 @@ def _read_thing(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
         if kind not in _READERS:
             raise lines.wrong(f"one of {', '.join(_READERS)}")
         field, read = _READERS[kind]
-        told[field].append(read(lines))
+        geometry[field].append(read(lines))
         poses[field].append(_read_pose(lines))
         lines.figures(4, "a colour r g b a")
     subframes = dict(
@@ -163,7 +177,7 @@ def _read_thing(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
         "header": {"stamp": NO_STAMP, "frame_id": frame},
         "id": name,
         "pose": pose,
-        **told,
+        **geometry,
         "primitive_poses": poses["primitives"],
         "mesh_poses": poses["meshes"],
         "plane_poses": poses["planes"],
@@ -212,80 +226,63 @@ _READERS: Mapping[str, tuple[str, Callable[[_Lines], Message]]] = {
 }
 
 
-log = logging.getLogger("armbridge.scene")
-
-
-SAVE = "/save_geometry_to_file"
-LOAD = "/load_geometry_from_file"
-
-# A mesh of a hundred thousand triangles, with its vertices, has as much text.
-MAX_FILE_BYTES = 10_000_000
-
-
 class GeometryFiles:
-    """Saves and loads what stands around.
+    """``/save_geometry_to_file`` and ``/load_geometry_from_file``, for files in one directory.
 
     Args:
         graph: where the services are.
-        node: who offers them.
+        node: their provider.
         state: the scene.
-        directory: where the files are; None for nowhere.
+        current: positions of the joints.
+        directory: where the files are; None for no files at all.
     """
 
-    def __init__(self, graph: Graph, node: Node, state: SceneState, directory: Path | None) -> None:
-        self._graph = graph
-        self._node = node
+    def __init__(
+        self, graph: Graph, node: Node, state: SceneState, current: CurrentState, directory: Path | None
+    ) -> None:
+        self._interfaces = graph.interfaces
         self._state = state
+        self._current = current
         self._directory = directory
+        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", self._save)
+        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", self._load)
 
-    def open(self, current: CurrentState) -> None:
-        """Offer the services.
+    async def _save(self, request: Message) -> Message:
+        return await _success(SAVE, self._write(request["file_path_and_name"]))
 
-        Args:
-            current: where the joints are.
-        """
+    async def _load(self, request: Message) -> Message:
+        return await _success(LOAD, self._read(request["file_path_and_name"]))
 
-        async def save(request: Message) -> Message:
-            return await _told(SAVE, self._save(request["file_path_and_name"]))
-
-        async def load(request: Message) -> Message:
-            return await _told(LOAD, self._load(request["file_path_and_name"], current))
-
-        services = self._graph.services
-        services.offer(self._node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", save)
-        services.offer(self._node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", load)
-
-    async def _save(self, name: str) -> None:
+    async def _write(self, name: str) -> None:
         path = file_within(self._directory, name)
         try:
             await asyncio.to_thread(_write_bounded, path, self._state.contents)
         except OSError as error:
             raise invalid(f"{path} cannot be written: {error}") from error
 
-    async def _load(self, name: str, current: CurrentState) -> None:
+    async def _read(self, name: str) -> None:
         path = file_within(self._directory, name)
         try:
             objects = await asyncio.to_thread(_read_bounded, path, self._state.frame)
         except (OSError, UnicodeDecodeError) as error:
             raise invalid(f"{path} cannot be read: {error}") from error
         try:
-            complete = self._graph.interfaces.complete
-            world = complete("moveit_msgs/msg/PlanningSceneWorld", {"collision_objects": objects})
+            world = self._interfaces.complete("moveit_msgs/msg/PlanningSceneWorld", {"collision_objects": objects})
         except MessageError as error:
             raise invalid(f"{path}: {error}") from error
-        # As in MoveIt, what the file does not name stays.
-        required(self._state.apply_diff({"is_diff": True, "world": world}, current.positions_rad()))
+        # As in MoveIt, objects that the file does not name stay.
+        self._state.apply_diff({"is_diff": True, "world": world}, self._current.positions_rad())
 
 
 def file_within(directory: Path | None, name: str) -> Path:
-    """The file that a client means; relative names start in the directory.
+    """Return the path of a client's file; relative names start in the directory.
 
     Args:
         directory: where files may be; None for nowhere.
         name: as the client gave it.
 
     Raises:
-        RefusedError: it is elsewhere, or no file of any name.
+        RefusedError: the file is elsewhere, or the name is no file name.
     """
     if directory is None:
         raise invalid("the setting moveit.geometry_directory names no folder, so there are no files")
@@ -299,8 +296,8 @@ def file_within(directory: Path | None, name: str) -> Path:
     return path
 
 
-async def _told(service: str, work: Any) -> Message:
-    """Do it, and tell the log why it could not be done."""
+async def _success(service: str, work: Awaitable[None]) -> Message:
+    """Wait for the work of a service; the response has no room for a reason, so a failure is logged."""
     try:
         await work
     except RefusedError as error:

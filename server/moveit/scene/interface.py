@@ -1,13 +1,13 @@
-"""Topics and services by which clients see and change the planning scene."""
+"""Topics and services of the planning scene, under MoveIt's names."""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from typing import Any
 
-from planners.problem import PlanningFailure
 from planners.scene import Pose
 from protocol.errors import MessageError
 from protocol.publication import Publication
@@ -18,7 +18,6 @@ from server.graph import Graph, Subscriber
 from server.moveit.current_state import CurrentState, state_message
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import write_pose
-from server.moveit.requests.error_codes import required
 from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, REMOVE
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import NO_PADDING_M, NO_SCALE, SceneContents
@@ -26,7 +25,17 @@ from server.moveit.scene.scene_state import AssumedStates, Positions, SceneState
 from server.node import Node
 from server.timers import CallLater, Timer, call_later
 
+log = logging.getLogger("armbridge.scene")
+
 Message = Mapping[str, Any]
+
+# Applies a message of a topic, given the position of every movable joint.
+Apply = Callable[[Message, Positions], None]
+
+MONITORED_TOPIC = "/monitored_planning_scene"
+GET = "/get_planning_scene"
+APPLY = "/apply_planning_scene"
+CLEAR_OCTOMAP = "/clear_octomap"
 
 # moveit_msgs/PlanningSceneComponents
 SCENE_SETTINGS = 1
@@ -77,13 +86,13 @@ NO_OBJECT: Message = {
 
 
 def scene_message(contents: SceneContents, robot: RobotModel, state: Message, components: int) -> dict[str, Any]:
-    """The moveit_msgs/PlanningScene of a scene, with every field, empty where it was not asked for.
+    """Write a moveit_msgs/PlanningScene with every field; those that were not requested are empty.
 
     Args:
         contents: the scene.
         robot: the arm.
-        state: its moveit_msgs/RobotState without what is held.
-        components: sum of what is wanted, as moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
+        state: its moveit_msgs/RobotState without attached objects.
+        components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
     """
     wanted = components or EVERYTHING
     settings, links = wanted & SCENE_SETTINGS, wanted & LINK_PADDING_AND_SCALING
@@ -92,7 +101,9 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
         "robot_state": _state(contents, state, wanted),
         "robot_model_name": robot.name if settings else "",
         "fixed_frame_transforms": _transforms(contents, robot) if wanted & TRANSFORMS else [],
-        "allowed_collision_matrix": contents.matrix.message if wanted & ALLOWED_COLLISION_MATRIX else NO_MATRIX,
+        "allowed_collision_matrix": contents.allowed_collisions.message
+        if wanted & ALLOWED_COLLISION_MATRIX
+        else NO_MATRIX,
         "link_padding": _padding(contents, robot) if links else [],
         "link_scale": _scale(contents, robot) if links else [],
         "object_colors": _colors(contents) if wanted & OBJECT_COLORS else [],
@@ -101,15 +112,17 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     }
 
 
-def difference(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
-    """The moveit_msgs/PlanningScene that makes one scene of another; colours and frames that are gone stay in it."""
+def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
+    """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours and frames."""
     links = (before.padding_m, before.scale) != (after.padding_m, after.scale)
     return {
         "name": after.name,
         "robot_state": {**NO_STATE, "attached_collision_objects": _changed_attached(before, after), "is_diff": True},
         "robot_model_name": robot.name,
         "fixed_frame_transforms": _transforms(after, robot) if before.fixed_frames != after.fixed_frames else [],
-        "allowed_collision_matrix": after.matrix.message if before.matrix != after.matrix else NO_MATRIX,
+        "allowed_collision_matrix": after.allowed_collisions.message
+        if before.allowed_collisions != after.allowed_collisions
+        else NO_MATRIX,
         "link_padding": _padding(after, robot) if links else [],
         "link_scale": _scale(after, robot) if links else [],
         "object_colors": _colors(after) if before.colors != after.colors else [],
@@ -126,31 +139,31 @@ def _state(contents: SceneContents, state: Message, wanted: int) -> Message:
 
 def _objects(contents: SceneContents, robot: RobotModel, wanted: int) -> list[Message]:
     if wanted & WORLD_OBJECT_GEOMETRY:
-        return [thing.message for thing in contents.objects.values()]
+        return [each.message for each in contents.objects.values()]
     if wanted & WORLD_OBJECT_NAMES:
         header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
         return [
-            {**NO_OBJECT, "header": header, "id": name, "type": thing.type} for name, thing in contents.objects.items()
+            {**NO_OBJECT, "header": header, "id": name, "type": each.type} for name, each in contents.objects.items()
         ]
     return []
 
 
 def _changed_objects(before: SceneContents, after: SceneContents) -> list[Message]:
-    # What is held now is taken from the world by being attached.
-    gone = [name for name in _known(before) if name not in _known(after)]
-    changed = [thing.message for name, thing in after.objects.items() if before.objects.get(name) is not thing]
-    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in gone), *changed]
+    # Attaching an object removes it from the world.
+    removed = [name for name in _known(before) if name not in _known(after)]
+    changed = [each.message for name, each in after.objects.items() if before.objects.get(name) is not each]
+    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in removed), *changed]
 
 
 def _changed_attached(before: SceneContents, after: SceneContents) -> list[Message]:
-    # Being put down comes first, so that all that is gone stands around when it is removed.
-    put_down = [
+    # Detached first: an object must be in the world to be removed from it.
+    detached = [
         {"link_name": held.link, "object": {**NO_OBJECT, "id": name, "operation": REMOVE}}
         for name, held in before.attached.items()
         if name not in after.attached
     ]
-    taken = [held.message for name, held in after.attached.items() if before.attached.get(name) is not held]
-    return [*put_down, *taken]
+    attached = [held.message for name, held in after.attached.items() if before.attached.get(name) is not held]
+    return [*detached, *attached]
 
 
 def _known(contents: SceneContents) -> dict[str, object]:
@@ -170,7 +183,7 @@ def _colors(contents: SceneContents) -> list[Message]:
 
 
 def _transforms(contents: SceneContents, robot: RobotModel) -> list[Message]:
-    """Frames that stand still; as in MoveIt the planning frame is among them."""
+    """Write the fixed frames; as in MoveIt the planning frame is among them."""
     return [
         _transform(robot.root_link, name, pose)
         for name, pose in {robot.root_link: IDENTITY, **contents.fixed_frames}.items()
@@ -186,68 +199,52 @@ def _transform(root: str, name: str, pose: Pose) -> Message:
     }
 
 
-log = logging.getLogger("armbridge.scene")
+def subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
+    """Apply the messages of the scene's topics; rejected ones are logged.
 
-Apply = Callable[[Mapping[str, Any], Positions], PlanningFailure | None]
-
-
-class SceneTopics:
-    """Takes changes of the scene from topics; what is refused is told to the log.
-
-    A topic does not say who speaks, so joints in a ``/planning_scene`` are passed over.
+    A topic does not tell its publisher, so joints in a ``/planning_scene`` are ignored.
 
     Args:
         graph: where the topics are.
-        node: who listens.
+        node: the subscriber.
         state: the scene.
+        current: positions of the joints.
     """
-
-    def __init__(self, graph: Graph, node: Node, state: SceneState) -> None:
-        self._graph = graph
-        self._node = node
-        self._applied: Mapping[str, tuple[str, Apply]] = {
-            "/planning_scene": ("moveit_msgs/PlanningScene", state.apply_diff),
-            "/planning_scene_world": ("moveit_msgs/PlanningSceneWorld", state.apply_world),
-            "/collision_object": ("moveit_msgs/CollisionObject", state.apply_object),
-            "/attached_collision_object": ("moveit_msgs/AttachedCollisionObject", state.apply_held_object),
-        }
-
-    def open(self, current: CurrentState) -> None:
-        """Subscribe.
-
-        Args:
-            current: where the joints are.
-        """
-        for topic, (type_name, apply) in self._applied.items():
-            self._graph.subscribe(self._node, topic, type_name, _subscriber(topic, apply, current))
+    topics: Mapping[str, tuple[str, Apply]] = {
+        "/planning_scene": ("moveit_msgs/PlanningScene", state.apply_diff),
+        "/planning_scene_world": ("moveit_msgs/PlanningSceneWorld", state.apply_world),
+        "/collision_object": ("moveit_msgs/CollisionObject", state.apply_collision_object),
+        "/attached_collision_object": ("moveit_msgs/AttachedCollisionObject", state.apply_attached_object),
+    }
+    for topic, (type_name, apply) in topics.items():
+        graph.subscribe(node, topic, type_name, _subscriber(topic, apply, current))
 
 
 def _subscriber(topic: str, apply: Apply, current: CurrentState) -> Subscriber:
-    def deliver(publication: Publication) -> None:
-        failure = apply(publication.msg, current.positions_rad())
-        if failure is not None:
-            log.warning("%s: refused, nothing is changed: %s", topic, failure.message)
-
-    def refused(error: MessageError) -> None:
+    def reject(error: MessageError | RefusedError) -> None:
         log.warning("%s: refused, nothing is changed: %s", topic, error)
 
-    return Subscriber(deliver, refused)
+    def deliver(publication: Publication) -> None:
+        try:
+            apply(publication.msg, current.positions_rad())
+        except RefusedError as error:
+            reject(error)
+
+    return Subscriber(deliver, reject)
 
 
-TOPIC = "/monitored_planning_scene"
-
-
-class MonitoredScene:
-    """Publishes differences; a new subscriber gets the whole scene first.
+class MonitoredScenePublisher:
+    """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first.
 
     Args:
         graph: where the topic is.
-        node: who publishes.
+        node: the publisher.
         robot: the arm.
         state: the scene.
-        rate_hz: changes that come faster are told together [Hz].
+        current: positions of the joints.
+        rate_hz: changes that come faster are published together [Hz].
         clock: monotonic time [s].
-        call_later: does something after a delay.
+        call_later: calls a function after a delay.
     """
 
     def __init__(
@@ -256,6 +253,7 @@ class MonitoredScene:
         node: Node,
         robot: RobotModel,
         state: SceneState,
+        current: CurrentState,
         rate_hz: float,
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
@@ -264,117 +262,102 @@ class MonitoredScene:
         self._node = node
         self._robot = robot
         self._state = state
+        self._current = current
         self._clock = clock
         self._call_later = call_later
-        self._told = state.contents
+        self._published = state.contents
         self._period_s = 1.0 / rate_hz
-        self._told_at_s = clock() - self._period_s
+        self._published_at_s = clock() - self._period_s
         self._timer: Timer | None = None
-        state.on_change(self._changed)
-
-    def open(self, current: CurrentState) -> None:
-        """Advertise the topic and tell the whole scene.
-
-        Args:
-            current: where the joints are.
-        """
-        self._current = current
-        self._graph.advertise(self._node, TOPIC, "moveit_msgs/PlanningScene")
+        graph.advertise(node, MONITORED_TOPIC, "moveit_msgs/PlanningScene")
         self._latch()
+        state.on_change(self._schedule)
 
     def close(self) -> None:
-        """Tell no more."""
+        """Publish no more."""
         if self._timer is not None:
             self._timer.cancel()
 
-    def _changed(self) -> None:
+    def _schedule(self) -> None:
         if self._timer is None:
-            due_s = self._told_at_s + self._period_s
-            self._timer = self._call_later(max(0.0, due_s - self._clock()), self._tell)
+            due_s = self._published_at_s + self._period_s
+            self._timer = self._call_later(max(0.0, due_s - self._clock()), self._publish)
 
-    def _tell(self) -> None:
-        self._timer, self._told_at_s = None, self._clock()
-        before, self._told = self._told, self._state.contents
-        if before != self._told:
-            self._graph.publish(self._node, TOPIC, difference(before, self._told, self._robot))
+    def _publish(self) -> None:
+        self._timer, self._published_at_s = None, self._clock()
+        before, self._published = self._published, self._state.contents
+        if before != self._published:
+            self._graph.publish(self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._robot))
             self._latch()
 
     def _latch(self) -> None:
         state = self._current.message()
-        self._graph.latch(TOPIC, scene_message(self._told, self._robot, state, EVERYTHING))
-
-
-GET = "/get_planning_scene"
-APPLY = "/apply_planning_scene"
-CLEAR_OCTOMAP = "/clear_octomap"
+        self._graph.latch(MONITORED_TOPIC, scene_message(self._published, self._robot, state, EVERYTHING))
 
 
 class SceneServices:
-    """Answers those who ask for the scene or change it by a service.
+    """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``.
 
     Args:
         graph: where the services are.
-        node: who offers them.
+        node: their provider.
         robot: the arm.
         state: the scene.
-        assumed: where clients take the joints to be.
+        assumed: joint states that clients assume.
+        current: positions of the joints.
     """
 
-    def __init__(self, graph: Graph, node: Node, robot: RobotModel, state: SceneState, assumed: AssumedStates) -> None:
-        self._graph = graph
-        self._node = node
+    def __init__(
+        self,
+        graph: Graph,
+        node: Node,
+        robot: RobotModel,
+        state: SceneState,
+        assumed: AssumedStates,
+        current: CurrentState,
+    ) -> None:
         self._robot = robot
         self._state = state
         self._assumed = assumed
+        self._current = current
+        services = graph.services
+        services.offer_calls(node, GET, "moveit_msgs/srv/GetPlanningScene", self._get)
+        services.offer_calls(node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply)
+        # The scene has no octomap, so there is nothing to clear.
+        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {})
 
-    def open(self, current: CurrentState) -> None:
-        """Offer the services.
-
-        Args:
-            current: where the joints are.
-        """
-
-        def get(call: Call) -> None:
-            call.succeed_as_it_is(self._get(call.caller, call.request, current))
-
-        def apply(call: Call) -> None:
-            answer(call, lambda request: self._apply(call.caller, request, current))
-
-        services = self._graph.services
-        services.offer_calls(self._node, GET, "moveit_msgs/srv/GetPlanningScene", get)
-        services.offer_calls(self._node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", apply)
-        # There is no octomap that could hold anything.
-        services.offer(self._node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {})
-
-    def _get(self, caller: Node, request: Message, current: CurrentState) -> Message:
+    def _get(self, call: Call) -> None:
         assumed = self._assumed
-        positions_rad = assumed.completed(assumed.of(caller), current.positions_rad()) or {}
-        assumed.tell(caller, positions_rad)
+        positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
+        assumed.note_sent(call.caller, positions_rad)
         state = state_message(positions_rad, self._robot.root_link, time.time())
-        wanted = request["components"]["components"]
-        return {"scene": scene_message(self._state.contents, self._robot, state, wanted)}
+        components = call.request["components"]["components"]
+        call.succeed_as_it_is({"scene": scene_message(self._state.contents, self._robot, state, components)})
 
-    def _apply(self, caller: Node, request: Message, current: CurrentState) -> Message:
-        scene, assumed = request["scene"], self._assumed
+    def _apply(self, call: Call) -> None:
+        answer(call, lambda request: {"success": self._applied(call.caller, request["scene"])})
+
+    def _applied(self, caller: Node, scene: Message) -> bool:
+        assumed = self._assumed
         try:
-            stated_rad = assumed.stated(caller, scene["robot_state"])
-            required(self._state.apply_diff(scene, assumed.completed(stated_rad, current.positions_rad())))
+            assumed_rad = assumed.after(caller, scene["robot_state"])
+            self._state.apply_diff(scene, assumed.completed(assumed_rad, self._current.positions_rad()))
         except RefusedError as error:
             log.warning("%s: refused, nothing is changed: %s", APPLY, error)
-            return {"success": False}
-        assumed.assume(caller, stated_rad)
-        return {"success": True}
+            return False
+        assumed.assume(caller, assumed_rad)
+        return True
 
 
 class SceneInterface:
-    """The scene's topics and services.
+    """All topics and services of the planning scene.
 
     Args:
         graph: where they are.
         robot: the arm.
         state: the scene.
-        assumed: where clients take the joints to be.
-        parameters: how often changes are told, and where files of geometry are.
+        assumed: joint states that clients assume.
+        parameters: rate of ``/monitored_planning_scene``, and the directory of geometry files.
     """
 
     def __init__(
@@ -385,24 +368,28 @@ class SceneInterface:
         assumed: AssumedStates,
         parameters: MoveItParameters,
     ) -> None:
-        node = Node("planning_scene")
-        self._monitored = MonitoredScene(graph, node, robot, state, parameters.publish_planning_scene_hz)
-        self._parts = (
-            SceneTopics(graph, node, state),
-            SceneServices(graph, node, robot, state, assumed),
-            GeometryFiles(graph, node, state, parameters.geometry_directory),
-            self._monitored,
-        )
+        self._graph = graph
+        self._robot = robot
+        self._state = state
+        self._assumed = assumed
+        self._parameters = parameters
+        self._exits = ExitStack()
 
     def open(self, current: CurrentState) -> None:
-        """Begin to listen, answer and tell.
+        """Offer the topics and services.
 
         Args:
-            current: where the joints are.
+            current: positions of the joints.
         """
-        for part in self._parts:
-            part.open(current)
+        graph, robot, state, parameters = self._graph, self._robot, self._state, self._parameters
+        node = Node("planning_scene")
+        subscribe_to_scene_topics(graph, node, state, current)
+        SceneServices(graph, node, robot, state, self._assumed, current)
+        GeometryFiles(graph, node, state, current, parameters.geometry_directory)
+        rate_hz = parameters.publish_planning_scene_hz
+        publisher = MonitoredScenePublisher(graph, node, robot, state, current, rate_hz)
+        self._exits.callback(publisher.close)
 
     def close(self) -> None:
-        """Tell no more."""
-        self._monitored.close()
+        """Publish no more."""
+        self._exits.close()

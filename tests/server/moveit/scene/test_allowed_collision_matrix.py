@@ -9,11 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from server.errors import RefusedError
-from server.moveit.scene.allowed_collision_matrix import MAX_NAMES, ContactMatrix, read_matrix, unchecked_pairs
+from server.moveit.scene.allowed_collision_matrix import (
+    MAX_NAMES,
+    AllowedCollisionMatrix,
+    disabled_collisions,
+    read_allowed_collision_matrix,
+)
 from tests.helpers.planning_scene import ROBOT, message
 
-OF_ROBOT = ContactMatrix.of_robot(ROBOT)
-UNCHECKED = unchecked_pairs(ROBOT)
+OF_ROBOT = AllowedCollisionMatrix.of_robot(ROBOT)
+UNCHECKED = disabled_collisions(ROBOT)
 NEIGHBOURS = frozenset(("base_link", "shoulder_link"))
 APART = frozenset(("base_link", "gripper_link"))
 
@@ -25,7 +30,7 @@ def matrix(names, *rows, **defaults):
         "default_entry_names": list(defaults),
         "default_entry_values": list(defaults.values()),
     }
-    return read_matrix(message("AllowedCollisionMatrix", **told), "acm")
+    return read_allowed_collision_matrix(message("AllowedCollisionMatrix", **told), "acm")
 
 
 def test_the_robots_own_matrix_names_every_link_and_what_the_srdf_disables():
@@ -38,7 +43,7 @@ def test_the_robots_own_matrix_names_every_link_and_what_the_srdf_disables():
 
 
 def test_the_robots_own_matrix_sent_back_changes_nothing():
-    assert read_matrix(OF_ROBOT.message, "acm").exceptions(UNCHECKED, ROBOT.links) == {}
+    assert read_allowed_collision_matrix(OF_ROBOT.message, "acm").exceptions(UNCHECKED, ROBOT.links) == {}
 
 
 @given(st.lists(st.booleans(), min_size=10, max_size=10))
@@ -49,7 +54,7 @@ def test_a_matrix_comes_back_as_it_was_told(values):
     for (i, j), value in zip(pairs, values, strict=True):
         rows[i][j] = rows[j][i] = value
     told = message("AllowedCollisionMatrix", entry_names=names, entry_values=[{"enabled": row} for row in rows])
-    assert read_matrix(told, "acm").message == told
+    assert read_allowed_collision_matrix(told, "acm").message == told
 
 
 def test_a_pair_that_may_touch_is_an_exception_and_so_is_one_of_the_srdf_that_may_not():
@@ -109,4 +114,4 @@ def test_a_matrix_that_contradicts_itself_is_refused(names, rows, defaults, word
 
 def test_defaults_without_values_are_refused():
     with pytest.raises(RefusedError, match="1 default_entry_names, 0 default_entry_values"):
-        read_matrix(message("AllowedCollisionMatrix", default_entry_names=["a"]), "acm")
+        read_allowed_collision_matrix(message("AllowedCollisionMatrix", default_entry_names=["a"]), "acm")

@@ -10,11 +10,11 @@ from planners.scene import Box, Plane, Pose, Sphere
 from server.errors import RefusedError
 from server.moveit.scene.collision_objects import (
     MAX_SUBFRAMES,
-    HeldThing,
+    AttachedCollisionObject,
     has_geometry,
+    read_collision_object,
     read_shape_poses,
-    read_thing,
-    swapped,
+    with_object_pose,
 )
 from tests.helpers.planning_scene import box, collision_object, message, pose
 
@@ -35,53 +35,53 @@ RICH = collision_object(
 
 
 def test_a_thing_comes_back_as_it_was_told():
-    assert read_thing(RICH, "base_link", "it").message == RICH
+    assert read_collision_object(RICH, "base_link", "it").message == RICH
 
 
 def test_shapes_are_in_the_things_frame_in_moveits_order():
-    thing = read_thing(RICH, "base_link", "it")
+    thing = read_collision_object(RICH, "base_link", "it")
     assert [type(shape) for shape, _ in thing.shapes] == [Box, Sphere, Plane]
     assert [at.position_m[0] for _, at in thing.shapes] == [0.1, 0.2, 0.0]
-    assert thing.object.pose.position_m == (1.0, 2.0, 3.0)
+    assert thing.scene_object.pose.position_m == (1.0, 2.0, 3.0)
     assert thing.subframes == {"hook": Pose((0.0, 0.4, 0.0))}
 
 
 def test_a_single_shape_lends_its_pose_to_a_thing_without_one():
-    thing = read_thing(collision_object(**box("b"), primitive_poses=[pose(0.3)]), "", "it")
+    thing = read_collision_object(collision_object(**box("b"), primitive_poses=[pose(0.3)]), "", "it")
     assert thing.pose == Pose((0.3, 0.0, 0.0))
     assert thing.shapes[0][1] == Pose()
 
 
 def test_two_shapes_keep_their_poses_whatever_the_things_pose():
     shapes = ((Sphere(1.0), Pose((1.0, 0.0, 0.0))), (Sphere(2.0), Pose()))
-    assert swapped(Pose(), shapes) == (Pose(), shapes)
+    assert with_object_pose(Pose(), shapes) == (Pose(), shapes)
 
 
 def test_shapes_without_poses_stand_where_the_thing_is():
-    thing = read_thing(collision_object(id="two", primitives=[BALL, BALL], pose=pose(1.0)), "", "it")
+    thing = read_collision_object(collision_object(id="two", primitives=[BALL, BALL], pose=pose(1.0)), "", "it")
     assert [at for _, at in thing.shapes] == [Pose(), Pose()]
     assert len(thing.message["primitive_poses"]) == 2
 
 
 def test_a_quaternion_of_zeros_is_no_rotation_and_others_are_brought_to_length_one():
     told = collision_object(**box("b", at=pose(1.0, turned=(0.0,) * 4)))
-    assert read_thing(told, "", "it").pose == Pose((1.0, 0.0, 0.0))
+    assert read_collision_object(told, "", "it").pose == Pose((1.0, 0.0, 0.0))
     long = collision_object(**box("b", at=pose(1.0, turned=(0.0, 0.0, 2.0, 0.0))))
-    assert read_thing(long, "", "it").pose.orientation == (0.0, 0.0, 1.0, 0.0)
+    assert read_collision_object(long, "", "it").pose.orientation == (0.0, 0.0, 1.0, 0.0)
 
 
 def test_what_is_told_again_says_nothing_new_whatever_its_stamp():
-    thing = read_thing(RICH, "base_link", "it")
+    thing = read_collision_object(RICH, "base_link", "it")
     header = {"stamp": {"sec": 9, "nanosec": 9}, "frame_id": "base_link"}
-    assert thing.told_again_by({**RICH, "header": header})
-    assert not thing.told_again_by({**RICH, "pose": pose(1.0)})
+    assert thing.equals_message({**RICH, "header": header})
+    assert not thing.equals_message({**RICH, "pose": pose(1.0)})
 
 
 @pytest.mark.parametrize(
     ("at", "same"), [(RICH["pose"], True), (pose(1.0, 2.0, 3.0), False), (pose(turned=QUARTER), False)]
 )
 def test_a_thing_knows_the_pose_that_it_has(at, same):
-    assert read_thing(RICH, "base_link", "it").is_at(at) is same
+    assert read_collision_object(RICH, "base_link", "it").has_pose(at) is same
 
 
 DIFFERENCES = {
@@ -96,27 +96,29 @@ DIFFERENCES = {
 
 @pytest.mark.parametrize(("field", "value"), DIFFERENCES.items(), ids=DIFFERENCES.keys())
 def test_two_readings_are_the_same_unless_something_tells_them_apart(field, value):
-    thing = read_thing(RICH, "base_link", "it")
-    assert thing.same_as(read_thing(RICH, "base_link", "it"))
-    assert not thing.same_as(read_thing(collision_object(**{**RICH, field: value}), "base_link", "it"))
+    thing = read_collision_object(RICH, "base_link", "it")
+    assert thing.equals(read_collision_object(RICH, "base_link", "it"))
+    assert not thing.equals(read_collision_object(collision_object(**{**RICH, field: value}), "base_link", "it"))
 
 
 def test_what_a_link_holds_is_the_same_unless_something_tells_it_apart():
-    thing, posture = read_thing(RICH, "gripper_link", "it"), {}
-    held = HeldThing(thing, ("wrist_link",), posture, 0.25)
-    assert held.same_as(HeldThing(read_thing(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25))
+    thing, posture = read_collision_object(RICH, "gripper_link", "it"), {}
+    held = AttachedCollisionObject(thing, ("wrist_link",), posture, 0.25)
+    assert held.equals(
+        AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
+    )
     others = [((), posture, 0.25), (("wrist_link",), {"points": []}, 0.25), (("wrist_link",), posture, 0.5)]
-    assert not any(held.same_as(HeldThing(thing, *other)) for other in others)
+    assert not any(held.equals(AttachedCollisionObject(thing, *other)) for other in others)
 
 
 def test_what_a_link_holds_comes_back_as_it_was_told():
     posture = message("trajectory_msgs/JointTrajectory", joint_names=["gripper"])
-    held = HeldThing(read_thing(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
+    held = AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
     told = held.message
     assert told == message("AttachedCollisionObject", **told)
     assert (told["link_name"], told["object"]["header"]["frame_id"]) == ("gripper_link", "gripper_link")
     assert (told["touch_links"], told["weight"], told["detach_posture"]) == (["wrist_link"], 0.25, posture)
-    assert held.object.touch_links == {"wrist_link"}
+    assert held.attached_object.touch_links == {"wrist_link"}
 
 
 def test_only_shapes_are_geometry():
@@ -154,7 +156,7 @@ BAD = {
 @pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
 def test_what_cannot_be_used_is_refused_by_object_and_field(fields, words):
     with pytest.raises(RefusedError) as refusal:
-        read_thing(collision_object(**{**box("odd one"), **fields}), "", "it")
+        read_collision_object(collision_object(**{**box("odd one"), **fields}), "", "it")
     assert words in refusal.value.failure.message
     assert "'odd one'" in refusal.value.failure.message
     assert refusal.value.failure.details["object"] == "odd one"

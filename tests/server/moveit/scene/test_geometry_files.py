@@ -27,7 +27,7 @@ class Files:
     def __init__(self, directory):
         self.state = scene_state(box("cup"), box("pen"))
         self.graph = Graph(Registry.load())
-        GeometryFiles(self.graph, Node("scene"), self.state, directory).open(current_state())
+        GeometryFiles(self.graph, Node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):
         answered = asyncio.get_running_loop().create_future()
@@ -36,7 +36,7 @@ class Files:
             return (await answered).values["success"]
 
     def empty(self):
-        assert self.state.apply_world(message("PlanningSceneWorld"), BENT) is None
+        self.state.apply_world(message("PlanningSceneWorld"), BENT)
 
 
 async def test_what_was_saved_is_loaded(tmp_path):
@@ -127,7 +127,7 @@ def again(state):
     """The scene that a scene's text gives."""
     objects = read_geometry(write_geometry(state.contents), "base_link")
     other = scene_state()
-    assert other.apply_diff(diff(world={"collision_objects": objects}), None) is None
+    other.apply_diff(diff(world={"collision_objects": objects}), None)
     return other
 
 
@@ -150,7 +150,7 @@ def test_figures_lose_no_digit(edges_m, x_m):
 def test_a_colour_stands_behind_each_shape():
     state = scene_state(box("cup"))
     color = {"r": 0.5, "g": 0.25, "b": 0.0, "a": 1.0}
-    assert state.apply_diff(diff(object_colors=[{"id": "cup", "color": color}]), BENT) is None
+    state.apply_diff(diff(object_colors=[{"id": "cup", "color": color}]), BENT)
     assert "0.5 0.25 0.0 1.0" in write_geometry(state.contents).splitlines()
 
 

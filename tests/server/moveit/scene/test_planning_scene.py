@@ -12,16 +12,16 @@ from planners.scene import Box, Pose, Sphere
 from planners.scene_checks import MAX_SHAPES
 from server.errors import RefusedError
 from server.moveit.poses import matrix_of
-from server.moveit.scene.allowed_collision_matrix import ContactMatrix
-from server.moveit.scene.collision_objects import ADD, APPEND, MOVE, REMOVE, read_thing
-from server.moveit.scene.frames import LinkPlaces
+from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
+from server.moveit.scene.collision_objects import ADD, APPEND, MOVE, REMOVE, read_collision_object
+from server.moveit.scene.frames import LinkTransforms
 from server.moveit.scene.planning_scene import (
     MAX_COLORS,
-    Draft,
-    change_held_object,
-    change_object,
-    change_scene,
-    change_world,
+    SceneDraft,
+    apply_attached_object,
+    apply_collision_object,
+    apply_planning_scene,
+    apply_world,
 )
 from tests.helpers.planning_scene import (
     BENT,
@@ -43,7 +43,7 @@ CUP = collision_object(**box("cup", at=pose(0.3)))
 def test_a_draft_leaves_what_it_was_made_of_as_it_is():
     state = scene_state(CUP)
     before = state.contents
-    changing = Draft(before, draft().links)
+    changing = SceneDraft(before, draft().links)
     changing.objects.clear()
     changing.colors["cup"] = {}
     assert list(before.objects) == ["cup"]
@@ -52,13 +52,15 @@ def test_a_draft_leaves_what_it_was_made_of_as_it_is():
 
 def test_a_thing_is_placed_by_the_frame_it_is_told_in():
     changing = draft(CUP)
-    placed = changing.placed(read_thing(collision_object(**box("lid", at=pose(0.0, 0.0, 0.1))), "cup", "it"))
+    placed = changing.in_planning_frame(
+        read_collision_object(collision_object(**box("lid", at=pose(0.0, 0.0, 0.1))), "cup", "it")
+    )
     assert (placed.frame, placed.pose) == ("base_link", Pose((0.3, 0.0, 0.1)))
 
 
 def test_a_thing_in_a_frame_that_nobody_knows_is_refused_by_its_name():
     with pytest.raises(RefusedError) as refusal:
-        draft().placed(read_thing(collision_object(**box("lid")), "nowhere", "it"))
+        draft().in_planning_frame(read_collision_object(collision_object(**box("lid")), "nowhere", "it"))
     failure = refusal.value.failure
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert (failure.details["object"], failure.details["frame"]) == ("lid", "nowhere")
@@ -68,7 +70,7 @@ def test_scenes_that_differ_in_colour_alone_look_alike():
     contents, changing = scene_state(CUP).contents, draft(CUP)
     changing.objects = dict(contents.objects)
     changing.colors["cup"] = {"r": 1.0}
-    assert changing.contents().looks_like(contents)
+    assert changing.contents().looks_same(contents)
     assert changing.contents() != contents
 
 
@@ -77,7 +79,7 @@ def test_scenes_that_differ_for_planners_do_not_look_alike(part):
     contents, changing = scene_state(CUP).contents, draft()
     changing.objects = dict(contents.objects)
     setattr(changing, part, {"base_link": 0.5})
-    assert not changing.contents().looks_like(contents)
+    assert not changing.contents().looks_same(contents)
 
 
 def test_what_is_forgotten_has_neither_colour_nor_entries():
@@ -85,13 +87,13 @@ def test_what_is_forgotten_has_neither_colour_nor_entries():
     changing.colors["gripper_link"] = {}
     changing.forget("gripper_link")
     assert changing.colors == {}
-    assert "gripper_link" not in changing.matrix.names
+    assert "gripper_link" not in changing.allowed_collisions.names
 
 
 def test_beginning_anew_leaves_what_is_held():
     changing = draft(CUP)
     changing.attached = {"cup": changing.objects["cup"]}
-    changing.clear(changing.matrix)
+    changing.clear(changing.allowed_collisions)
     assert changing.objects == {}
     assert list(changing.attached) == ["cup"]
 
@@ -101,7 +103,7 @@ def test_planners_get_the_whole_scene():
     assert (scene.version, [thing.name for thing in scene.objects], scene.allowed) == (7, ["cup"], {})
 
 
-OF_ROBOT = ContactMatrix.of_robot(ROBOT)
+OF_ROBOT = AllowedCollisionMatrix.of_robot(ROBOT)
 RED = {"r": 1.0, "a": 1.0}
 ACM = {"entry_names": ["a", "b"], "entry_values": [{"enabled": [False, True]}, {"enabled": [True, False]}]}
 
@@ -109,7 +111,7 @@ ACM = {"entry_names": ["a", "b"], "entry_values": [{"enabled": [False, True]}, {
 def changed(*messages, before=(CUP,)):
     changing = draft(*before)
     for each in messages:
-        change_scene(changing, each, OF_ROBOT)
+        apply_planning_scene(changing, each, OF_ROBOT)
     return changing
 
 
@@ -135,7 +137,7 @@ def test_a_whole_scene_takes_the_place_of_the_one_before():
         message("PlanningScene", world={"collision_objects": [box("new")]}),
     )
     assert (list(changing.objects), changing.attached) == (["new"], {})
-    assert (changing.matrix, changing.padding_m, changing.colors) == (OF_ROBOT, {}, {})
+    assert (changing.allowed_collisions, changing.padding_m, changing.colors) == (OF_ROBOT, {}, {})
 
 
 def test_a_whole_scene_whose_state_is_a_difference_leaves_what_is_held():
@@ -179,7 +181,7 @@ def test_fields_that_are_left_out_say_nothing_but_a_state_of_held_things_counts(
 
 def test_a_matrix_takes_the_place_of_the_one_before_and_an_empty_one_says_nothing():
     changing = changed(diff(allowed_collision_matrix=ACM), diff())
-    assert changing.matrix.names == ("a", "b")
+    assert changing.allowed_collisions.names == ("a", "b")
 
 
 def test_padding_and_scale_are_kept_where_they_say_something():
@@ -204,7 +206,7 @@ def test_an_octomap_without_data_is_let_pass():
 
 def test_the_world_alone_is_changed_as_within_a_scene():
     changing = draft(CUP)
-    change_world(changing, message("PlanningSceneWorld", collision_objects=[box("new")]), "world")
+    apply_world(changing, message("PlanningSceneWorld", collision_objects=[box("new")]), "world")
     assert list(changing.objects) == ["cup", "new"]
 
 
@@ -273,8 +275,8 @@ BALL = {"type": 2, "dimensions": [0.1]}
 
 def after_objects(*messages, before=(TURNED_CUP,)):
     changing = draft(*before)
-    for message in messages:
-        change_object(changing, collision_object(**message), "it")
+    for each in messages:
+        apply_collision_object(changing, collision_object(**each), "it")
     return changing
 
 
@@ -302,7 +304,9 @@ def test_add_replaces_a_thing_of_the_same_name():
 def test_add_of_what_is_known_keeps_the_thing_itself():
     before = draft(TURNED_CUP)
     known = before.objects["cup"]
-    change_object(before, {**TURNED_CUP, "header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "base_link"}}, "it")
+    apply_collision_object(
+        before, {**TURNED_CUP, "header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "base_link"}}, "it"
+    )
     assert before.objects["cup"] is known
 
 
@@ -350,7 +354,7 @@ def test_move_needs_no_shapes_and_keeps_all_but_the_pose():
 def test_move_to_where_it_is_keeps_the_thing_itself():
     before = draft(TURNED_CUP)
     known = before.objects["cup"]
-    change_object(before, collision_object(id="cup", pose=TURNED_CUP["pose"], operation=MOVE), "it")
+    apply_collision_object(before, collision_object(id="cup", pose=TURNED_CUP["pose"], operation=MOVE), "it")
     assert before.objects["cup"] is known
 
 
@@ -369,7 +373,7 @@ def test_move_by_the_pose_of_a_single_shape_moves_the_thing_as_when_it_was_added
 def test_remove_takes_a_thing_its_colour_and_its_entries():
     changing = draft(TURNED_CUP)
     changing.colors["cup"] = {}
-    change_object(changing, collision_object(id="cup", operation=REMOVE), "it")
+    apply_collision_object(changing, collision_object(id="cup", operation=REMOVE), "it")
     assert (changing.objects, changing.colors) == ({}, {})
 
 
@@ -412,7 +416,7 @@ LINKS = FORWARD.transforms(BENT)
 def after_attached(*messages, before=(CUP,)):
     changing = draft(*before)
     for each in messages:
-        change_held_object(changing, each, "it")
+        apply_attached_object(changing, each, "it")
     return changing
 
 
@@ -423,7 +427,7 @@ def attached_refusal(*messages):
 
 
 def place_in_root(thing):
-    return LINKS[thing.link] @ matrix_of(thing.thing.pose)
+    return LINKS[thing.link] @ matrix_of(thing.collision_object.pose)
 
 
 def new(name, *, at, frame, **fields):
@@ -438,7 +442,7 @@ def test_add_by_name_alone_takes_the_thing_from_the_world_where_it_is():
 
 def test_add_with_shapes_in_the_links_frame_is_exactly_as_told():
     thing = after_attached(new("tool", at=pose(0.1), frame="gripper_link")).attached["tool"]
-    assert (thing.link, thing.thing.pose) == ("gripper_link", Pose((0.1, 0.0, 0.0)))
+    assert (thing.link, thing.collision_object.pose) == ("gripper_link", Pose((0.1, 0.0, 0.0)))
 
 
 def test_add_with_shapes_in_another_frame_is_brought_into_the_links():
@@ -449,7 +453,7 @@ def test_add_with_shapes_in_another_frame_is_brought_into_the_links():
 def test_add_with_shapes_replaces_a_thing_of_the_world():
     changing = after_attached(held("cup", primitives=[BALL], header={"frame_id": "gripper_link"}))
     assert changing.objects == {}
-    assert changing.attached["cup"].object.object.shapes[0][0].radius_m == 0.1
+    assert changing.attached["cup"].attached_object.object.shapes[0][0].radius_m == 0.1
 
 
 def test_touch_links_weight_and_posture_are_kept():
@@ -463,16 +467,16 @@ def test_touch_links_weight_and_posture_are_kept():
 def test_add_of_what_is_held_keeps_the_thing_itself(touch_links):
     told = new("tool", at=pose(0.1), frame="gripper_link") | {"touch_links": list(touch_links)}
     before = after_attached(told).contents()
-    again = Draft(before, LinkPlaces(ROBOT, FORWARD, None))
-    change_held_object(again, told, "it")
+    again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, None))
+    apply_attached_object(again, told, "it")
     assert again.attached["tool"] is before.attached["tool"]
 
 
 def test_a_thing_that_is_put_down_and_taken_again_is_held_and_stands_nowhere():
     before = after_attached(held("cup")).contents()
-    again = Draft(before, LinkPlaces(ROBOT, FORWARD, BENT))
-    change_held_object(again, held("cup", operation=REMOVE), "it")
-    change_held_object(again, message("AttachedCollisionObject", **before.attached["cup"].message), "it")
+    again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, BENT))
+    apply_attached_object(again, held("cup", operation=REMOVE), "it")
+    apply_attached_object(again, message("AttachedCollisionObject", **before.attached["cup"].message), "it")
     assert (again.attached, again.objects) == (before.attached, {})
 
 
@@ -487,9 +491,9 @@ def test_append_adds_shapes_and_touch_links():
     tool = new("tool", at=pose(0.1), frame="gripper_link") | {"touch_links": ["lower_arm_link"]}
     changing = after_attached(tool, held("tool", touch_links=("wrist_link",), **append))
     thing = changing.attached["tool"]
-    assert thing.thing.pose == Pose((0.1, 0.0, 0.0))
-    assert isinstance(thing.object.object.shapes[0][0], Box)
-    np.testing.assert_allclose(thing.thing.shapes[1][1].position_m, (-0.1, 0.0, 0.0), atol=1e-12)
+    assert thing.collision_object.pose == Pose((0.1, 0.0, 0.0))
+    assert isinstance(thing.attached_object.object.shapes[0][0], Box)
+    np.testing.assert_allclose(thing.collision_object.shapes[1][1].position_m, (-0.1, 0.0, 0.0), atol=1e-12)
     assert thing.touch_links == ("lower_arm_link", "wrist_link")
 
 

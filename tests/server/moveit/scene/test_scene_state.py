@@ -22,10 +22,10 @@ from tests.helpers.planning_scene import (
     box,
     collision_object,
     diff,
-    failure,
     held,
     message,
     pose,
+    rejection,
     scene_state,
 )
 
@@ -48,18 +48,18 @@ def test_every_change_that_planners_see_has_a_version_of_its_own():
         {"link_padding": [{"link_name": "wrist_link", "padding": 0.01}]},
         {"allowed_collision_matrix": {"default_entry_names": ["cup"], "default_entry_values": [True]}},
     ):
-        assert state.apply_diff(diff(**fields), BENT) is None
+        state.apply_diff(diff(**fields), BENT)
         versions.add(state.scene.version)
     assert len(versions) == 5
 
 
 def test_what_is_said_again_changes_nothing():
     state = scene_state()
-    assert state.apply_diff(ADDED, BENT) is None
+    state.apply_diff(ADDED, BENT)
     scene, contents = state.scene, state.contents
     calls = []
     state.on_change(lambda: calls.append(1))
-    assert state.apply_diff(ADDED, BENT) is None
+    state.apply_diff(ADDED, BENT)
     assert state.scene is scene
     assert state.contents is contents
     assert calls == []
@@ -70,7 +70,7 @@ def test_a_colour_changes_the_contents_and_not_the_planners_scene():
     scene = state.scene
     calls = []
     state.on_change(lambda: calls.append(state.contents.colors))
-    assert state.apply_diff(diff(object_colors=[{"id": "cup", "color": RED}]), BENT) is None
+    state.apply_diff(diff(object_colors=[{"id": "cup", "color": RED}]), BENT)
     assert state.scene is scene
     assert calls == [{"cup": RED}]
 
@@ -80,8 +80,8 @@ def test_one_bad_object_and_nothing_is_changed(names):
     state = scene_state(box("cup"))
     contents, scene = state.contents, state.scene
     objects = [box(name, frame="nowhere" if name == "bad" else "") for name in names]
-    refusal = state.apply_diff(diff(world={"collision_objects": [{"id": "cup", "operation": 1}, *objects]}), BENT)
-    assert failure(refusal).details["object"] == "bad"
+    changed = diff(world={"collision_objects": [{"id": "cup", "operation": 1}, *objects]})
+    assert rejection(state.apply_diff, changed, BENT).details["object"] == "bad"
     assert (state.contents, state.scene) == (contents, scene)
 
 
@@ -94,19 +94,19 @@ def test_what_would_be_is_told_and_not_done():
     assert would_be.version != scene.version
     assert state.scene is scene
     assert state.with_diff(diff(), BENT) is scene
-    assert failure(state.with_diff(diff(world={"collision_objects": [{"id": "x"}]}), BENT)).details["object"] == "x"
+    assert rejection(state.with_diff, diff(world={"collision_objects": [{"id": "x"}]}), BENT).details["object"] == "x"
 
 
 def test_the_world_alone_takes_the_place_of_the_one_before_and_leaves_what_is_held():
     state = scene_state(box("cup"), box("pen"))
-    assert state.apply_held_object(held("cup"), BENT) is None
-    assert state.apply_world(message("PlanningSceneWorld", collision_objects=[box("new")]), BENT) is None
+    state.apply_attached_object(held("cup"), BENT)
+    state.apply_world(message("PlanningSceneWorld", collision_objects=[box("new")]), BENT)
     assert (list(state.contents.objects), list(state.contents.attached)) == (["new"], ["cup"])
 
 
 def test_single_objects_are_taken():
     state = SceneState(ROBOT)
-    assert state.apply_object(collision_object(**box("cup")), None) is None
+    state.apply_collision_object(collision_object(**box("cup")), None)
     assert [thing.name for thing in state.scene.objects] == ["cup"]
 
 
@@ -120,24 +120,24 @@ def test_single_objects_are_taken():
 )
 def test_names_that_are_taken_or_empty_are_refused(objects, code):
     state = scene_state()
-    assert state.apply_held_object(held("held", **box("held")), BENT) is None
-    assert failure(state.apply_diff(diff(world={"collision_objects": objects}), BENT)).code is code
+    state.apply_attached_object(held("held", **box("held")), BENT)
+    assert rejection(state.apply_diff, diff(world={"collision_objects": objects}), BENT).code is code
 
 
 def test_an_unknown_touch_link_is_refused():
-    refusal = scene_state(box("cup")).apply_held_object(held("cup", touch_links=("hand",)), BENT)
-    assert failure(refusal).code is MoveItErrorCode.INVALID_LINK_NAME
+    state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
+    assert rejection(state.apply_attached_object, touching, BENT).code is MoveItErrorCode.INVALID_LINK_NAME
 
 
 def test_more_shapes_than_a_scene_holds_are_refused_bit_by_bit_as_well():
     half = [{"type": 2, "dimensions": [0.1]}] * (MAX_SHAPES // 2)
     state = scene_state({"id": "a", "primitives": half}, {"id": "b", "primitives": half})
-    assert failure(state.apply_object(collision_object(**box("c")), BENT)).details["limit"] == MAX_SHAPES
+    assert rejection(state.apply_collision_object, collision_object(**box("c")), BENT).details["limit"] == MAX_SHAPES
 
 
 def test_a_scene_for_another_robot_is_taken_with_a_warning(caplog):
     with caplog.at_level(logging.WARNING, "armbridge"):
-        assert scene_state().apply_diff(diff(robot_model_name="panda"), BENT) is None
+        scene_state().apply_diff(diff(robot_model_name="panda"), BENT)
     assert "'panda'" in caplog.text
 
 
@@ -149,9 +149,9 @@ def state(is_diff=True, **positions):
 def said(*states, told=None):
     assumed, node = AssumedStates(ROBOT), Node("client")
     if told is not None:
-        assumed.tell(node, told)
+        assumed.note_sent(node, told)
     for each in states:
-        assumed.assume(node, assumed.stated(node, each))
+        assumed.assume(node, assumed.after(node, each))
     return assumed.of(node)
 
 
@@ -162,7 +162,7 @@ def test_nobody_has_assumed_anything_at_first():
 
 def test_what_is_stated_is_assumed_by_that_client_alone():
     assumed, one, other = AssumedStates(ROBOT), Node("one"), Node("other")
-    assumed.assume(one, assumed.stated(one, state(gripper=0.5)))
+    assumed.assume(one, assumed.after(one, state(gripper=0.5)))
     assert (assumed.of(one), assumed.of(other)) == ({"gripper": 0.5}, None)
 
 
@@ -207,5 +207,5 @@ def test_a_client_that_has_left_is_forgotten():
 )
 def test_a_state_that_is_none_is_refused(joint_state, words):
     with pytest.raises(RefusedError, match=words) as refusal:
-        AssumedStates(ROBOT).stated(Node("client"), message("RobotState", joint_state=joint_state))
+        AssumedStates(ROBOT).after(Node("client"), message("RobotState", joint_state=joint_state))
     assert refusal.value.failure.code is MoveItErrorCode.INVALID_ROBOT_STATE

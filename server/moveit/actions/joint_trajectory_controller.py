@@ -1,4 +1,7 @@
-"""ros2_control"""
+"""ros2_control's joint_trajectory_controller: FollowJointTrajectory, its topic for trajectories, and its state.
+
+https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/doc/userdoc.html
+"""
 
 from __future__ import annotations
 
@@ -10,69 +13,37 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import Publication
 from robot.arm import Arm
 from robot.messages import ArmState, Outcome
 from robot.model import Group, RobotModel
+from robot.trajectory import Vector
 from server.action_goals import Goal, GoalStatus
+from server.errors import RefusedError
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.graph import Graph, Subscriber
-from server.moveit.actions.goal_bridge import status_of
+from server.moveit.actions.goal_bridge import goal_status
 from server.moveit.current_state import CurrentState
 from server.moveit.motions import Motion, Positions
-from server.moveit.requests.trajectories import given_motion
+from server.moveit.requests.error_codes import refused
+from server.moveit.requests.trajectories import external_motion, external_trajectory
 from server.node import Node
 
 Message: TypeAlias = Mapping[str, Any]
 
-# Joint -> greatest distance [rad]. Joints that are not named have what the arm's driver guards anyway.
+# Joint -> greatest distance [rad]. The arm's driver monitors joints that are not in it.
 Tolerances: TypeAlias = Mapping[str, float]
 
+ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
+STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
 
-def tolerances_of(messages: Sequence[Message], field: str, joints: Sequence[str]) -> Tolerances | PlanningFailure:
-    """Read tolerances; 0 stands for the default and a negative one for no limit, which both demand nothing here.
+# Name of the same action in ROS-Industrial's drivers.
+INDUSTRIAL_ACTION = "/joint_trajectory_action"
 
-    Args:
-        messages: control_msgs/JointTolerance.
-        field: their field, for refusals.
-        joints: those that can be named.
-    """
-    found = {}
-    for message in messages:
-        name, position_rad = message["name"], message["position"]
-        if name not in joints:
-            return _invalid(f"{field} names the joint {name!r}; the controller has {', '.join(joints)}", joint=name)
-        if math.isnan(position_rad):
-            return _invalid(f"{field}: position of joint {name} must be a number, not nan", joint=name)
-        if position_rad > 0.0:
-            found[name] = float(position_rad)
-    return found
-
-
-def violated(tolerances: Tolerances, state: ArmState, wanted_rad: Mapping[str, float]) -> str:
-    """Which joint is too far away, in a sentence; an empty text when none is.
-
-    Args:
-        tolerances: of the joints.
-        state: where they are.
-        wanted_rad: where they should be [rad].
-    """
-    if state.position_rad is None:
-        return ""
-    measured = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
-    for name, tolerance_rad in tolerances.items():
-        error_rad = abs(measured[name] - wanted_rad[name])
-        if error_rad > tolerance_rad:
-            return f"joint {name} is {error_rad:.3f} rad from where it should be (tolerance {tolerance_rad:g} rad)"
-    return ""
-
-
-def _invalid(message: str, **details: Any) -> PlanningFailure:
-    return PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message, details)
+# A joint that has not arrived by then does not arrive.
+MAX_GOAL_TIME_TOLERANCE_S = 10.0
 
 
 class FollowCode(IntEnum):
@@ -86,14 +57,26 @@ class FollowCode(IntEnum):
     GOAL_TOLERANCE_VIOLATED = -5
 
 
-@dataclass(frozen=True)
-class FollowedTolerances:
-    """What a goal demands besides its trajectory.
+class TrajectoryRefusedError(RefusedError):
+    """A trajectory that the action rejects by an error code of its own.
 
     Attributes:
-        path: while it is played.
-        goal: at its end.
-        time_s: by which the end's may be met later, on the arm's clock [s].
+        code: the error code.
+    """
+
+    def __init__(self, code: FollowCode, message: str) -> None:
+        super().__init__(PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message))
+        self.code = code
+
+
+@dataclass(frozen=True)
+class SegmentTolerances:
+    """Tolerances of a goal.
+
+    Attributes:
+        path: tolerances while the trajectory is played.
+        goal: tolerances at its end.
+        time_s: time after the end by which the goal tolerances must be met, on the arm's clock [s].
     """
 
     path: Tolerances
@@ -101,46 +84,132 @@ class FollowedTolerances:
     time_s: float
 
 
-class FollowedGoal:
-    """A goal that the queue has.
+class JointTrajectoryController:
+    """The actions and the topic.
+
+    Args:
+        graph: where they are.
+        robot: the arm.
+        group: the controlled joints.
+        arm: the arm.
+        current: positions that it holds.
+        queue: queue of its goals.
+
+    Attributes:
+        actions: names of the actions.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        group: Group,
+        arm: Arm,
+        current: CurrentState,
+        queue: GoalQueue[Motion],
+    ) -> None:
+        self._robot = robot
+        self._group = group
+        self._arm = arm
+        self._current = current
+        self._queue = queue
+        # Goals without result, by their number in the queue.
+        self._goals: dict[str, TrajectoryGoal] = {}
+        self._topic = f"/{group.name}_controller/joint_trajectory"
+        self.actions = (f"/{group.name}_controller/follow_joint_trajectory", INDUSTRIAL_ACTION)
+        node = Node(f"{group.name} controller")
+        for name in self.actions:
+            graph.actions.offer(node, name, ACTION_TYPE, self._start)
+        graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play))
+
+    def take_state(self, state: ArmState) -> None:
+        """Check the tolerances of all goals against a state of the arm."""
+        for number, trajectory_goal in list(self._goals.items()):
+            trajectory_goal.take_state(state, functools.partial(self._queue.cancel, number))
+
+    def _start(self, goal: Goal) -> None:
+        try:
+            tolerances = read_segment_tolerances(goal.request, self._group)
+            self._check(goal.request["trajectory"])
+        except RefusedError as error:
+            self._queue.refuse(goal.action, error.failure)
+            goal.finish(GoalStatus.ABORTED, result(rejection_code(error), error.failure.message))
+            return
+        trajectory_goal = TrajectoryGoal(goal, self._group.joints, tolerances)
+
+        def send_feedback(progress: Progress) -> None:
+            trajectory_goal.take_progress(progress)
+            feedback = trajectory_goal.feedback(self._arm.state)
+            if feedback is not None:
+                goal.feedback(feedback)
+
+        number = self._queue.submit(
+            goal.action,
+            external_motion(goal.request["trajectory"], self._robot),
+            policy=GoalPolicy.PREEMPT,
+            on_progress=send_feedback,
+            on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
+        )
+        self._goals[number] = trajectory_goal
+        goal.when_ended(lambda _result: self._goals.pop(number, None))
+        goal.when_canceled(lambda: self._queue.cancel(number, f"cancelled by a client of {goal.action}"))
+
+    def _play(self, publication: Publication) -> None:
+        """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm."""
+        trajectory = publication.msg
+        if not trajectory["points"]:
+            self._queue.end_all(f"stopped by an empty trajectory on {self._topic}")
+            return
+        try:
+            self._check(trajectory)
+        except RefusedError as error:
+            self._queue.refuse(self._topic, error.failure)
+            return
+        self._queue.submit(self._topic, external_motion(trajectory, self._robot), policy=GoalPolicy.PREEMPT)
+
+    def _check(self, trajectory: Message) -> None:
+        check_trajectory(trajectory, self._group, self._robot, self._current.positions_rad(), time.time())
+
+
+class TrajectoryGoal:
+    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result.
 
     Args:
         goal: the action's goal.
-        joints: of the controller.
-        demands: its tolerances.
+        joints: the controlled joints.
+        tolerances: its tolerances.
     """
 
-    def __init__(self, goal: Goal, joints: tuple[str, ...], demands: FollowedTolerances) -> None:
+    def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances) -> None:
         self._goal = goal
         self._joints = joints
-        self._demands = demands
+        self._tolerances = tolerances
         self._executing = False
-        self._violation = ""
-        self._end_rad: dict[str, float] | None = None
-        self._settle_until_s: float | None = None
-        self._answer: Answer | None = None
+        self._path_violation = ""
+        # Set by the queue's answer when the arm must still come within the goal tolerances: end [rad], latest time [s].
+        self._settling: tuple[Answer, Positions, float] | None = None
 
     def take_progress(self, progress: Progress) -> None:
-        """Take note of some news."""
+        """Note the state of the goal."""
         self._executing = progress.state is GoalState.EXECUTING
 
     def take_state(self, state: ArmState, cancel: Callable[[str], None]) -> None:
-        """Hold the arm's state against the tolerances, and tell it as feedback.
+        """Check the tolerances against a state of the arm.
 
         Args:
-            state: the latest.
+            state: the latest state.
             cancel: ends the motion, with a reason.
         """
-        if self._answer is not None:
-            self._look_at_end(state)
-        elif self._executing and not self._violation and state.goal_rad is not None:
-            wanted_rad = dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
-            self._violation = violated(self._demands.path, state, wanted_rad)
-            if self._violation:
-                cancel(self._violation)
+        if self._settling is not None:
+            self._end_when_settled(state, *self._settling)
+        elif self._executing and not self._path_violation and state.goal_rad is not None:
+            desired_rad = dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
+            self._path_violation = violation(self._tolerances.path, state, desired_rad)
+            if self._path_violation:
+                cancel(self._path_violation)
 
     def feedback(self, state: ArmState) -> Message | None:
-        """The feedback message for where the arm is; None before it moves."""
+        """Write the feedback message of a state of the arm; None before it moves."""
         if not self._executing or state.goal_rad is None or state.position_rad is None:
             return None
         columns = [state.joint_names.index(name) for name in self._joints]
@@ -153,143 +222,39 @@ class FollowedGoal:
         }
 
     def take_answer(self, answer: Answer, state: ArmState) -> None:
-        """End the goal, at once or as soon as its joints are near enough to its end."""
-        self._answer, self._executing = answer, False
+        """End the goal by the queue's answer, after a success as soon as the arm is within the goal tolerances."""
+        self._executing = False
         performed = answer.performed
         if answer.code is not MoveItErrorCode.SUCCESS or performed is None or not performed.planned:
-            self._finish("")
+            self._finish(answer)
             return
         last = performed.planned[-1]
-        self._end_rad = dict(zip(last.joint_names, last.positions_rad[-1].tolist(), strict=True))
-        self._settle_until_s = state.clock_s + self._demands.time_s
-        self._look_at_end(state)
+        end_rad = dict(zip(last.joint_names, last.positions_rad[-1].tolist(), strict=True))
+        self._settling = answer, end_rad, state.clock_s + self._tolerances.time_s
+        self._end_when_settled(state, *self._settling)
 
-    def _look_at_end(self, state: ArmState) -> None:
-        if self._goal.ended or self._end_rad is None or self._settle_until_s is None:
+    def _end_when_settled(self, state: ArmState, answer: Answer, end_rad: Positions, until_s: float) -> None:
+        if self._goal.ended:
             return
-        away = violated(self._demands.goal, state, self._end_rad)
-        if not away or state.clock_s >= self._settle_until_s:
-            self._finish(away)
+        goal_violation = violation(self._tolerances.goal, state, end_rad)
+        if not goal_violation:
+            self._finish(answer)
+        elif state.clock_s >= until_s:
+            self._goal.finish(GoalStatus.ABORTED, result(FollowCode.GOAL_TOLERANCE_VIOLATED, goal_violation))
 
-    def _finish(self, away_from_goal: str) -> None:
-        answer = self._answer
-        if answer is None:
-            raise AssertionError("a goal without an answer is finished")
-        if away_from_goal:
-            self._goal.finish(GoalStatus.ABORTED, result(FollowCode.GOAL_TOLERANCE_VIOLATED, away_from_goal))
-        elif self._violation:
-            self._goal.finish(GoalStatus.ABORTED, result(FollowCode.PATH_TOLERANCE_VIOLATED, self._violation))
+    def _finish(self, answer: Answer) -> None:
+        if self._path_violation:
+            self._goal.finish(GoalStatus.ABORTED, result(FollowCode.PATH_TOLERANCE_VIOLATED, self._path_violation))
         else:
-            self._goal.finish(status_of(answer.code), result(code_of(answer), answer.message))
+            self._goal.finish(goal_status(answer.code), result(follow_code(answer), answer.message))
 
 
-def code_of(answer: Answer) -> FollowCode:
-    """What an answer of the queue is for this action."""
-    if answer.code is MoveItErrorCode.SUCCESS:
-        return FollowCode.SUCCESSFUL
-    if answer.details.get("outcome") == Outcome.TRACKING_LOST.value:
-        return FollowCode.PATH_TOLERANCE_VIOLATED
-    if answer.details.get("outcome") == Outcome.NOT_SETTLED.value:
-        return FollowCode.GOAL_TOLERANCE_VIOLATED
-    return FollowCode.INVALID_GOAL
-
-
-def result(code: FollowCode, message: str) -> Message:
-    """The result message."""
-    return {"error_code": int(code), "error_string": message}
-
-
-def point(positions_rad: np.ndarray) -> dict[str, Any]:
-    """A trajectory_msgs/JointTrajectoryPoint of positions alone."""
-    return {"positions": positions_rad.tolist()}
-
-
-# Beyond this nobody waits for a joint to come nearer.
-MAX_GOAL_TIME_TOLERANCE_S = 10.0
-
-
-@dataclass(frozen=True)
-class Refused:
-    """Why a trajectory is not taken on, for the action's client and for everyone."""
-
-    code: FollowCode
-    failure: PlanningFailure
-
-
-def tolerances_in(goal: Message, group: Group) -> FollowedTolerances | Refused:
-    """Read the tolerances of a goal.
+class ControllerStatePublisher:
+    """Publisher of the controller's state, with every state of the arm, while there are subscribers.
 
     Args:
-        goal: of control_msgs/FollowJointTrajectory.
-        group: the joints that are controlled.
-    """
-    found: dict[str, Tolerances] = {}
-    for field in ("path_tolerance", "goal_tolerance"):
-        tolerances = tolerances_of(goal[field], field, group.joints)
-        if isinstance(tolerances, PlanningFailure):
-            return Refused(FollowCode.INVALID_GOAL, tolerances)
-        found[field] = tolerances
-    time_s = _seconds(goal["goal_time_tolerance"])
-    if time_s > MAX_GOAL_TIME_TOLERANCE_S:
-        limit = f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s"
-        return _refused(FollowCode.INVALID_GOAL, limit)
-    return FollowedTolerances(found["path_tolerance"], found["goal_tolerance"], max(time_s, 0.0))
-
-
-def refusal_of(
-    trajectory: Message, group: Group, robot: RobotModel, present_rad: Positions | None, now_s: float
-) -> Refused | None:
-    """Why a trajectory cannot be played; None when nothing speaks against it.
-
-    Args:
-        trajectory: a trajectory_msgs/JointTrajectory.
-        group: the joints that are controlled.
-        robot: the arm.
-        present_rad: what the arm holds, None while that is not known [rad].
-        now_s: wall-clock time [s].
-    """
-    if not trajectory["points"]:
-        return _refused(FollowCode.INVALID_GOAL, "trajectory.points is empty; to stop the arm, cancel the goal")
-    strange = [name for name in trajectory["joint_names"] if name not in group.joints]
-    if strange:
-        known = ", ".join(group.joints)
-        return _refused(
-            FollowCode.INVALID_JOINTS, f"trajectory.joint_names has {strange[0]!r}; the controller has {known}"
-        )
-    late_s = now_s - _end_s(trajectory)
-    if _seconds(trajectory["header"]["stamp"]) > 0.0 and late_s > 0.0:
-        return _refused(
-            FollowCode.OLD_HEADER_TIMESTAMP,
-            f"by trajectory.header.stamp the motion would have ended {late_s:.1f} s ago; the stamp 0 starts it now",
-        )
-    motion = None if present_rad is None else given_motion(trajectory, robot).trajectory(present_rad)
-    if isinstance(motion, PlanningFailure):
-        return Refused(FollowCode.INVALID_GOAL, motion)
-    return None
-
-
-def _end_s(trajectory: Message) -> float:
-    """When the trajectory would end by its stamp [s since the epoch]."""
-    return _seconds(trajectory["header"]["stamp"]) + _seconds(trajectory["points"][-1]["time_from_start"])
-
-
-def _seconds(stamp: Message) -> float:
-    return float(stamp["sec"]) + 1e-9 * float(stamp["nanosec"])
-
-
-def _refused(code: FollowCode, message: str) -> Refused:
-    return Refused(code, PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message))
-
-
-STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
-
-
-class ControllerState:
-    """Publishes the topic, with every state of the arm, while somebody listens.
-
-    Args:
-        graph: where it is.
-        group: the joints that are controlled.
+        graph: where the topics are.
+        group: the controlled joints.
     """
 
     def __init__(self, graph: Graph, group: Group) -> None:
@@ -298,11 +263,8 @@ class ControllerState:
         self._node = Node(f"{group.name} controller")
         # ROS 2's name, and ROS 1's.
         self._topics = (f"/{group.name}_controller/controller_state", f"/{group.name}_controller/state")
-
-    def open(self) -> None:
-        """Advertise it under both names."""
         for topic in self._topics:
-            self._graph.advertise(self._node, topic, STATE_TYPE)
+            graph.advertise(self._node, topic, STATE_TYPE)
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state of the arm."""
@@ -328,101 +290,129 @@ class ControllerState:
         }
 
 
-ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
-
-# What ROS-Industrial's drivers call the same action.
-INDUSTRIAL_ACTION = "/joint_trajectory_action"
-
-
-class ArmController:
-    """Offers the actions and listens to the topic.
+def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
+    """Read the tolerances of a goal.
 
     Args:
-        graph: where they are.
-        robot: the arm.
-        group: the joints that are controlled.
-        arm: the arm.
-        current: where it is.
-        queue: the one way to it.
+        goal: goal message of control_msgs/FollowJointTrajectory.
+        group: the controlled joints.
+
+    Raises:
+        RefusedError: a tolerance that cannot be used.
     """
+    path = read_tolerances(goal["path_tolerance"], "path_tolerance", group.joints)
+    end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
+    time_s = _seconds(goal["goal_time_tolerance"])
+    if time_s > MAX_GOAL_TIME_TOLERANCE_S:
+        raise _invalid(f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s")
+    return SegmentTolerances(path, end, max(time_s, 0.0))
 
-    def __init__(
-        self,
-        graph: Graph,
-        robot: RobotModel,
-        group: Group,
-        arm: Arm,
-        current: CurrentState,
-        queue: GoalQueue[Motion],
-    ) -> None:
-        self._graph = graph
-        self._robot = robot
-        self._group = group
-        self._arm = arm
-        self._current = current
-        self._queue = queue
-        self._node = Node(f"{group.name} controller")
-        self.actions = (f"/{group.name}_controller/follow_joint_trajectory", INDUSTRIAL_ACTION)
-        self._topic = f"/{group.name}_controller/joint_trajectory"
-        # Those whose end is still to come, by their number in the queue.
-        self._followed: dict[str, FollowedGoal] = {}
 
-    def open(self) -> None:
-        """Offer and subscribe."""
-        for name in self.actions:
-            self._graph.actions.offer(self._node, name, ACTION_TYPE, self._start)
-        self._graph.subscribe(
-            self._node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._take_trajectory)
-        )
+def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[str]) -> Tolerances:
+    """Read tolerances: 0 is the default and a negative one is no limit; both add nothing to the driver's monitoring.
 
-    def take_state(self, state: ArmState) -> None:
-        """Hold the arm's state against the tolerances of goals on their way."""
-        for number, followed in list(self._followed.items()):
-            followed.take_state(state, functools.partial(self._queue.cancel, number))
+    Args:
+        messages: control_msgs/JointTolerance.
+        field: their field, for errors.
+        joints: the controlled joints.
 
-    def _start(self, goal: Goal) -> None:
-        demands = tolerances_in(goal.request, self._group)
-        if isinstance(demands, Refused):
-            self._refuse(goal, demands)
-            return
-        refused = self._refusal(goal.request["trajectory"])
-        if refused is not None:
-            self._refuse(goal, refused)
-            return
-        followed = FollowedGoal(goal, self._group.joints, demands)
+    Raises:
+        RefusedError: another joint, or a tolerance that is not a number.
+    """
+    tolerances = {}
+    for message in messages:
+        name, position_rad = message["name"], message["position"]
+        if name not in joints:
+            raise _invalid(f"{field} names the joint {name!r}; the controller has {', '.join(joints)}", joint=name)
+        if math.isnan(position_rad):
+            raise _invalid(f"{field}: position of joint {name} must be a number, not nan", joint=name)
+        if position_rad > 0.0:
+            tolerances[name] = float(position_rad)
+    return tolerances
 
-        def tell(progress: Progress) -> None:
-            followed.take_progress(progress)
-            feedback = followed.feedback(self._arm.state)
-            if feedback is not None:
-                goal.feedback(feedback)
 
-        number = self._queue.submit(
-            goal.action,
-            given_motion(goal.request["trajectory"], self._robot),
-            policy=GoalPolicy.PREEMPT,
-            on_progress=tell,
-            on_answer=lambda answer: followed.take_answer(answer, self._arm.state),
-        )
-        self._followed[number] = followed
-        goal.when_ended(lambda _result: self._followed.pop(number, None))
-        goal.when_canceled(lambda: self._queue.cancel(number, f"cancelled by a client of {goal.action}"))
+def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions) -> str:
+    """Describe the first joint beyond its tolerance; empty if there is none.
 
-    def _refusal(self, trajectory: Message) -> Refused | None:
-        return refusal_of(trajectory, self._group, self._robot, self._current.positions_rad(), time.time())
+    Args:
+        tolerances: the tolerances.
+        state: a state of the arm.
+        desired_rad: position of every joint [rad].
+    """
+    if state.position_rad is None:
+        return ""
+    measured = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
+    for name, tolerance_rad in tolerances.items():
+        error_rad = abs(measured[name] - desired_rad[name])
+        if error_rad > tolerance_rad:
+            return f"joint {name} is {error_rad:.3f} rad from where it should be (tolerance {tolerance_rad:g} rad)"
+    return ""
 
-    def _refuse(self, goal: Goal, refused: Refused) -> None:
-        self._queue.refuse(goal.action, refused.failure)
-        goal.finish(GoalStatus.ABORTED, result(refused.code, refused.failure.message))
 
-    def _take_trajectory(self, publication: Publication) -> None:
-        """Play a trajectory that nobody waits for; one without points stops the arm, as ROS 1's controllers do."""
-        trajectory = publication.msg
-        if not trajectory["points"]:
-            self._queue.end_all(f"stopped by an empty trajectory on {self._topic}")
-            return
-        refused = self._refusal(trajectory)
-        if refused is not None:
-            self._queue.refuse(self._topic, refused.failure)
-            return
-        self._queue.submit(self._topic, given_motion(trajectory, self._robot), policy=GoalPolicy.PREEMPT)
+def check_trajectory(
+    trajectory: Message, group: Group, robot: RobotModel, present_rad: Positions | None, now_s: float
+) -> None:
+    """Check that a trajectory can be played.
+
+    Args:
+        trajectory: a trajectory_msgs/JointTrajectory.
+        group: the controlled joints.
+        robot: the arm.
+        present_rad: positions that the arm holds, None while they are not known [rad].
+        now_s: wall-clock time [s].
+
+    Raises:
+        TrajectoryRefusedError: it names another joint, or its time is over.
+        RefusedError: it cannot be played for another reason.
+    """
+    if not trajectory["points"]:
+        raise _invalid("trajectory.points is empty; to stop the arm, cancel the goal")
+    unknown = [name for name in trajectory["joint_names"] if name not in group.joints]
+    if unknown:
+        text = f"trajectory.joint_names has {unknown[0]!r}; the controller has {', '.join(group.joints)}"
+        raise TrajectoryRefusedError(FollowCode.INVALID_JOINTS, text)
+    late_s = now_s - _end_s(trajectory)
+    if _seconds(trajectory["header"]["stamp"]) > 0.0 and late_s > 0.0:
+        text = f"by trajectory.header.stamp the motion would have ended {late_s:.1f} s ago; the stamp 0 starts it now"
+        raise TrajectoryRefusedError(FollowCode.OLD_HEADER_TIMESTAMP, text)
+    if present_rad is not None:
+        external_trajectory(trajectory, robot, present_rad)
+
+
+def rejection_code(error: RefusedError) -> FollowCode:
+    """Return the action's error code for a goal that was rejected."""
+    return error.code if isinstance(error, TrajectoryRefusedError) else FollowCode.INVALID_GOAL
+
+
+def follow_code(answer: Answer) -> FollowCode:
+    """Return the action's error code for an answer of the queue."""
+    if answer.code is MoveItErrorCode.SUCCESS:
+        return FollowCode.SUCCESSFUL
+    if answer.details.get("outcome") == Outcome.TRACKING_LOST.value:
+        return FollowCode.PATH_TOLERANCE_VIOLATED
+    if answer.details.get("outcome") == Outcome.NOT_SETTLED.value:
+        return FollowCode.GOAL_TOLERANCE_VIOLATED
+    return FollowCode.INVALID_GOAL
+
+
+def result(code: FollowCode, message: str) -> Message:
+    """Write the result message."""
+    return {"error_code": int(code), "error_string": message}
+
+
+def point(positions_rad: Vector) -> dict[str, Any]:
+    """Write a trajectory_msgs/JointTrajectoryPoint with nothing but positions."""
+    return {"positions": positions_rad.tolist()}
+
+
+def _end_s(trajectory: Message) -> float:
+    """Return the end of a trajectory by its stamp [s since the epoch]."""
+    return _seconds(trajectory["header"]["stamp"]) + _seconds(trajectory["points"][-1]["time_from_start"])
+
+
+def _seconds(stamp: Message) -> float:
+    return float(stamp["sec"]) + 1e-9 * float(stamp["nanosec"])
+
+
+def _invalid(message: str, **details: Any) -> RefusedError:
+    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)

@@ -1,4 +1,4 @@
-"""moveit_msgs/Constraints: as a goal to reach, and as what must hold on the way."""
+"""moveit_msgs/Constraints, read as a goal to reach and as path constraints."""
 
 from __future__ import annotations
 
@@ -24,18 +24,20 @@ from planners.goals import (
 from planners.scene import Pose
 from robot.model import Joint
 from server.moveit.requests.context import Message, RequestContext
-from server.moveit.requests.error_codes import invalid, refusals_as_data
+from server.moveit.requests.error_codes import invalid
 
 # Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
 LEAST_JOINT_TOLERANCE_RAD = 1e-4
 
 
-def joint_constraints(messages: Sequence[Message], context: RequestContext, where: str) -> tuple[JointConstraint, ...]:
-    """Read constraints on joints, one of each joint: several on the same joint are their common range.
+def read_joint_constraints(
+    messages: Sequence[Message], context: RequestContext, where: str
+) -> tuple[JointConstraint, ...]:
+    """Read constraints on joints, one for each joint: several on the same joint become their common range.
 
     Args:
         messages: moveit_msgs/JointConstraint.
-        context: what they are read against.
+        context: context of the request.
         where: path of their field.
 
     Raises:
@@ -72,7 +74,7 @@ def _constraint(message: Message, context: RequestContext, where: str) -> JointC
 
 
 def _within_limits(joint: Joint, message: Message, context: RequestContext, where: str) -> float:
-    """The position, moved to the limit that it is a little beyond, or beyond by less than its own tolerance."""
+    """Return the position, clamped to a limit that it exceeds by no more than a tolerance."""
     asked = float(message["position"])
     inside = min(max(asked, joint.lower), joint.upper)
     own = message["tolerance_below"] if asked > inside else message["tolerance_above"]
@@ -93,7 +95,7 @@ def _within_limits(joint: Joint, message: Message, context: RequestContext, wher
 
 
 def _common(first: JointConstraint, second: JointConstraint, where: str) -> JointConstraint:
-    """The range that two constraints on one joint have in common."""
+    """Return the common range of two constraints on one joint."""
     lower = max(first.position_rad - first.below_rad, second.position_rad - second.below_rad)
     upper = min(first.position_rad + first.above_rad, second.position_rad + second.above_rad)
     if lower > upper + LEAST_JOINT_TOLERANCE_RAD:
@@ -109,24 +111,24 @@ def _common(first: JointConstraint, second: JointConstraint, where: str) -> Join
 
 AXES = ("x", "y", "z")
 
-# No client asks for less than MoveGroupInterface's default; no search ends on a point.
+# MoveGroupInterface's default; a search cannot end exactly on a point.
 LEAST_ORIENTATION_TOLERANCE_RAD = 1e-3
 
-# The widest tolerance that a client fills in without being asked: compas_fab's. MoveGroupInterface's is 0.001, and
-# sparse goals have 0. Nobody with five joints means these.
-UNMEANT_TOLERANCE_RAD = 0.01
+# The widest tolerance that clients fill in by default: compas_fab's. MoveGroupInterface's is 0.001, and goals without
+# the field have 0.
+DEFAULT_TOLERANCE_RAD = 0.01
 
 # From pi on an axis is free, as a rotation vector is never longer.
 FREE_RAD = math.pi
 
 
-def orientation_constraint(message: Message, context: RequestContext, where: str) -> OrientationConstraint:
-    """Read one.
+def read_orientation_constraint(message: Message, context: RequestContext, where: str) -> OrientationConstraint:
+    """Read the orientation of a link, with the tolerances about its axes.
 
     Args:
         message: a moveit_msgs/OrientationConstraint; its tolerances are about the link's axes, whatever the
             ``parameterization``: those of the two kinds differ only where they are wide about several axes.
-        context: what it is read against.
+        context: context of the request.
         where: path of its field.
 
     Raises:
@@ -143,17 +145,17 @@ def orientation_constraint(message: Message, context: RequestContext, where: str
 
 
 def is_free(tolerance_rad: Point) -> bool:
-    """Whether any orientation will do."""
+    """Tell if the tolerance allows any orientation."""
     return min(tolerance_rad) >= FREE_RAD
 
 
 def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
-    """Whether an orientation outside its tolerance is to be refused rather than told.
+    """Tell if an orientation outside its tolerance is an error; otherwise the nearest one is used and reported.
 
-    It is where the group has the joints to meet any orientation. Where it has fewer, tolerances that a client
-    fills in by itself are a wish; one that is wider about any axis was chosen, and is kept.
+    A group with six joints can reach any orientation, so there it is. A group with fewer rarely can: tolerances no
+    wider than those that clients fill in by default do not bind it, and wider ones, which somebody has chosen, do.
     """
-    return context.chooses_orientation or max(tolerance_rad) > UNMEANT_TOLERANCE_RAD
+    return context.chooses_orientation or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
 
 
 def _tolerance(message: Message, axis: str, where: str) -> float:
@@ -164,8 +166,8 @@ def _tolerance(message: Message, axis: str, where: str) -> float:
     return min(max(value, LEAST_ORIENTATION_TOLERANCE_RAD), 2.0 * FREE_RAD)
 
 
-# A point within this of another is there: MoveGroupInterface's default position tolerance, which a servo arm misses
-# anyway. Regions that are smaller, and those of size 0, are taken as if they were as large.
+# MoveGroupInterface's default position tolerance, which a servo arm misses anyway. Smaller regions, and those of size
+# 0, are widened to it.
 LEAST_TOLERANCE_M = 1e-4
 
 # shape_msgs/SolidPrimitive's types.
@@ -176,12 +178,12 @@ DIMENSIONS = {BOX: ("x", "y", "z"), SPHERE: ("radius",), CYLINDER: ("height", "r
 
 @dataclass(frozen=True)
 class Region:
-    """One of the regions of a constraint.
+    """Region of a position constraint.
 
     Attributes:
-        constraint: the constraint as if this were its only region.
+        constraint: the constraint with this as its only region.
         within_m: radius of the largest ball around the region's middle that is inside it [m].
-        elongated: whether that ball leaves out much of the region.
+        elongated: true if that ball leaves out much of the region.
     """
 
     constraint: PositionConstraint
@@ -189,23 +191,23 @@ class Region:
     elongated: bool
 
 
-# A box whose edges differ by more than this factor is a shape of its own, not a tolerance around a point.
+# A box with edges that differ by more than this factor is a shape of its own, not a tolerance around a point.
 ELONGATED_FACTOR = 2.0
 
 
-def regions(message: Message, context: RequestContext, where: str) -> tuple[Region, ...]:
-    """The regions of one constraint; any one of them will do.
+def read_regions(message: Message, context: RequestContext, where: str) -> tuple[Region, ...]:
+    """Read the regions of one moveit_msgs/PositionConstraint, which are alternatives.
 
-    A pose in ``primitive_poses`` that has no primitive, and one whose primitive says nothing, is a point to reach
-    within the position tolerance of the parameters.
+    A pose in ``primitive_poses`` without a primitive, or with an unset one, is a point to reach within the configured
+    position tolerance.
 
     Args:
         message: a moveit_msgs/PositionConstraint.
-        context: what it is read against.
+        context: context of the request.
         where: path of its field.
 
     Raises:
-        RefusedError: an unknown link or frame, no region, a region of a kind or size that cannot be had.
+        RefusedError: an unknown link or frame, no region, or a region whose kind or size is not supported.
     """
     link = context.link(message["link_name"])
     volume = message["constraint_region"]
@@ -236,7 +238,7 @@ def _region(constraint: PositionConstraint) -> Region:
 
 
 def _size(primitive: Message | None, context: RequestContext, where: str) -> tuple[Point | None, float | None]:
-    """Half the edges of a box or the radius of a sphere, the other None [m]."""
+    """Return half the edges of a box and None, or None and the radius of a sphere [m]."""
     if primitive is None or (primitive["type"] == UNSET and not primitive["dimensions"]):
         return None, context.parameters.position_tolerance
     kind, given = primitive["type"], primitive["dimensions"]
@@ -253,7 +255,7 @@ def _size(primitive: Message | None, context: RequestContext, where: str) -> tup
     if kind == SPHERE:
         return None, max(float(given[0]), LEAST_TOLERANCE_M)
     if kind == CYLINDER:
-        # The largest upright box with a square base in it: what is in the box is in the cylinder.
+        # The largest upright box with a square base in it, so that a point in the box is in the cylinder.
         height, across = given[0], math.sqrt(2.0) * given[1]
         given = (across, across, height)
     x, y, z = (max(0.5 * float(edge), LEAST_TOLERANCE_M) for edge in given)
@@ -268,7 +270,7 @@ def _offset(message: Message, where: str) -> Point:
 
 
 def _weight(weight: float, where: str) -> float:
-    """Weights that are not above 0 count like any other, as with MoveIt."""
+    """Read a weight; as in MoveIt, those below 0 count as 0."""
     if not math.isfinite(weight):
         raise invalid(f"{where}.weight must be a finite number, not {weight}")
     return max(0.0, float(weight))
@@ -278,13 +280,15 @@ def _weight(weight: float, where: str) -> float:
 MAX_ALTERNATIVES = 64
 
 
-@refusals_as_data
-def goal_of(messages: Sequence[Message], context: RequestContext) -> Goal:
-    """Read the goal of a motion: any one of the constraints will do.
+def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
+    """Read the goal of a motion.
 
     Args:
-        messages: moveit_msgs/Constraints.
-        context: what they are read against; gets the warnings.
+        messages: moveit_msgs/Constraints, which are alternatives.
+        context: context of the request; gets the warnings.
+
+    Raises:
+        RefusedError: there is no constraint, or one that cannot be used.
     """
     if not messages:
         raise invalid("goal_constraints is empty: there is nothing to plan for")
@@ -294,14 +298,16 @@ def goal_of(messages: Sequence[Message], context: RequestContext) -> Goal:
     return found[0] if len(found) == 1 else AnyOf(tuple(found))
 
 
-@refusals_as_data
-def path_constraints_of(message: Message, context: RequestContext, where: str = "path_constraints") -> Constraints:
-    """Read what must hold from start to end; :attr:`Constraints.empty` when nothing must.
+def read_path_constraints(message: Message, context: RequestContext, where: str = "path_constraints") -> Constraints:
+    """Read constraints that hold from start to end; the result may be :attr:`Constraints.empty`.
 
     Args:
         message: a moveit_msgs/Constraints.
-        context: what it is read against.
+        context: context of the request.
         where: path of its field.
+
+    Raises:
+        RefusedError: a constraint that cannot be used.
     """
     _refuse_visibility(message, where)
     turned = _orientations(message, context, where)
@@ -310,13 +316,13 @@ def path_constraints_of(message: Message, context: RequestContext, where: str = 
         if len(region) > 1:
             raise invalid(f"{where}.position_constraints[{index}] has {len(region)} regions; on the way it can be one")
         inside.append(region[0].constraint)
-    return Constraints(joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
+    return Constraints(read_joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
 
 
 def _goals(message: Message, context: RequestContext, where: str, most: int) -> Iterator[SingleGoal]:
-    """The alternatives that one moveit_msgs/Constraints leaves."""
+    """Yield the alternatives of one moveit_msgs/Constraints: one goal for each combination of regions."""
     _refuse_visibility(message, where)
-    ranges = _of_group(joint_constraints(message["joint_constraints"], context, where), context, where)
+    ranges = _of_group(read_joint_constraints(message["joint_constraints"], context, where), context, where)
     turned = _orientations(message, context, where)
     choices = _regions(message, context, where)
     if not (message["joint_constraints"] or choices or turned):
@@ -349,7 +355,7 @@ def _goal(
 def _link_goal(
     region: Region, turned: tuple[OrientationConstraint, ...], context: RequestContext
 ) -> PositionGoal | PoseGoal | None:
-    """The goal for one link alone, whose refusal tells the nearest point; None where the constraints are more."""
+    """Make the goal of one link, whose failure tells the nearest point; None if the constraints say more."""
     at = region.constraint
     if region.elongated:
         return None
@@ -363,14 +369,14 @@ def _link_goal(
 
 
 def _solvable(constraint: JointConstraint) -> JointConstraint:
-    """A range that a search can end in, for joints that are not simply set."""
+    """Widen a range to one that a search can end in."""
     above = max(constraint.above_rad, LEAST_JOINT_TOLERANCE_RAD)
     below = max(constraint.below_rad, LEAST_JOINT_TOLERANCE_RAD)
     return replace(constraint, above_rad=above, below_rad=below)
 
 
 def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, where: str) -> tuple[JointConstraint, ...]:
-    """Those of the group's joints; the others cannot move, and must hold already."""
+    """Return the constraints on the group's joints; those on others, which do not move, must hold at the start."""
     for one in ranges:
         if one.joint in context.group.joints:
             continue
@@ -388,14 +394,14 @@ def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, wher
 
 def _regions(message: Message, context: RequestContext, where: str) -> list[tuple[Region, ...]]:
     return [
-        regions(constraint, context, f"{where}.position_constraints[{index}]")
+        read_regions(constraint, context, f"{where}.position_constraints[{index}]")
         for index, constraint in enumerate(message["position_constraints"])
     ]
 
 
 def _orientations(message: Message, context: RequestContext, where: str) -> tuple[OrientationConstraint, ...]:
     return tuple(
-        orientation_constraint(constraint, context, f"{where}.orientation_constraints[{index}]")
+        read_orientation_constraint(constraint, context, f"{where}.orientation_constraints[{index}]")
         for index, constraint in enumerate(message["orientation_constraints"])
     )
 

@@ -1,57 +1,58 @@
-"""What requests are read against"""
+"""Start states, scenes and everything else that services and actions plan with."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 from planners.pool import PlannerPool
-from planners.problem import CartesianProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from robot.forward import ForwardPlacements
-from robot.model import Group, RobotModel
+from robot.model import RobotModel
 from server.moveit.display import DisplayTopics
-from server.moveit.motions import Positions, Step
 from server.moveit.planner_parameters import PlannerParameters
-from server.moveit.requests.context import FrameResolver, Message, RequestContext, group_of
-from server.moveit.requests.error_codes import refusals_as_data, refused, required
-from server.moveit.requests.motion_plan import PlanRequest, problem_of
+from server.moveit.requests.context import FrameResolver, Message
+from server.moveit.requests.error_codes import refused
+from server.moveit.requests.planning_problems import ProblemBuilder
 from server.node import Node
 
-# MoveIt's start_state_max_bounds_error: a measured joint lies beyond its soft limit by droop, and an arm that was moved
-# by hand by a little more.
+# MoveIt's start_state_max_bounds_error: droop takes a measured joint beyond its soft limit, and moving an arm by hand a
+# little further.
 MAX_START_BOUNDS_ERROR_RAD = 0.05
 
 
 @dataclass(frozen=True)
-class Start:
-    """Where a motion begins.
+class StartState:
+    """Start state of a motion.
 
     Attributes:
         positions_rad: position of every movable joint, within the limits [rad].
-        warnings: what was changed or left out of account, a sentence each.
+        warnings: a sentence for each part of the state that was changed or ignored.
     """
 
     positions_rad: Mapping[str, float]
     warnings: tuple[str, ...] = ()
 
 
-@refusals_as_data
-def start_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> Start:
-    """Read a state that a motion is to start from.
+def start_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> StartState:
+    """Read the start state of a motion.
 
-    Joints that it does not name are where they are. A state without joints is the present one, whatever its
-    ``is_diff``; with joints and without ``is_diff`` it also says all that is attached. Positions beyond a limit by no
-    more than ``MAX_START_BOUNDS_ERROR_RAD`` are moved to it.
+    Joints that it does not name are at their present positions. A state without joints is the present one, whatever
+    its ``is_diff``. Positions beyond a limit by no more than ``MAX_START_BOUNDS_ERROR_RAD`` are moved to it.
 
     Args:
         message: a moveit_msgs/RobotState.
-        current_rad: where the joints are now, None while that is not known [rad].
+        current_rad: present positions by joint, None while they are not known [rad].
         robot: the arm.
+
+    Raises:
+        RefusedError: an unknown joint, a position that cannot be, or an unknown present position.
     """
-    positions = _stated(message, current_rad, robot)
+    positions = state_positions(message, current_rad, robot)
     warnings = []
     for joint in robot.movable_joints:
         value = positions[joint.name]
@@ -73,37 +74,14 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
             positions[joint.name] = inside
     if message["multi_dof_joint_state"]["joint_names"]:
         warnings.append("multi_dof_joint_state is ignored: the robot has no such joint")
-    return Start(positions, tuple(warnings))
+    return StartState(positions, tuple(warnings))
 
 
-@refusals_as_data
-def stated_positions(
-    message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel
-) -> Mapping[str, float]:
-    """Read a state that is asked about, which may lie beyond the limits; arguments as for :func:`start_positions`."""
-    return _stated(message, current_rad, robot)
+def state_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> dict[str, float]:
+    """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
 
-
-def attached_diff(message: Message) -> Message | None:
-    """What a state says of attached things, as a moveit_msgs/PlanningScene whose other fields are left out.
-
-    A state that names joints and is no diff says all that is attached; any other only what it names.
-
-    Args:
-        message: a moveit_msgs/RobotState.
-
-    Returns:
-        None when it says nothing.
+    Arguments and errors are those of :func:`start_positions`.
     """
-    attached, says_all = message["attached_collision_objects"], bool(message["joint_state"]["name"])
-    says_all = says_all and not message["is_diff"]
-    if not (attached or says_all):
-        return None
-    return {"is_diff": True, "robot_state": {"attached_collision_objects": attached, "is_diff": not says_all}}
-
-
-def _stated(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> dict[str, float]:
-    """Position of every movable joint [rad]."""
     names, values = message["joint_state"]["name"], message["joint_state"]["position"]
     if len(names) != len(values):
         raise _invalid_state(f"joint_state.name has {len(names)} entries and joint_state.position {len(values)}")
@@ -136,12 +114,30 @@ def _invalid_state(message: str, joint: str = "") -> Exception:
     return refused(MoveItErrorCode.INVALID_ROBOT_STATE, message, **({"joint": joint} if joint else {}))
 
 
+def attached_diff(message: Message) -> Message | None:
+    """Write the attached objects of a state as a moveit_msgs/PlanningScene without other fields.
+
+    A state with joints that is no diff detaches all objects that it does not list.
+
+    Args:
+        message: a moveit_msgs/RobotState.
+
+    Returns:
+        None if it changes nothing.
+    """
+    attached = message["attached_collision_objects"]
+    is_whole = bool(message["joint_state"]["name"]) and not message["is_diff"]
+    if not (attached or is_whole):
+        return None
+    return {"is_diff": True, "robot_state": {"attached_collision_objects": attached, "is_diff": not is_whole}}
+
+
 class PlanningSceneState(Protocol):
     """The planning scene."""
 
     @property
     def scene(self) -> Scene:
-        """What is around now."""
+        """The present scene."""
 
     def with_diff(self, message: Message, positions_rad: Mapping[str, float] | None) -> Scene:
         """Return the scene with a moveit_msgs/PlanningScene applied; the state stays as it is.
@@ -154,27 +150,27 @@ class PlanningSceneState(Protocol):
 
 
 class AssumedStates(Protocol):
-    """The states that clients have put into the scene, each for itself."""
+    """Joint positions that clients assume, for each client."""
 
     def of(self, node: Node) -> Mapping[str, float] | None:
-        """Positions that a client wants to be assumed [rad]; None when it has said nothing."""
+        """Return the positions that a client assumes by joint [rad]; None if it has sent none."""
 
 
 class CurrentPositions(Protocol):
-    """Knows where the arm is."""
+    """Source of the joints' present positions."""
 
     def positions_rad(self) -> Mapping[str, float] | None:
-        """Position of every movable joint [rad]; None while that is not known."""
+        """Return the position of every movable joint [rad]; None while they are not known."""
 
 
 @dataclass(frozen=True)
-class Situation:
-    """What a request starts from.
+class PlanningStart:
+    """Start of planning.
 
     Attributes:
         start_rad: position of every movable joint [rad].
-        scene: what is around, and what is held there.
-        warnings: what was changed or left out of account, a sentence each.
+        scene: the scene to plan in.
+        warnings: a sentence for each part of the start state that was changed or ignored.
     """
 
     start_rad: Mapping[str, float]
@@ -184,18 +180,18 @@ class Situation:
 
 @dataclass(frozen=True)
 class PlanningContext:
-    """What a service works with.
+    """All that services and actions plan with.
 
     Attributes:
         robot: the arm.
         pool: the planners.
-        forward: where links are.
-        frames: where frames are.
+        forward: forward kinematics.
+        frames: look-up of frames.
         scene_state: the planning scene.
-        current: where the arm is.
-        assumed: where clients want it to be assumed.
-        parameters: how is planned.
-        display: shows what comes of it.
+        current: present positions of the joints.
+        assumed: joint positions that clients assume.
+        parameters: planning parameters.
+        display: topics that show plans.
     """
 
     robot: RobotModel
@@ -208,64 +204,43 @@ class PlanningContext:
     parameters: PlannerParameters
     display: DisplayTopics
 
-    def situation(self, state: Message, caller: Node) -> Situation:
-        """What a motion from a state starts from.
+    @cached_property
+    def problems(self) -> ProblemBuilder:
+        """The builder of planning problems."""
+        return ProblemBuilder(self.robot, self.frames, self.parameters)
+
+    def start(self, state: Message, caller: Node) -> PlanningStart:
+        """Read the start of a motion.
 
         Args:
             state: the request's moveit_msgs/RobotState.
-            caller: who asks; its assumed state counts where the message says nothing.
+            caller: the client; positions that it assumes complete the state.
 
         Raises:
-            RefusedError: a state that cannot be, or attached things that cannot be.
+            RefusedError: joints or attached objects that cannot be used.
         """
-        start = required(start_positions(state, self._known_rad(caller), self.robot))
-        return Situation(start.positions_rad, self.scene_of(state, start.positions_rad), start.warnings)
+        start = start_positions(state, self._known_rad(caller), self.robot)
+        return PlanningStart(start.positions_rad, self.scene_of(state, start.positions_rad), start.warnings)
 
     def positions_rad(self, state: Message, caller: Node) -> Mapping[str, float]:
-        """Position of every movable joint in a state that is asked about, which may lie beyond the limits [rad].
+        """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
 
         Raises:
-            RefusedError: a state that cannot be.
+            RefusedError: joints that cannot be used.
         """
-        return required(stated_positions(state, self._known_rad(caller), self.robot))
+        return state_positions(state, self._known_rad(caller), self.robot)
 
     def scene_of(self, state: Message, positions_rad: Mapping[str, float]) -> Scene:
-        """The scene, with what a moveit_msgs/RobotState says of attached things.
+        """Return the scene with the attached objects of a moveit_msgs/RobotState.
 
         Raises:
-            RefusedError: attached things that cannot be.
+            RefusedError: attached objects that cannot be used.
         """
         scene = self.scene_state.scene
         diff = attached_diff(state)
         if diff is None or not (scene.attached or state["attached_collision_objects"]):
             return scene
         return self.scene_state.with_diff(diff, positions_rad)
-
-    def group(self, name: str) -> Group:
-        """A planning group; the configured one for an empty name.
-
-        Raises:
-            RefusedError: there is no such group.
-        """
-        return group_of(self.robot, name, self.parameters.of())
-
-    def read(self, request: Message, start_rad: Mapping[str, float]) -> PlanRequest | PlanningFailure:
-        """What a moveit_msgs/MotionPlanRequest asks for, from a start."""
-        parameters = self.parameters.of(request["group_name"], request["planner_id"])
-        return problem_of(request, start_rad, self.frames, self.robot, parameters)
-
-    def step(self, request: Message) -> Step:
-        """Reads a moveit_msgs/MotionPlanRequest when it is known where its motion starts."""
-
-        def problem(start_rad: Positions) -> PlanningProblem | CartesianProblem | PlanningFailure:
-            read = self.read(request, start_rad)
-            return read if isinstance(read, PlanningFailure) else read.problem
-
-        return problem
-
-    def request_context(self, group: Group, start_rad: Mapping[str, float]) -> RequestContext:
-        """What the fields of a request for a group are read against."""
-        return RequestContext(self.robot, group, self.frames, start_rad, self.parameters.of(group.name))
 
     def _known_rad(self, caller: Node) -> Mapping[str, float] | None:
         assumed, current = self.assumed.of(caller), self.current.positions_rad()

@@ -1,4 +1,7 @@
-"""MoveIt's services"""
+"""Services of MoveIt's move_group: the list of all, and those that plan motions or describe planners and groups.
+
+Their functions raise RefusedError. Here it is caught, logged and written into the response.
+"""
 
 from __future__ import annotations
 
@@ -19,75 +22,77 @@ from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.planner_parameters import KNOWN_KEYS
 from server.moveit.requests.context import Message
 from server.moveit.requests.error_codes import deviation_note, failure_code, required, success
-from server.moveit.requests.motion_plan import OMPL, PILZ, PIPELINES, check_pipeline, requests_of
 from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_problems import OMPL, PILZ, PIPELINES, check_pipeline, sequence_requests
 from server.moveit.requests.trajectories import to_message
 from server.moveit.services.cartesian_path import compute_cartesian_path
 from server.moveit.services.kinematics import check_state_validity, compute_fk, compute_ik
 from server.moveit.step_planning import plan_steps
 from server.node import Node
 
+log = logging.getLogger("armbridge.moveit")
+
+# Computes the response to a request of a client.
+Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
+
+# Twice the planners' own deadline: a request may wait for another one first.
+TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
+
+# Names that MoveIt's planning plugins have.
+INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
+
 
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
-    """Plan; the response of moveit_msgs/GetMotionPlan.
+    """Plan a motion; returns the response of moveit_msgs/GetMotionPlan.
 
     Raises:
-        RefusedError: there is no such motion, and why.
+        RefusedError: there is no such motion, or the request cannot be used.
     """
-    asked = request["motion_plan_request"]
-    situation = context.situation(asked["start_state"], caller)
-    read = required(context.read(asked, situation.start_rad))
-    plan = await context.pool.ask(read.problem, situation.scene)
-    if isinstance(plan, PlanningFailure):
-        raise RefusedError(plan)
+    plan_request = request["motion_plan_request"]
+    start = context.start(plan_request["start_state"], caller)
+    built = context.problems.motion_plan(plan_request, start.start_rad)
+    plan = required(await context.pool.ask(built.problem, start.scene))
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
         raise RefusedError(plan.stopped_by)
-    context.display.planned((plan.trajectory,), situation.start_rad)
-    notes = (*situation.warnings, *read.warnings, deviation_note(plan.deviation))
+    context.display.planned((plan.trajectory,), start.start_rad)
     root = context.robot.root_link
     response = {
-        "trajectory_start": state_message(dict(situation.start_rad), root, 0.0),
-        "group_name": read.problem.group,
+        "trajectory_start": state_message(dict(start.start_rad), root, 0.0),
+        "group_name": built.problem.group,
         "trajectory": to_message(plan.trajectory, root),
         "planning_time": plan.planning_time_s,
-        "error_code": success(*notes),
+        "error_code": success(*start.warnings, *built.warnings, deviation_note(plan.deviation)),
     }
-    context.display.pipeline(asked, response)
+    context.display.pipeline(plan_request, response)
     return {"motion_plan_response": response}
 
 
 async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
-    """Plan; the response of moveit_msgs/GetMotionSequence.
+    """Plan a sequence of motions; returns the response of moveit_msgs/GetMotionSequence.
 
-    A sequence that cannot be planned to its end is answered with the motions before the first that fails, and why.
+    If an item cannot be planned, the response has the motions of the items before it, and the item's error code.
 
     Raises:
-        RefusedError: a sequence that cannot be, or a start that cannot.
+        RefusedError: a sequence or a start state that cannot be used.
     """
-    asked = request["request"]
-    requests = required(requests_of(asked))
-    steps = [context.step(one) for one in requests]
-    situation = context.situation(requests[0]["start_state"], caller)
-    planned = await plan_steps(steps, situation.start_rad, situation.scene, context.pool.ask)
-    root, performed = context.robot.root_link, planned.performed
-    context.display.planned(performed.planned, situation.start_rad)
-    failure = planned.failure
+    requests = sequence_requests(request["request"])
+    steps = [context.problems.step(item) for item in requests]
+    start = context.start(requests[0]["start_state"], caller)
+    planned = await plan_steps(steps, start.start_rad, start.scene, context.pool.ask)
+    root, performed, failure = context.robot.root_link, planned.performed, planned.failure
+    context.display.planned(performed.planned, start.start_rad)
     return {
         "response": {
-            "error_code": success(*situation.warnings, *planned.notes) if failure is None else failure_code(failure),
-            "sequence_start": state_message(dict(situation.start_rad), root, 0.0),
+            "error_code": success(*start.warnings, *planned.notes) if failure is None else failure_code(failure),
+            "sequence_start": state_message(dict(start.start_rad), root, 0.0),
             "planned_trajectories": [to_message(motion, root) for motion in performed.planned],
             "planning_time": performed.planning_time_s,
         }
     }
 
 
-# As MoveIt's planning plugins call themselves.
-INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
-
-
-def query_planner_interface(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - as every service
-    """The planners by name; the response of moveit_msgs/QueryPlannerInterfaces."""
+def query_planner_interface(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """List the planners; returns the response of moveit_msgs/QueryPlannerInterfaces."""
     interfaces = [
         {"name": INTERFACE_NAMES[pipeline], "pipeline_id": pipeline, "planner_ids": list(planners)}
         for pipeline, planners in PIPELINES.items()
@@ -95,26 +100,26 @@ def query_planner_interface(context: PlanningContext, request: Message, caller: 
     return {"planner_interfaces": interfaces}
 
 
-def get_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - as every service
-    """Parameters of a planner; the response of moveit_msgs/GetPlannerParams.
+def get_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """Look parameters of a planner up; returns the response of moveit_msgs/GetPlannerParams.
 
     Raises:
         RefusedError: there is no such pipeline or group.
     """
-    _check(context, request)
+    _check_planner(context, request)
     texts = context.parameters.texts(request["group"], request["planner_config"])
     descriptions = ["" if key in KNOWN_KEYS else "kept, changes nothing" for key in texts]
     return {"params": {"keys": list(texts), "values": list(texts.values()), "descriptions": descriptions}}
 
 
-def set_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - as every service
-    """Set parameters of a planner; the response of moveit_msgs/SetPlannerParams, which is empty.
+def set_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """Set parameters of a planner; returns the empty response of moveit_msgs/SetPlannerParams.
 
     Raises:
         RefusedError: there is no such pipeline or group.
-        ServiceError: a value that cannot be.
+        ServiceError: a value that cannot be used.
     """
-    _check(context, request)
+    _check_planner(context, request)
     keys, values = request["params"]["keys"], request["params"]["values"]
     if len(keys) != len(values):
         raise ServiceError(f"params.keys has {len(keys)} entries and params.values {len(values)}")
@@ -125,24 +130,24 @@ def set_planner_params(context: PlanningContext, request: Message, caller: Node)
     return {}
 
 
-def _check(context: PlanningContext, request: Message) -> None:
+def _check_planner(context: PlanningContext, request: Message) -> None:
     check_pipeline(request["pipeline_id"])
     if request["group"]:
-        context.group(request["group"])
+        context.problems.group(request["group"])
 
 
-def get_urdf(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - as every service
-    """The URDF of a group; the response of moveit_msgs/GetGroupUrdf.
+def get_urdf(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """Write the URDF of a planning group; returns the response of moveit_msgs/GetGroupUrdf.
 
     Raises:
         RefusedError: there is no such group.
     """
-    group = context.group(request["group_name"])
+    group = context.problems.group(request["group_name"])
     return {"error_code": success(), "urdf_string": group_urdf(context.robot, group)}
 
 
 def group_urdf(robot: RobotModel, group: Group) -> str:
-    """The links and joints from a group's base to its tip, as a URDF of their own."""
+    """Write the links and joints from a group's base to its tip as a URDF of their own."""
     by_child = {joint.child: joint for joint in robot.joints.values()}
     links, joints = {group.base_link}, set()
     for name in group.joints:
@@ -153,31 +158,23 @@ def group_urdf(robot: RobotModel, group: Group) -> str:
         joints.add(by_child[link].name)
         links.add(link)
         link = by_child[link].parent
-    # Our own file: model.parse has read it before.
+    # The server's own file, parsed once before: no hostile XML.
     whole = ET.fromstring(robot.urdf)  # noqa: S314
     part = ET.Element("robot", {"name": group.name})
     for element in whole:
-        wanted = {"link": links, "joint": joints}.get(element.tag)
-        if wanted is None or element.get("name") in wanted:
+        kept = {"link": links, "joint": joints}.get(element.tag)
+        if kept is None or element.get("name") in kept:
             part.append(element)
     return ET.tostring(part, encoding="unicode")
 
 
-log = logging.getLogger("armbridge.moveit")
-
-# The planners' own deadline, and as long for what others ask before; then the caller is told.
-TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
-
-Answering: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
-
-
-def code_alone(failure: PlanningFailure) -> dict[str, Any]:
-    """The response that says why there is none."""
+def error_response(failure: PlanningFailure) -> dict[str, Any]:
+    """Write a response with nothing but an error code."""
     return {"error_code": failure_code(failure)}
 
 
-def call_failed(failure: PlanningFailure) -> dict[str, Any]:
-    """For responses that have no room for a reason: the call as such fails.
+def fail_call(failure: PlanningFailure) -> dict[str, Any]:
+    """Make the call fail, for responses without a field for the reason.
 
     Raises:
         ServiceError: always.
@@ -186,72 +183,76 @@ def call_failed(failure: PlanningFailure) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Offer:
-    """One service.
+class MoveGroupService:
+    """Service of move_group.
 
     Attributes:
         type_name: its type.
-        answering: makes the response; raises RefusedError with the reason when it cannot.
-        refusal: the response for such a reason.
+        handler: computes the response; raises RefusedError.
+        rejection: writes the response to a request that was rejected.
     """
 
     type_name: str
-    answering: Answering
-    refusal: Callable[[PlanningFailure], dict[str, Any]] = code_alone
+    handler: Handler
+    rejection: Callable[[PlanningFailure], dict[str, Any]] = error_response
 
 
-OFFERS: Mapping[str, Offer] = {
-    "/plan_kinematic_path": Offer(
-        "moveit_msgs/srv/GetMotionPlan", plan_kinematic_path, lambda why: {"motion_plan_response": code_alone(why)}
+SERVICES: Mapping[str, MoveGroupService] = {
+    "/plan_kinematic_path": MoveGroupService(
+        "moveit_msgs/srv/GetMotionPlan",
+        plan_kinematic_path,
+        lambda failure: {"motion_plan_response": error_response(failure)},
     ),
-    "/compute_ik": Offer("moveit_msgs/srv/GetPositionIK", compute_ik),
-    "/compute_fk": Offer("moveit_msgs/srv/GetPositionFK", compute_fk),
-    "/compute_cartesian_path": Offer("moveit_msgs/srv/GetCartesianPath", compute_cartesian_path),
-    # The response has no code; the reason is in the log.
-    "/check_state_validity": Offer(
-        "moveit_msgs/srv/GetStateValidity", check_state_validity, lambda _why: {"valid": False}
+    "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
+    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk),
+    "/compute_cartesian_path": MoveGroupService("moveit_msgs/srv/GetCartesianPath", compute_cartesian_path),
+    # The response has no error code; the log has the reason.
+    "/check_state_validity": MoveGroupService(
+        "moveit_msgs/srv/GetStateValidity", check_state_validity, lambda _failure: {"valid": False}
     ),
-    "/plan_sequence_path": Offer(
-        "moveit_msgs/srv/GetMotionSequence", plan_sequence_path, lambda why: {"response": code_alone(why)}
+    "/plan_sequence_path": MoveGroupService(
+        "moveit_msgs/srv/GetMotionSequence", plan_sequence_path, lambda failure: {"response": error_response(failure)}
     ),
-    "/query_planner_interface": Offer("moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, call_failed),
-    "/get_planner_params": Offer("moveit_msgs/srv/GetPlannerParams", get_planner_params, call_failed),
-    "/set_planner_params": Offer("moveit_msgs/srv/SetPlannerParams", set_planner_params, call_failed),
-    "/get_urdf": Offer("moveit_msgs/srv/GetGroupUrdf", get_urdf),
+    "/query_planner_interface": MoveGroupService(
+        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call
+    ),
+    "/get_planner_params": MoveGroupService("moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call),
+    "/set_planner_params": MoveGroupService("moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call),
+    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf),
 }
 
 
 def offer_services(graph: Graph, context: PlanningContext) -> None:
-    """Offer them all.
+    """Offer all services of move_group.
 
     Args:
         graph: where they are.
-        context: what they work with.
+        context: all that they plan with.
     """
     node = Node("moveit services")
-    for name, offer in OFFERS.items():
-        graph.services.offer_calls(node, name, offer.type_name, _starter(offer, context), TIMEOUT_S)
+    for name, service in SERVICES.items():
+        graph.services.offer_calls(node, name, service.type_name, _start_call(service, context), TIMEOUT_S)
 
 
-def _starter(offer: Offer, context: PlanningContext) -> Callable[[Call], None]:
-    return lambda call: answer(call, lambda request: _answer(offer, context, call, request))
+def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:
+    return lambda call: answer(call, lambda request: _respond(service, context, call, request))
 
 
-async def _answer(offer: Offer, context: PlanningContext, call: Call, request: Message) -> dict[str, Any]:
+async def _respond(service: MoveGroupService, context: PlanningContext, call: Call, request: Message) -> dict[str, Any]:
     try:
-        made = offer.answering(context, request, call.caller)
-        response = await made if inspect.isawaitable(made) else made
-    except RefusedError as refusal:
-        failure = refusal.failure
+        handled = service.handler(context, request, call.caller)
+        response = await handled if inspect.isawaitable(handled) else handled
+    except RefusedError as error:
+        failure = error.failure
         log.warning("%s: %s: %s", call.service, failure.code.name, failure.message)
         context.display.contacts_of(failure.details)
-        return offer.refusal(failure)
-    _log_notes(call.service, response)
+        return service.rejection(failure)
+    _log_error_message(call.service, response)
     return response
 
 
-def _log_notes(service: str, response: Mapping[str, Any]) -> None:
-    """Put what a response says beside its code into the log."""
+def _log_error_message(service: str, response: Mapping[str, Any]) -> None:
+    """Log the message of a response's error code, which ROS 1 has no field for."""
     inner = next((response[name] for name in ("motion_plan_response", "response") if name in response), response)
     code = inner.get("error_code")
     if code is not None and code["message"]:

@@ -11,12 +11,12 @@ from robot import model
 from server.action_goals import Goal, GoalStatus
 from server.goal_queue import Answer, GoalState, Performed, Progress
 from server.moveit.actions.goal_bridge import (
-    StateFeedback,
-    carry_out,
+    MoveGroupFeedback,
+    goal_status,
     move_group_result,
-    refuse,
+    reject_goal,
     sequence_result,
-    status_of,
+    submit_goal,
 )
 from server.moveit.motions import PlannedMotion
 from server.node import Node
@@ -34,7 +34,7 @@ class Desk(ActionDesk):
         self.graph.actions.offer(Node("server"), ACTION, TYPE, self.start)
 
     def start(self, goal: Goal) -> None:
-        carry_out(goal, self.queue, PlannedMotion(()), StateFeedback(), code)
+        submit_goal(goal, self.queue, PlannedMotion(()), MoveGroupFeedback(), code)
 
 
 def code(answer: Answer) -> dict[str, object]:
@@ -78,7 +78,7 @@ async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: Desk) -> No
 async def test_a_refused_goal_is_answered_and_what_moves_goes_on(desk: Desk) -> None:
     await desk.send(ACTION)
     failure = PlanningFailure(MoveItErrorCode.INVALID_GROUP_NAME, "no such group")
-    desk.graph.actions.offer(Node("server"), "/other", TYPE, lambda goal: refuse(goal, desk.queue, failure, code))
+    desk.graph.actions.offer(Node("server"), "/other", TYPE, lambda goal: reject_goal(goal, desk.queue, failure, code))
     await desk.send("/other")
     assert [result.values["error_code"]["val"] for result in desk.results] == [-15]
     assert desk.refused == ["no such group"]
@@ -86,9 +86,9 @@ async def test_a_refused_goal_is_answered_and_what_moves_goes_on(desk: Desk) -> 
 
 
 def test_every_end_has_a_status() -> None:
-    assert status_of(MoveItErrorCode.SUCCESS) is GoalStatus.SUCCEEDED
-    assert status_of(MoveItErrorCode.PREEMPTED) is GoalStatus.CANCELED
-    assert status_of(MoveItErrorCode.NO_IK_SOLUTION) is GoalStatus.ABORTED
+    assert goal_status(MoveItErrorCode.SUCCESS) is GoalStatus.SUCCEEDED
+    assert goal_status(MoveItErrorCode.PREEMPTED) is GoalStatus.CANCELED
+    assert goal_status(MoveItErrorCode.NO_IK_SOLUTION) is GoalStatus.ABORTED
 
 
 ROBOT = model.builtin()

@@ -15,27 +15,28 @@ from protocol.registry import Registry
 from robot import model
 from robot.messages import ArmState, Outcome
 from server.action_goals import Goal, GoalStatus, Result
+from server.errors import RefusedError
 from server.goal_queue import Answer, GoalState, Performed, Progress
 from server.graph import Graph, Subscriber
 from server.interfaces import Interfaces
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
-    ArmController,
-    ControllerState,
+    ControllerStatePublisher,
     FollowCode,
-    FollowedGoal,
-    FollowedTolerances,
-    Refused,
-    code_of,
-    refusal_of,
-    tolerances_in,
-    tolerances_of,
-    violated,
+    JointTrajectoryController,
+    SegmentTolerances,
+    TrajectoryGoal,
+    check_trajectory,
+    follow_code,
+    read_segment_tolerances,
+    read_tolerances,
+    rejection_code,
+    violation,
 )
 from server.moveit.motions import GivenMotion
 from server.node import Node
 from tests.helpers.action_desk import ActionDesk
-from tests.helpers.moveit_requests import HOME, message
+from tests.helpers.moveit_requests import HOME, message, outcome
 from tests.helpers.moveit_services import ROBOT
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
@@ -49,7 +50,7 @@ MOVING = Progress(GoalState.EXECUTING, "", 0.5, 1.0)
 class Desk(ActionDesk):
     def __init__(self) -> None:
         super().__init__()
-        self.controller = ArmController(
+        self.controller = JointTrajectoryController(
             self.graph,
             ROBOT,
             ROBOT.groups["arm"],
@@ -57,7 +58,6 @@ class Desk(ActionDesk):
             self.arm,  # type: ignore[arg-type]
             self.queue,
         )
-        self.controller.open()
 
     async def publish(self, **trajectory: Any) -> None:
         self.graph.publish(self.client, TOPIC, trajectory)
@@ -166,7 +166,7 @@ class Followed:
         goal.when_ended(self.results.append)
         path = {"elbow_flex": path_rad} if path_rad else {}
         end = {"elbow_flex": goal_rad} if goal_rad else {}
-        self.goal = FollowedGoal(goal, ARM, FollowedTolerances(path, end, time_s))
+        self.goal = TrajectoryGoal(goal, ARM, SegmentTolerances(path, end, time_s))
 
     def state(self, state: ArmState) -> None:
         self.goal.take_state(state, self.cancelled.append)
@@ -244,7 +244,7 @@ ENDS = {
 
 @pytest.mark.parametrize(("answer", "code"), ENDS.values(), ids=ENDS.keys())
 def test_every_end_has_a_code_of_the_controllers(answer: Answer, code: FollowCode) -> None:
-    assert code_of(answer) is code
+    assert follow_code(answer) is code
 
 
 ARM_GROUP = ROBOT.groups["arm"]
@@ -253,9 +253,13 @@ POINT = {"positions": [0.3], "time_from_start": {"sec": 2}}
 REQUESTED: dict[str, Any] = {"joint_names": ["elbow_flex"], "points": [POINT], "header": {"stamp": {"sec": 0}}}
 
 
-def refusal(**changes: Any) -> Refused | None:
+def refusal(**changes: Any) -> RefusedError | None:
     trajectory = message("trajectory_msgs/msg/JointTrajectory", **{**REQUESTED, **changes})
-    return refusal_of(trajectory, ARM_GROUP, ROBOT, HOME, NOW_S)
+    try:
+        check_trajectory(trajectory, ARM_GROUP, ROBOT, HOME, NOW_S)
+    except RefusedError as error:
+        return error
+    return None
 
 
 REFUSED = {
@@ -280,7 +284,7 @@ def test_a_trajectory_that_cannot_be_played_is_refused_with_its_code(
 ) -> None:
     refused = refusal(**changes)
     assert refused is not None
-    assert refused.code is code
+    assert rejection_code(refused) is code
     assert words in refused.failure.message
 
 
@@ -297,15 +301,17 @@ def test_what_other_controllers_reject_without_a_word_is_taken(changes: dict[str
     assert refusal(**changes) is None
 
 
-def tolerances(**fields: Any) -> FollowedTolerances | Refused:
-    return tolerances_in(message("control_msgs/action/FollowJointTrajectory_Goal", **fields), ARM_GROUP)
+def tolerances(**fields: Any) -> SegmentTolerances | PlanningFailure:
+    goal = message("control_msgs/action/FollowJointTrajectory_Goal", **fields)
+    tolerances: SegmentTolerances | PlanningFailure = outcome(read_segment_tolerances, goal, ARM_GROUP)
+    return tolerances
 
 
 def test_tolerances_are_read_by_joint() -> None:
     read = tolerances(
         path_tolerance=[{"name": "elbow_flex", "position": 0.1}], goal_time_tolerance={"sec": 1, "nanosec": 500_000_000}
     )
-    assert read == FollowedTolerances({"elbow_flex": 0.1}, {}, 1.5)
+    assert read == SegmentTolerances({"elbow_flex": 0.1}, {}, 1.5)
 
 
 @pytest.mark.parametrize(
@@ -318,8 +324,8 @@ def test_tolerances_are_read_by_joint() -> None:
 )
 def test_tolerances_that_cannot_be_kept_are_refused(fields: dict[str, Any], words: str) -> None:
     refused = tolerances(**fields)
-    assert isinstance(refused, Refused)
-    assert words in refused.failure.message
+    assert isinstance(refused, PlanningFailure)
+    assert words in refused.message
 
 
 GROUP = model.builtin().groups["arm"]
@@ -329,8 +335,7 @@ STATE = replace(PlayedArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_
 @pytest.mark.parametrize("name", ["state", "controller_state"])
 async def test_who_listens_hears_where_the_joints_should_be_and_are(name: str) -> None:
     graph = Graph(Registry.load())
-    told = ControllerState(graph, GROUP)
-    told.open()
+    told = ControllerStatePublisher(graph, GROUP)
     heard: list[Any] = []
     subscriber = Subscriber(lambda publication: heard.append(publication.msg))
     graph.subscribe(Node("client"), f"/arm_controller/{name}", None, subscriber)
@@ -349,7 +354,7 @@ WANTED = dict.fromkeys(JOINTS, 0.0)
 
 def read(name: str, position_rad: float) -> object:
     tolerance = message("control_msgs/msg/JointTolerance", name=name, position=position_rad)
-    return tolerances_of([tolerance], "path_tolerance", JOINTS)
+    return outcome(read_tolerances, [tolerance], "path_tolerance", JOINTS)
 
 
 @pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])
@@ -366,10 +371,10 @@ def test_a_wrong_tolerance_is_refused_with_its_field(name: str, position_rad: fl
 
 
 def test_the_joint_that_is_too_far_away_is_named_with_its_numbers() -> None:
-    assert violated({"elbow_flex": 0.2}, STANDING, WANTED) == ""
-    sentence = violated({"elbow_flex": 0.05}, STANDING, WANTED)
+    assert violation({"elbow_flex": 0.2}, STANDING, WANTED) == ""
+    sentence = violation({"elbow_flex": 0.05}, STANDING, WANTED)
     assert sentence == "joint elbow_flex is 0.100 rad from where it should be (tolerance 0.05 rad)"
 
 
 def test_an_arm_that_is_not_read_violates_nothing() -> None:
-    assert violated({"elbow_flex": 0.05}, replace(STANDING, position_rad=None), WANTED) == ""
+    assert violation({"elbow_flex": 0.05}, replace(STANDING, position_rad=None), WANTED) == ""

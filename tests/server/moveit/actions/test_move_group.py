@@ -16,20 +16,21 @@ from server.moveit.actions.move_group import (
     EXECUTE_ACTION,
     MAX_ATTEMPTS,
     MOVE_ACTIONS,
+    MOVE_GROUP,
     SEQUENCE_ACTION,
-    Asked,
     ExecuteTrajectory,
     MotionActions,
-    Options,
     PlanningActions,
-    asked_by,
-    motion_of,
-    options_of,
-    planned_only,
+    PlanningGoal,
+    PlanningOptions,
+    plan_only,
+    planned_motion,
+    read_planning_goal,
+    read_planning_options,
 )
 from server.moveit.motions import GivenMotion, PlannedMotion
 from tests.helpers.action_desk import ActionDesk
-from tests.helpers.moveit_requests import joint, message
+from tests.helpers.moveit_requests import joint, message, outcome
 from tests.helpers.moveit_services import HOME, ROBOT, ServiceRig
 from tests.helpers.played_arm import settle
 
@@ -69,7 +70,7 @@ async def test_every_action_has_the_topics_of_actionlib(desk: ActionDesk) -> Non
 @pytest.fixture
 async def planning_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    PlanningActions(made.graph, made.context, made.queue).open()
+    PlanningActions(made.graph, made.context, made.queue)
     yield made
     await made.close()
 
@@ -163,14 +164,12 @@ def goal(rig: ServiceRig, request: dict[str, Any], **options: Any) -> Goal:
     return Goal("/move_group", "moveit_msgs/action/MoveGroup", fields, rig.graph.interfaces, None, rig.client)
 
 
-def asked(rig: ServiceRig, request: dict[str, Any], **options: Any) -> Asked:
-    read = asked_by(goal(rig, request, **options), lambda fields: [fields["request"]])
-    assert isinstance(read, Asked)
-    return read
+def asked(rig: ServiceRig, request: dict[str, Any], **options: Any) -> PlanningGoal:
+    return read_planning_goal(goal(rig, request, **options).request, MOVE_GROUP)
 
 
 async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn_comes(rig: ServiceRig) -> None:
-    motion = motion_of(asked(rig, GOAL), rig.context)
+    motion = planned_motion(asked(rig, GOAL), rig.context)
     assert isinstance(motion, PlannedMotion)
     later_rad = {**HOME, "elbow_flex": 0.2}
     problem = motion.steps[0](later_rad)
@@ -179,14 +178,14 @@ async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn
 
 
 async def test_what_cannot_be_asked_for_is_refused_at_once(rig: ServiceRig) -> None:
-    motion = motion_of(asked(rig, {**GOAL, "group_name": "leg"}), rig.context)
-    assert isinstance(motion, PlanningFailure)
-    assert motion.code is MoveItErrorCode.INVALID_GROUP_NAME
+    failure = outcome(planned_motion, asked(rig, {**GOAL, "group_name": "leg"}), rig.context)
+    assert isinstance(failure, PlanningFailure)
+    assert failure.code is MoveItErrorCode.INVALID_GROUP_NAME
 
 
 async def test_a_start_state_is_ignored_and_told_when_the_arm_is_to_move(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
-    motion = motion_of(asked(rig, {**GOAL, "start_state": start}), rig.context)
+    motion = planned_motion(asked(rig, {**GOAL, "start_state": start}), rig.context)
     assert isinstance(motion, PlannedMotion)
     assert any("start_state is ignored" in warning for warning in motion.warnings)
 
@@ -195,7 +194,7 @@ async def test_a_scene_difference_is_what_the_motion_is_planned_in(rig: ServiceR
     box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.1, 0.1, 0.1]}]}
     box["pose"] = {"position": {"x": 2.0}}
     diff = {"world": {"collision_objects": [box]}}
-    motion = motion_of(asked(rig, GOAL, planning_scene_diff=diff), rig.context)
+    motion = planned_motion(asked(rig, GOAL, planning_scene_diff=diff), rig.context)
     assert isinstance(motion, PlannedMotion)
     assert motion.scene is not None
     scene = motion.scene(HOME)
@@ -207,7 +206,7 @@ async def test_a_scene_difference_is_what_the_motion_is_planned_in(rig: ServiceR
 async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [0.5]}, "is_diff": True}
     request = {**GOAL, "start_state": start}
-    answer = await planned_only(goal(rig, request), asked(rig, request), rig.context)
+    answer = await plan_only(asked(rig, request), rig.client, rig.context)
     assert answer.code is MoveItErrorCode.SUCCESS
     assert answer.performed is not None
     assert answer.performed.start_rad["elbow_flex"] == 0.5
@@ -216,26 +215,24 @@ async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> No
 
 async def test_a_plan_alone_starts_where_its_client_wants_the_arm_to_be(rig: ServiceRig) -> None:
     rig.assumed.by_node[rig.client] = {"elbow_flex": 0.4}
-    answer = await planned_only(goal(rig, GOAL), asked(rig, GOAL), rig.context)
+    answer = await plan_only(asked(rig, GOAL), rig.client, rig.context)
     assert answer.performed is not None
     assert answer.performed.start_rad["elbow_flex"] == 0.4
 
 
 async def test_a_plan_that_cannot_be_had_has_its_own_code_and_data(rig: ServiceRig) -> None:
     request = {"group_name": "arm", "start_state": {"joint_state": {"name": ["knee"], "position": [0.0]}}}
-    answer = await planned_only(goal(rig, request), asked(rig, request), rig.context)
+    answer = await plan_only(asked(rig, request), rig.client, rig.context)
     assert answer.code is MoveItErrorCode.INVALID_ROBOT_STATE
     assert "knee" in answer.message
 
 
-def options(**fields: Any) -> Options:
-    read = options_of(message("moveit_msgs/msg/PlanningOptions", **fields))
-    assert isinstance(read, Options)
-    return read
+def options(**fields: Any) -> PlanningOptions:
+    return read_planning_options(message("moveit_msgs/msg/PlanningOptions", **fields))
 
 
 def test_what_is_left_out_means_one_attempt_in_the_present_scene() -> None:
-    assert options() == Options(plan_only=False, attempts=1, delay_s=0.0, scene_diff=None, warnings=())
+    assert options() == PlanningOptions(plan_only=False, attempts=1, delay_s=0.0, scene_diff=None, warnings=())
 
 
 @pytest.mark.parametrize(
@@ -247,7 +244,7 @@ def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int
 
 @pytest.mark.parametrize("delay_s", [-1.0, 11.0, math.nan, math.inf])
 def test_a_delay_that_nobody_waits_for_is_refused_with_its_limit(delay_s: float) -> None:
-    read = options_of(message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
+    read = read_planning_options(message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
     assert isinstance(read, PlanningFailure)
     assert "replan_delay must be from 0 to 10 s" in read.message
 
@@ -266,7 +263,7 @@ def test_looking_around_is_ignored_and_told() -> None:
 @pytest.fixture
 async def execution_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    ExecuteTrajectory(made.graph, ROBOT, made.arm, made.queue).open()  # type: ignore[arg-type]
+    ExecuteTrajectory(made.graph, ROBOT, made.arm, made.queue)  # type: ignore[arg-type]
     yield made
     await made.close()
 

@@ -12,17 +12,17 @@ from planners.goals import AnyOf, ConstraintGoal, Constraints, JointConstraint, 
 from planners.problem import MoveItErrorCode
 from server.errors import RefusedError
 from server.moveit.requests.constraints import (
+    DEFAULT_TOLERANCE_RAD,
     LEAST_ORIENTATION_TOLERANCE_RAD,
     LEAST_TOLERANCE_M,
     MAX_ALTERNATIVES,
-    UNMEANT_TOLERANCE_RAD,
-    goal_of,
     is_binding,
     is_free,
-    joint_constraints,
-    orientation_constraint,
-    path_constraints_of,
-    regions,
+    read_goal,
+    read_joint_constraints,
+    read_orientation_constraint,
+    read_path_constraints,
+    read_regions,
 )
 from tests.helpers.moveit_requests import (
     BOX,
@@ -38,6 +38,7 @@ from tests.helpers.moveit_requests import (
     context,
     joint,
     near,
+    outcome,
     point,
     region,
     turned,
@@ -47,11 +48,11 @@ BALL = ball(0.3, 0.0, 0.2, 0.005)
 
 
 def goal(*messages, reading=None):
-    return goal_of([constraints(**one) for one in messages], reading or context())
+    return outcome(read_goal, [constraints(**one) for one in messages], reading or context())
 
 
 def on_the_way(reading=None, **fields):
-    return path_constraints_of(constraints(**fields), reading or context())
+    return outcome(read_path_constraints, constraints(**fields), reading or context())
 
 
 def test_joint_constraints_alone_are_a_joint_goal() -> None:
@@ -153,7 +154,9 @@ def test_a_joint_outside_the_group_is_there_within_its_tolerance(held, holds: bo
 
 
 def test_no_goal_is_refused() -> None:
-    assert_refused(goal_of([], context()), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "goal_constraints is empty")
+    assert_refused(
+        outcome(read_goal, [], context()), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "goal_constraints is empty"
+    )
 
 
 def test_an_empty_goal_is_refused_by_its_place() -> None:
@@ -209,7 +212,7 @@ ELBOW = ROBOT.joints["elbow_flex"]
 
 def read_joints(*messages, reading=None, where="goal_constraints[0]"):
     complete = constraints(joint_constraints=list(messages))["joint_constraints"]
-    return joint_constraints(complete, reading or context(), where)
+    return read_joint_constraints(complete, reading or context(), where)
 
 
 def joint_refusal(*messages):
@@ -296,7 +299,7 @@ HALF = math.sqrt(0.5)
 
 def read_orientation(constraint, reading=None):
     (complete,) = constraints(orientation_constraints=[constraint])["orientation_constraints"]
-    return orientation_constraint(complete, reading or context(), "here")
+    return read_orientation_constraint(complete, reading or context(), "here")
 
 
 def test_a_constraint_without_fields_is_the_root_links_orientation_of_the_tip() -> None:
@@ -335,7 +338,7 @@ def test_an_orientation_with_three_free_axes_asks_for_nothing() -> None:
     assert not is_free((math.pi, math.pi, 3.0))
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 1e-4, 1e-3, UNMEANT_TOLERANCE_RAD])
+@pytest.mark.parametrize("tolerance", [0.0, 1e-4, 1e-3, DEFAULT_TOLERANCE_RAD])
 def test_what_clients_fill_in_by_themselves_is_a_wish_for_five_joints(tolerance: float) -> None:
     assert not is_binding(read_orientation(turned(tolerance)).tolerance_rad, context())
 
@@ -354,7 +357,7 @@ AT = point(0.3, 0.0, 0.2)
 
 def read_region(constraint, reading=None):
     (complete,) = constraints(position_constraints=[constraint])["position_constraints"]
-    return regions(complete, reading or context(), "here")
+    return read_regions(complete, reading or context(), "here")
 
 
 def region_refusal(constraint):

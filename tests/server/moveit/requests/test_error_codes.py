@@ -9,9 +9,9 @@ from server.errors import RefusedError
 from server.moveit.requests.error_codes import (
     deviation_note,
     error_code,
+    failure_as_value,
     failure_code,
     invalid,
-    refusals_as_data,
     refused,
     required,
     success,
@@ -38,7 +38,7 @@ def test_a_deviation_below_what_the_arm_has_anyway_is_not_told() -> None:
     assert not deviation_note(Deviation(position_m=0.0005, orientation_rad=0.005))
 
 
-@refusals_as_data
+@failure_as_value
 def halved(value: int) -> int:
     if value % 2:
         raise invalid(f"value must be even, not {value}", value=value)

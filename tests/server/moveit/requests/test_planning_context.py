@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 
 from planners.problem import CartesianProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.errors import RefusedError
-from server.moveit.requests.motion_plan import PILZ
 from server.moveit.requests.planning_context import (
     MAX_START_BOUNDS_ERROR_RAD,
-    Start,
+    StartState,
     attached_diff,
     start_positions,
-    stated_positions,
+    state_positions,
 )
+from server.moveit.requests.planning_problems import PILZ
 from server.node import Node
-from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, joint, message
+from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, joint, message, outcome
 from tests.helpers.moveit_services import ServiceRig
 
 ELBOW = ROBOT.joints["elbow_flex"]
@@ -33,21 +33,21 @@ def state(positions=None, **fields):
 
 
 def start(positions=None, current=CURRENT, **fields):
-    return start_positions(state(positions, **fields), current, ROBOT)
+    return outcome(start_positions, state(positions, **fields), current, ROBOT)
 
 
 @pytest.mark.parametrize("is_diff", [True, False])
 def test_a_state_without_joints_is_the_present_one(is_diff: bool) -> None:
-    assert start(is_diff=is_diff) == Start(CURRENT)
+    assert start(is_diff=is_diff) == StartState(CURRENT)
 
 
 @pytest.mark.parametrize("is_diff", [True, False])
 def test_joints_that_are_not_named_are_where_they_are(is_diff: bool) -> None:
-    assert start({"elbow_flex": 0.5}, is_diff=is_diff) == Start(CURRENT | {"elbow_flex": 0.5})
+    assert start({"elbow_flex": 0.5}, is_diff=is_diff) == StartState(CURRENT | {"elbow_flex": 0.5})
 
 
 def test_a_whole_state_needs_no_present_one() -> None:
-    assert start(HOME, current=None) == Start(HOME)
+    assert start(HOME, current=None) == StartState(HOME)
 
 
 def test_joints_that_nobody_knows_are_named() -> None:
@@ -58,7 +58,7 @@ def test_joints_that_nobody_knows_are_named() -> None:
 def test_a_start_beyond_a_limit_by_a_hair_is_moved_to_it_and_told(beyond: float, side: float) -> None:
     limit = ELBOW.upper if side > 0.0 else ELBOW.lower
     moved = start({"elbow_flex": limit + side * beyond * 0.999})
-    assert isinstance(moved, Start)
+    assert isinstance(moved, StartState)
     assert moved.positions_rad["elbow_flex"] == pytest.approx(limit)
     assert all("elbow_flex" in warning for warning in moved.warnings)
 
@@ -81,27 +81,31 @@ def test_an_unknown_joint_is_named_with_those_that_exist() -> None:
 
 def test_a_fixed_joint_in_a_state_says_nothing() -> None:
     fixed = next(joint.name for joint in ROBOT.joints.values() if not joint.movable)
-    assert start({fixed: 0.0}) == Start(CURRENT)
+    assert start({fixed: 0.0}) == StartState(CURRENT)
 
 
 def test_lists_of_unlike_lengths_are_refused_with_both() -> None:
     uneven = message("RobotState", joint_state={"name": ["elbow_flex"], "position": []})
-    assert_refused(start_positions(uneven, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "1 entries", "0")
+    assert_refused(
+        outcome(start_positions, uneven, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "1 entries", "0"
+    )
 
 
 def test_a_joint_that_is_named_twice_is_refused() -> None:
     twice = message("RobotState", joint_state={"name": ["elbow_flex"] * 2, "position": [0.1, 0.2]})
-    assert_refused(start_positions(twice, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "more than once")
+    assert_refused(
+        outcome(start_positions, twice, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "more than once"
+    )
 
 
 def test_joints_of_many_dimensions_are_ignored_with_a_warning() -> None:
     floating = start(multi_dof_joint_state={"joint_names": ["virtual_joint"]})
-    assert isinstance(floating, Start)
+    assert isinstance(floating, StartState)
     assert "multi_dof_joint_state" in floating.warnings[0]
 
 
 def test_a_state_that_is_asked_about_may_be_beyond_its_limits() -> None:
-    asked = stated_positions(state({"elbow_flex": 3.0}), CURRENT, ROBOT)
+    asked = state_positions(state({"elbow_flex": 3.0}), CURRENT, ROBOT)
     assert asked == CURRENT | {"elbow_flex": 3.0}
 
 
@@ -134,34 +138,34 @@ def rig() -> ServiceRig:
 
 def test_a_request_without_a_start_begins_where_the_arm_is(rig: ServiceRig) -> None:
     rig.arm.at_rad = HOME | {"elbow_flex": 0.4}
-    assert rig.context.situation(state(), rig.client).start_rad == rig.arm.at_rad
+    assert rig.context.start(state(), rig.client).start_rad == rig.arm.at_rad
 
 
 def test_what_a_client_assumes_counts_for_itself_alone(rig: ServiceRig) -> None:
     rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7}
-    assert rig.context.situation(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
-    assert rig.context.situation(state(), Node("other")).start_rad == HOME
+    assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
+    assert rig.context.start(state(), Node("other")).start_rad == HOME
 
 
 def test_what_a_request_says_counts_before_what_its_client_assumes(rig: ServiceRig) -> None:
     rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7, "wrist_roll": 0.1}
-    start = rig.context.situation(state({"elbow_flex": 0.2}), rig.client).start_rad
+    start = rig.context.start(state({"elbow_flex": 0.2}), rig.client).start_rad
     assert start == HOME | {"elbow_flex": 0.2, "wrist_roll": 0.1}
 
 
 def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
     rig.arm.at_rad = None
     with pytest.raises(RefusedError) as raised:
-        rig.context.situation(state(), rig.client)
+        rig.context.start(state(), rig.client)
     assert_refused(raised.value.failure, MoveItErrorCode.ROBOT_STATE_STALE)
 
 
 def test_the_scene_is_the_present_one_unless_something_is_attached(rig: ServiceRig) -> None:
-    assert rig.context.situation(state(HOME), rig.client).scene is rig.scene_state.scene
+    assert rig.context.start(state(HOME), rig.client).scene is rig.scene_state.scene
 
 
 def test_what_a_start_state_attaches_is_held_for_this_request_alone(rig: ServiceRig) -> None:
-    scene = rig.context.situation(state(is_diff=True, attached_collision_objects=[HELD]), rig.client).scene
+    scene = rig.context.start(state(is_diff=True, attached_collision_objects=[HELD]), rig.client).scene
     assert [held.object.name for held in scene.attached] == ["mug"]
     assert not rig.scene_state.scene.attached
 
@@ -169,13 +173,13 @@ def test_what_a_start_state_attaches_is_held_for_this_request_alone(rig: Service
 def test_a_whole_start_state_drops_what_it_does_not_name(rig: ServiceRig) -> None:
     diff = message("PlanningScene", is_diff=True, robot_state={"is_diff": True, "attached_collision_objects": [HELD]})
     rig.scene_state.apply_diff(diff, HOME)
-    assert rig.context.situation(state(), rig.client).scene.attached
-    assert not rig.context.situation(state(HOME, is_diff=False), rig.client).scene.attached
+    assert rig.context.start(state(), rig.client).scene.attached
+    assert not rig.context.start(state(HOME, is_diff=False), rig.client).scene.attached
 
 
 def test_an_unknown_group_is_refused(rig: ServiceRig) -> None:
     with pytest.raises(RefusedError) as raised:
-        rig.context.group("manipulator")
+        rig.context.problems.group("manipulator")
     assert_refused(raised.value.failure, MoveItErrorCode.INVALID_GROUP_NAME, "'manipulator'")
 
 
@@ -185,7 +189,7 @@ def request(**fields):
 
 
 def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
-    step = rig.context.step(request())
+    step = rig.context.problems.step(request())
     for start_rad in (HOME, HOME | {"wrist_roll": 0.3}):
         problem = step(start_rad)
         assert isinstance(problem, PlanningProblem)
@@ -193,15 +197,15 @@ def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
 
 
 def test_a_step_may_be_a_path_of_the_tip(rig: ServiceRig) -> None:
-    assert isinstance(rig.context.step(request(pipeline_id=PILZ, planner_id="LIN"))(HOME), CartesianProblem)
+    assert isinstance(rig.context.problems.step(request(pipeline_id=PILZ, planner_id="LIN"))(HOME), CartesianProblem)
 
 
 def test_a_step_that_cannot_be_is_refused_when_its_turn_comes(rig: ServiceRig) -> None:
-    assert isinstance(rig.context.step(request(goal_constraints=[]))(HOME), PlanningFailure)
+    assert isinstance(rig.context.problems.step(request(goal_constraints=[]))(HOME), PlanningFailure)
 
 
 def test_parameters_that_were_set_count_for_requests(rig: ServiceRig) -> None:
     rig.context.parameters.set("arm", "", {"num_planning_attempts": "3"}, replace=False)
-    problem = rig.context.step(request())(HOME)
+    problem = rig.context.problems.step(request())(HOME)
     assert isinstance(problem, PlanningProblem)
     assert problem.attempts == 3

@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.trajectory import Trajectory
 from server.moveit.requests.trajectories import (
-    from_joint_trajectory,
-    given_motion,
+    external_motion,
     knot_accelerations,
     knot_velocities,
+    read_joint_trajectory,
     smallest_group,
     to_message,
 )
 from tests.helpers.examples import examples
-from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, message
+from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, message, outcome
 
 JOINTS = ("shoulder_pan", "elbow_flex")
 
@@ -33,9 +33,8 @@ def at(time_s, *positions, **fields):
 
 
 def read(*points, names=JOINTS, start_rad=HOME):
-    return from_joint_trajectory(
-        message("trajectory_msgs/JointTrajectory", joint_names=list(names), points=list(points)), ROBOT, start_rad
-    )
+    trajectory = message("trajectory_msgs/JointTrajectory", joint_names=list(names), points=list(points))
+    return outcome(read_joint_trajectory, trajectory, ROBOT, start_rad)
 
 
 def motion(*points, **fields) -> Trajectory:
@@ -50,7 +49,7 @@ def test_a_motion_comes_back_from_its_message() -> None:
     velocities[-1] = 0.0
     one = Trajectory(JOINTS, np.array([0.0, 0.25, 1.5, 2.0]), positions, velocities, accelerations)
     sent = message("RobotTrajectory", **to_message(one, "base_link"))
-    back = from_joint_trajectory(sent["joint_trajectory"], ROBOT, HOME)
+    back = read_joint_trajectory(sent["joint_trajectory"], ROBOT, HOME)
     assert isinstance(back, Trajectory)
     assert back.joint_names == one.joint_names
     for name in ("time_s", "positions_rad", "velocities_rad_s", "accelerations_rad_s2"):
@@ -188,14 +187,14 @@ def test_a_single_point_stands_still() -> None:
 HELD = {joint.name: 0.01 * index for index, joint in enumerate(ROBOT.movable_joints)}
 
 
-def external_motion(names: list[str], *points: tuple[int, list[float]]) -> Trajectory | PlanningFailure:
+def played_by_arm(names: list[str], *points: tuple[int, list[float]]) -> Trajectory | PlanningFailure:
     rows: list[dict[str, Any]] = [{"time_from_start": {"sec": sec}, "positions": at} for sec, at in points]
     read = message("trajectory_msgs/msg/JointTrajectory", joint_names=names, points=rows)
-    return given_motion(read, ROBOT).trajectory(HELD)
+    return external_motion(read, ROBOT).trajectory(HELD)
 
 
 def test_joints_that_are_not_named_stay_where_the_arm_holds_them() -> None:
-    played = external_motion(["elbow_flex", "shoulder_pan"], (2, [0.5, -0.5]))
+    played = played_by_arm(["elbow_flex", "shoulder_pan"], (2, [0.5, -0.5]))
     assert isinstance(played, Trajectory)
     assert played.joint_names == ROBOT.groups["arm"].joints
     ends = dict(zip(played.joint_names, played.positions_rad[-1].tolist(), strict=True))
@@ -204,7 +203,7 @@ def test_joints_that_are_not_named_stay_where_the_arm_holds_them() -> None:
 
 
 def test_the_gripper_is_moved_alone() -> None:
-    played = external_motion(["gripper"], (2, [0.5]))
+    played = played_by_arm(["gripper"], (2, [0.5]))
     assert isinstance(played, Trajectory)
     assert played.joint_names == ROBOT.groups["gripper"].joints
 
@@ -222,7 +221,7 @@ REFUSED: dict[str, tuple[list[str], list[tuple[int, list[float]]], str]] = {
 def test_what_cannot_be_played_is_refused_before_it_disturbs_anything(
     names: list[str], points: list[tuple[int, list[float]]], words: str
 ) -> None:
-    refused = external_motion(names, *points)
+    refused = played_by_arm(names, *points)
     assert isinstance(refused, PlanningFailure)
     assert words in refused.message
 

@@ -18,7 +18,7 @@ from server.moveit.requests.error_codes import failure_code, success
 from server.moveit.services.cartesian_path import (
     LEAST_JUMP_RAD,
     MAX_SAMPLES,
-    Thresholds,
+    JumpThresholds,
     _code,
     cut_lines,
     first_jump,
@@ -226,7 +226,7 @@ def panned(*angles_rad: float, duration_s: float = 1.0) -> Trajectory:
 
 
 def jump(motion, step_m=0.05, step_rad=0.0, factor=0.0):
-    return first_jump(motion, (FORWARD, TIP), HOME, step_m, Thresholds(step_rad, factor))
+    return first_jump(motion, (FORWARD, TIP), HOME, step_m, JumpThresholds(step_rad, factor))
 
 
 EVEN = panned(*np.linspace(0.0, 1.0, 20))
@@ -247,15 +247,15 @@ def test_an_even_motion_exceeds_no_factor() -> None:
 
 
 def test_the_mean_times_a_factor_is_the_limit_of_a_step() -> None:
-    assert Thresholds(0.0, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == pytest.approx(2.0)
+    assert JumpThresholds(0.0, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == pytest.approx(2.0)
 
 
 def test_small_steps_exceed_no_factor() -> None:
-    assert Thresholds(0.0, 2.0).limit_rad(np.array([0.01, 0.01])) == LEAST_JUMP_RAD
+    assert JumpThresholds(0.0, 2.0).limit_rad(np.array([0.01, 0.01])) == LEAST_JUMP_RAD
 
 
 def test_of_two_thresholds_the_stricter_counts() -> None:
-    assert Thresholds(0.3, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == 0.3
+    assert JumpThresholds(0.3, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == 0.3
 
 
 def test_the_first_jump_is_told_with_the_length_before_it() -> None:
@@ -267,7 +267,7 @@ def test_a_motion_that_stands_has_no_jump() -> None:
 
 
 def test_without_thresholds_nothing_is_a_jump() -> None:
-    assert not Thresholds(0.0, 0.0).any
+    assert not JumpThresholds(0.0, 0.0).any
     assert jump(EVEN) is None
 
 
@@ -281,5 +281,5 @@ def test_a_slow_path_is_looked_at_no_more_often_than_is_quick() -> None:
             return super().transforms(positions_rad)
 
     slow = panned(0.0, 1.0, duration_s=1000.0)
-    assert first_jump(slow, (Counting(ROBOT), TIP), HOME, 0.05, Thresholds(9.0, 0.0)) is None
+    assert first_jump(slow, (Counting(ROBOT), TIP), HOME, 0.05, JumpThresholds(9.0, 0.0)) is None
     assert placed <= MAX_SAMPLES

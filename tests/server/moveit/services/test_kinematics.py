@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from planners.problem import IkQuestion, MoveItErrorCode
 from server.moveit.parameters import MoveItParameters
-from server.moveit.services.kinematics import MAX_LINKS, _several, within_limits
+from server.moveit.requests.planning_problems import MAX_LINKS, _goal_of_links
+from server.moveit.services.kinematics import within_limits
 from tests.helpers.examples import examples
 from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, ball, context, joint, message, point, turned
 from tests.helpers.moveit_services import ServiceRig
@@ -79,7 +80,7 @@ async def test_several_links_are_placed_together(rig: ServiceRig) -> None:
 
 def test_seven_joints_keep_the_orientations_of_several_links() -> None:
     stamped = message("geometry_msgs/PoseStamped", pose=AT)
-    goal = _several(["hand", "tool"], [stamped, stamped], context(SEVEN))
+    goal = _goal_of_links(["hand", "tool"], [stamped, stamped], context(SEVEN))
     assert [one.link for one in goal.constraints.orientations] == ["hand", "tool"]
     assert all(len(one.tolerance_rad) == 3 for one in goal.constraints.orientations)
 

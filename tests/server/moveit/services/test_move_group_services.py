@@ -8,8 +8,8 @@ import pytest
 
 from planners.problem import PLANNER_IDS, MoveItErrorCode
 from robot import model
-from server.moveit.requests.motion_plan import PILZ
-from server.moveit.services.move_group_services import OFFERS, group_urdf
+from server.moveit.requests.planning_problems import PILZ
+from server.moveit.services.move_group_services import SERVICES, group_urdf
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.messages import made_up
 from tests.helpers.moveit_requests import HOME, ROBOT, SPHERE, TIP, ball, joint, point, region, turned
@@ -22,27 +22,27 @@ def rig() -> ServiceRig:
 
 
 def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
-    for name, offer in OFFERS.items():
+    for name, offer in SERVICES.items():
         assert rig.graph.services.type_of(name) == offer.type_name
 
 
-@pytest.mark.parametrize("name", OFFERS)
+@pytest.mark.parametrize("name", SERVICES)
 async def test_a_request_that_says_nothing_is_answered(rig: ServiceRig, name: str) -> None:
     ok, values = await rig.outcome(name)
     assert ok, values
 
 
-@pytest.mark.parametrize("name", OFFERS)
+@pytest.mark.parametrize("name", SERVICES)
 async def test_a_request_for_an_arm_that_is_not_read_is_answered(rig: ServiceRig, name: str) -> None:
     rig.arm.at_rad = None
     ok, values = await rig.outcome(name)
     assert ok, values
 
 
-@pytest.mark.parametrize("name", OFFERS)
+@pytest.mark.parametrize("name", SERVICES)
 async def test_nonsense_is_answered_too(rig: ServiceRig, name: str) -> None:
     for seed in range(10):
-        _, values = await rig.outcome(name, **made_up(REGISTRY, f"{OFFERS[name].type_name}_Request", seed))
+        _, values = await rig.outcome(name, **made_up(REGISTRY, f"{SERVICES[name].type_name}_Request", seed))
         assert "inside the server" not in str(values)
 
 

@@ -12,15 +12,16 @@ from planners.problem import PLANNER_IDS, Arc, CartesianProblem, Line, MoveItErr
 from planners.scene import Pose
 from server.errors import RefusedError
 from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S, MAX_PLANNING_ATTEMPTS, MoveItParameters
-from server.moveit.requests.motion_plan import (
+from server.moveit.planner_parameters import PlannerParameters
+from server.moveit.requests.planning_problems import (
     CIRCULAR,
     MAX_ITEMS,
     OMPL,
     PILZ,
     STRAIGHT,
-    PlanRequest,
-    problem_of,
-    requests_of,
+    BuiltProblem,
+    ProblemBuilder,
+    sequence_requests,
     tip_problem,
 )
 from tests.helpers.moveit_requests import (
@@ -34,6 +35,7 @@ from tests.helpers.moveit_requests import (
     context,
     joint,
     message,
+    outcome,
 )
 
 GOAL = {"joint_constraints": [joint("elbow_flex", 0.5)]}
@@ -42,12 +44,12 @@ PARAMETERS = MoveItParameters()
 
 def asked(parameters=PARAMETERS, **fields):
     request = message("MotionPlanRequest", **{"goal_constraints": [GOAL], **fields})
-    return problem_of(request, HOME, FRAMES, ROBOT, parameters)
+    return outcome(ProblemBuilder(ROBOT, FRAMES, PlannerParameters(parameters)).motion_plan, request, HOME)
 
 
 def problem(**fields) -> PlanningProblem:
     read = asked(**fields)
-    assert isinstance(read, PlanRequest)
+    assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, PlanningProblem)
     return read.problem
 
@@ -91,7 +93,7 @@ def test_a_senseless_scaling_is_refused(field: str, value: float) -> None:
 
 def test_a_scaling_above_one_is_full_speed_and_told() -> None:
     read = asked(max_velocity_scaling_factor=1.5)
-    assert isinstance(read, PlanRequest)
+    assert isinstance(read, BuiltProblem)
     assert read.problem.velocity_scaling == 1.0
     assert "max_velocity_scaling_factor 1.5" in read.warnings[0]
 
@@ -103,7 +105,7 @@ def test_time_and_attempts_below_zero_are_the_defaults(field: str, value: float)
 
 def test_time_and_attempts_are_bounded_and_that_is_told() -> None:
     read = asked(allowed_planning_time=1e6, num_planning_attempts=10_000)
-    assert isinstance(read, PlanRequest)
+    assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, PlanningProblem)
     assert read.problem.allowed_time_s == MAX_ALLOWED_PLANNING_TIME_S
     assert read.problem.attempts == MAX_PLANNING_ATTEMPTS
@@ -126,7 +128,7 @@ def test_an_unknown_pipeline_is_refused_with_those_that_exist() -> None:
 
 def test_an_unknown_planner_is_replaced_and_told() -> None:
     read = asked(planner_id="CHOMP", parameters=MoveItParameters(planner_id="RRT"))
-    assert isinstance(read, PlanRequest)
+    assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, PlanningProblem)
     assert read.problem.planner_id == "RRT"
     assert "'CHOMP'" in read.warnings[0]
@@ -152,7 +154,7 @@ IGNORED = {
 @pytest.mark.parametrize("field", IGNORED)
 def test_what_is_not_heeded_is_told(field: str) -> None:
     read = asked(**{field: IGNORED[field]})
-    assert isinstance(read, PlanRequest)
+    assert isinstance(read, BuiltProblem)
     assert field in read.warnings[0]
 
 
@@ -168,13 +170,13 @@ def test_pilz_point_to_point_is_any_motion() -> None:
 
 def test_pilz_line_is_a_path_of_the_tip() -> None:
     read = asked(pipeline_id=PILZ, planner_id="LIN", goal_constraints=[{"position_constraints": [ball(0.3, 0.0, 0.2)]}])
-    assert isinstance(read, PlanRequest)
+    assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, CartesianProblem)
 
 
 def test_an_unknown_planner_of_pilz_is_point_to_point_and_told() -> None:
     read = asked(pipeline_id=PILZ, planner_id="SPLINE")
-    assert isinstance(read, PlanRequest)
+    assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, PlanningProblem)
     assert "'SPLINE'" in read.warnings[0]
 
@@ -200,7 +202,7 @@ SPARSE = {
 
 @pytest.mark.parametrize("sparse", SPARSE.values(), ids=SPARSE.keys())
 def test_sparse_requests_are_understood(sparse) -> None:
-    assert isinstance(asked(**sparse), PlanRequest)
+    assert isinstance(asked(**sparse), BuiltProblem)
 
 
 END = (0.3, 0.0, 0.2)
@@ -290,7 +292,7 @@ NAMED_START = {"start_state": {"joint_state": {"name": ["elbow_flex"], "position
 
 
 def read(*items):
-    return requests_of(message("MotionSequenceRequest", items=list(items)))
+    return outcome(sequence_requests, message("MotionSequenceRequest", items=list(items)))
 
 
 def test_the_items_requests_come_in_their_order() -> None:

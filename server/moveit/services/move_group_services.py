@@ -21,7 +21,7 @@ from server.moveit.current_state import state_message
 from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.planner_parameters import KNOWN_KEYS
 from server.moveit.requests.context import Message
-from server.moveit.requests.error_codes import deviation_note, failure_code, required, success
+from server.moveit.requests.error_codes import deviation_note, failure_code, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import OMPL, PILZ, PIPELINES, check_pipeline, sequence_requests
 from server.moveit.requests.trajectories import to_message
@@ -51,7 +51,9 @@ async def plan_kinematic_path(context: PlanningContext, request: Message, caller
     plan_request = request["motion_plan_request"]
     start = context.start(plan_request["start_state"], caller)
     built = context.problems.motion_plan(plan_request, start.start_rad)
-    plan = required(await context.pool.ask(built.problem, start.scene))
+    plan = await context.pool.ask(built.problem, start.scene)
+    if isinstance(plan, PlanningFailure):
+        raise RefusedError(plan)
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
         raise RefusedError(plan.stopped_by)
     context.display.planned((plan.trajectory,), start.start_rad)

@@ -244,7 +244,7 @@ def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int
 
 @pytest.mark.parametrize("delay_s", [-1.0, 11.0, math.nan, math.inf])
 def test_a_delay_that_nobody_waits_for_is_refused_with_its_limit(delay_s: float) -> None:
-    read = read_planning_options(message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
+    read = outcome(read_planning_options, message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
     assert isinstance(read, PlanningFailure)
     assert "replan_delay must be from 0 to 10 s" in read.message
 

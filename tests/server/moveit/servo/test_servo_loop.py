@@ -27,16 +27,17 @@ from protocol.registry import Registry
 from server.moveit.servo.parameters import ServoParameters
 from server.moveit.servo.servo_loop import (
     REST_S,
-    FramedTwist,
     ServoSession,
-    Steered,
-    in_root_link,
+    ServoSetup,
+    TwistCommand,
+    halt_command,
     read_joint_jog,
     read_pose_target,
     read_twist,
-    rest_of,
+    to_planning_frame,
 )
 from tests.helpers.clock import FakeClock
+from tests.helpers.moveit_requests import outcome
 from tests.helpers.steerable_arm import ROBOT, SteerableArm
 
 REGISTRY = Registry.load()
@@ -68,7 +69,7 @@ def jog(names: list[str], velocities: list[float], **more: Any) -> Any:
 
 def test_shares_of_a_stick_become_speeds() -> None:
     read = read_twist(twist({"x": 0.5}, angular={"z": -1.0}), UNITLESS)
-    assert isinstance(read, FramedTwist)
+    assert isinstance(read, TwistCommand)
     assert read.linear_m_s == pytest.approx((0.1, 0.0, 0.0))
     assert read.angular_rad_s == pytest.approx((0.0, 0.0, -0.8))
     assert read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities({"elbow_flex": 0.25})
@@ -76,12 +77,12 @@ def test_shares_of_a_stick_become_speeds() -> None:
 
 def test_speeds_in_si_units_are_taken_as_they_are() -> None:
     read = read_twist(twist({"x": 1.5}), SPEEDS)
-    assert isinstance(read, FramedTwist)
+    assert isinstance(read, TwistCommand)
     assert read.linear_m_s == (1.5, 0.0, 0.0)
 
 
 def test_a_twist_turns_with_its_frame() -> None:
-    command = in_root_link(FramedTwist((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), "tool"), resolve, {})
+    command = to_planning_frame(TwistCommand((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), "tool"), resolve, {})
     assert isinstance(command, TipTwist)
     assert command.linear_m_s == pytest.approx((0.0, 0.1, 0.0))
     assert command.angular_rad_s == pytest.approx((-0.2, 0.0, 0.0))
@@ -98,8 +99,8 @@ def test_a_target_in_a_frame_is_one_in_the_root_link() -> None:
 def test_an_unknown_frame_is_refused_by_name() -> None:
     values = {"header": {"frame_id": "nowhere"}}
     for refused in (
-        in_root_link(FramedTwist((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"), resolve, {}),
-        read_pose_target(message("geometry_msgs/PoseStamped", values), resolve, {}),
+        outcome(to_planning_frame, TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"), resolve, {}),
+        outcome(read_pose_target, message("geometry_msgs/PoseStamped", values), resolve, {}),
     ):
         assert isinstance(refused, PlanningFailure)
         assert "'nowhere'" in refused.message
@@ -108,18 +109,24 @@ def test_an_unknown_frame_is_refused_by_name() -> None:
 @pytest.mark.parametrize(
     ("read", "said"),
     [
-        (read_twist(twist({"y": 1.5}), UNITLESS), "twist.linear.y must be -1 to 1"),
-        (read_twist(twist({}, angular={"x": math.nan}), UNITLESS), "twist.angular.x must be a finite number, not nan"),
-        (read_twist(twist({"z": math.inf}), SPEEDS), "twist.linear.z"),
-        (read_joint_jog(jog(["elbow_flex"], []), STEERED_JOINTS, UNITLESS), "0 values for 1 joint_names"),
-        (read_joint_jog(jog([], []), STEERED_JOINTS, UNITLESS), "0 values for 0 joint_names"),
+        (outcome(read_twist, twist({"y": 1.5}), UNITLESS), "twist.linear.y must be -1 to 1"),
         (
-            read_joint_jog(jog(["elbow_flex"], [], displacements=[0.1]), STEERED_JOINTS, UNITLESS),
+            outcome(read_twist, twist({}, angular={"x": math.nan}), UNITLESS),
+            "twist.angular.x must be a finite number, not nan",
+        ),
+        (outcome(read_twist, twist({"z": math.inf}), SPEEDS), "twist.linear.z"),
+        (outcome(read_joint_jog, jog(["elbow_flex"], []), STEERED_JOINTS, UNITLESS), "0 values for 1 joint_names"),
+        (outcome(read_joint_jog, jog([], []), STEERED_JOINTS, UNITLESS), "0 values for 0 joint_names"),
+        (
+            outcome(read_joint_jog, jog(["elbow_flex"], [], displacements=[0.1]), STEERED_JOINTS, UNITLESS),
             "displacements are not followed",
         ),
-        (read_joint_jog(jog(["gripper"], [0.1]), STEERED_JOINTS, UNITLESS), "'gripper'"),
-        (read_joint_jog(jog(["elbow_flex"] * 2, [0.1, 0.2]), STEERED_JOINTS, UNITLESS), "twice"),
-        (read_joint_jog(jog(["elbow_flex"], [math.nan]), STEERED_JOINTS, UNITLESS), "velocities of elbow_flex"),
+        (outcome(read_joint_jog, jog(["gripper"], [0.1]), STEERED_JOINTS, UNITLESS), "'gripper'"),
+        (outcome(read_joint_jog, jog(["elbow_flex"] * 2, [0.1, 0.2]), STEERED_JOINTS, UNITLESS), "twice"),
+        (
+            outcome(read_joint_jog, jog(["elbow_flex"], [math.nan]), STEERED_JOINTS, UNITLESS),
+            "velocities of elbow_flex",
+        ),
     ],
 )
 def test_what_means_nothing_is_refused_with_field_and_value(read: object, said: str) -> None:
@@ -129,14 +136,14 @@ def test_what_means_nothing_is_refused_with_field_and_value(read: object, said: 
 
 def test_what_is_wanted_no_more_is_rest() -> None:
     for command in (TipTwist((0.1, 0.0, 0.0)), JointVelocities({"elbow_flex": 0.1}), TipTarget(Pose())):
-        assert rest_of(command).zero
+        assert halt_command(command).zero
     # A twist's rest keeps what it did not move.
-    assert isinstance(rest_of(TipTwist((0.1, 0.0, 0.0))), TipTwist)
+    assert isinstance(halt_command(TipTwist((0.1, 0.0, 0.0))), TipTwist)
 
 
 JOINTS = ROBOT.groups["arm"].joints
 PERIOD_S, TIMEOUT_S = 0.02, 0.25
-NORTH = FramedTwist((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "")
+NORTH = TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "")
 MOVING = dict.fromkeys(JOINTS, 0.1) | {"elbow_flex": 0.3}
 RESTING = dict.fromkeys(JOINTS, 0.0)
 KEPT = Anchor(Pose((0.3, 0.0, 0.2)))
@@ -155,7 +162,7 @@ class Rig:
         )
         self.session = ServoSession(
             self.arm.as_arm,
-            Steered("arm", JOINTS, "gripper_frame_link", ServoLimits(), PERIOD_S, TIMEOUT_S),
+            ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), PERIOD_S, TIMEOUT_S),
             self._ask,
             self._resolve,
             lambda status, message: self.told.append((status, message)),
@@ -191,7 +198,7 @@ def rig() -> Rig:
 
 
 async def test_a_wish_takes_the_arm_in_hand_and_moves_its_joints(rig: Rig) -> None:
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     await rig.until_asked(2)
     assert rig.questions[0].command == TipTwist((0.1, 0.0, 0.0))
     assert rig.arm.setpoints[0].velocity_rad_s.tolist() == [MOVING[name] for name in JOINTS]
@@ -199,7 +206,7 @@ async def test_a_wish_takes_the_arm_in_hand_and_moves_its_joints(rig: Rig) -> No
 
 
 async def test_a_wish_holds_for_its_time_and_then_the_arm_is_let_go_of(rig: Rig) -> None:
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     await rig.until_let_go()
     wanted = [not question.command.zero for question in rig.questions]
     assert wanted.count(True) == pytest.approx(TIMEOUT_S / PERIOD_S, abs=1.5)
@@ -209,7 +216,7 @@ async def test_a_wish_holds_for_its_time_and_then_the_arm_is_let_go_of(rig: Rig)
 
 
 async def test_a_release_before_the_arm_is_in_hand_moves_nothing(rig: Rig) -> None:
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     rig.session.release()
     await rig.until_let_go()
     assert all(question.command.zero for question in rig.questions)
@@ -217,13 +224,13 @@ async def test_a_release_before_the_arm_is_in_hand_moves_nothing(rig: Rig) -> No
 
 async def test_the_next_wish_takes_the_arm_again(rig: Rig) -> None:
     for streams in (1, 2):
-        rig.session.want(NORTH)
+        rig.session.set_command(NORTH)
         await rig.until_let_go()
         assert len(rig.arm.streams) == streams
 
 
 async def test_every_question_hands_on_the_last_answer(rig: Rig) -> None:
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     await rig.until_asked(2)
     assert (rig.questions[0].velocity_rad_s, rig.questions[0].anchor) == ({}, None)
     assert (rig.questions[1].velocity_rad_s, rig.questions[1].anchor) == (MOVING, KEPT)
@@ -231,9 +238,9 @@ async def test_every_question_hands_on_the_last_answer(rig: Rig) -> None:
 
 
 async def test_what_was_kept_for_a_twist_is_not_kept_for_joints(rig: Rig) -> None:
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     await rig.until_asked(2)
-    rig.session.want(JointVelocities({"elbow_flex": 0.2}))
+    rig.session.set_command(JointVelocities({"elbow_flex": 0.2}))
     await rig.until_asked(4)
     first = next(question for question in rig.questions if isinstance(question.command, JointVelocities))
     assert first.anchor is None
@@ -241,7 +248,7 @@ async def test_what_was_kept_for_a_twist_is_not_kept_for_joints(rig: Rig) -> Non
 
 
 async def test_who_else_stops_the_arm_is_told_of(rig: Rig) -> None:
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     await rig.until_asked(2)
     rig.arm.stop()
     await rig.until_let_go()
@@ -251,7 +258,7 @@ async def test_who_else_stops_the_arm_is_told_of(rig: Rig) -> None:
 
 async def test_without_an_answer_the_arm_is_told_to_rest_and_why(rig: Rig) -> None:
     rig.answer = lambda _question: PlanningFailure(MoveItErrorCode.CRASH, "the planner process ended")
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     await rig.until_asked(2)
     assert not rig.arm.setpoints[0].velocity_rad_s.any()
     assert rig.told[0] == (ServoStatus.INVALID, "the planner process ended")
@@ -259,7 +266,7 @@ async def test_without_an_answer_the_arm_is_told_to_rest_and_why(rig: Rig) -> No
 
 
 async def test_a_frame_that_is_not_known_moves_nothing(rig: Rig) -> None:
-    rig.session.want(FramedTwist((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"))
+    rig.session.set_command(TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"))
     await rig.until_asked(3)
     assert all(question.command.zero for question in rig.questions)
     assert set(rig.told) == {(ServoStatus.INVALID, "there is no frame 'nowhere'")}
@@ -271,7 +278,7 @@ async def test_a_bug_lets_go_of_the_arm(rig: Rig, caplog: pytest.LogCaptureFixtu
         raise AssertionError("broken")
 
     rig.answer = broken
-    rig.session.want(NORTH)
+    rig.session.set_command(NORTH)
     await rig.until_let_go()
     assert rig.arm.streams[0].ended.done()
     assert rig.told[-1][0] is ServoStatus.INVALID

@@ -19,19 +19,19 @@ from server.moveit.servo.servo_node import (
     INT8,
     JOINT_TOPIC,
     LOGGED_AGAIN_S,
+    OWNERSHIP_TIMEOUT_S,
     PAUSE_SERVICE,
     POSE_TOPIC,
-    SILENCE_S,
     START_SERVICE,
     STATUS_TOPIC,
     STOP_SERVICE,
     SWITCH_SERVICE,
     TWIST_TOPIC,
+    CommandGate,
     CommandType,
-    Gate,
     Ownership,
     ServoNode,
-    StatusTopic,
+    StatusPublisher,
 )
 from server.node import Node
 from tests.helpers.arm_server import ArmClient
@@ -184,22 +184,21 @@ class StatusRig:
         graph = Graph(REGISTRY)
         self.clock = FakeClock()
         self.heard: list[dict[str, Any]] = []
-        self.topic = StatusTopic(graph, Node("servo_node"), type_name, self.clock)
-        self.topic.open()
+        self.topic = StatusPublisher(graph, Node("servo_node"), type_name, self.clock)
         subscriber = Subscriber(lambda publication: self.heard.append(dict(publication.msg)))
         graph.subscribe(Node("client"), STATUS_TOPIC, type_name, subscriber)
 
 
 def test_code_and_words_are_told() -> None:
     rig = StatusRig("moveit_msgs/ServoStatus")
-    rig.topic.tell(ServoStatus.JOINT_BOUND, "elbow_flex at the limit")
+    rig.topic.publish(ServoStatus.JOINT_BOUND, "elbow_flex at the limit")
     assert rig.heard == [{"code": 6, "message": "elbow_flex at the limit"}]
 
 
 def test_humble_gets_its_own_numbers() -> None:
     rig = StatusRig(INT8)
     for status in (ServoStatus.JOINT_BOUND, ServoStatus.HALT_FOR_COLLISION, ServoStatus.HALT_FOR_SINGULARITY):
-        rig.topic.tell(status, "")
+        rig.topic.publish(status, "")
     assert [each["data"] for each in rig.heard] == [5, 4, 2]
 
 
@@ -207,11 +206,11 @@ def test_a_refusal_is_logged_once_while_it_is_repeated(caplog: pytest.LogCapture
     rig = StatusRig("moveit_msgs/ServoStatus")
     with caplog.at_level(logging.WARNING, "armbridge.servo"):
         for _ in range(10):
-            rig.topic.tell(ServoStatus.INVALID, "the arm is relaxed")
-            rig.topic.tell(ServoStatus.NO_WARNING, "")
+            rig.topic.publish(ServoStatus.INVALID, "the arm is relaxed")
+            rig.topic.publish(ServoStatus.NO_WARNING, "")
         assert len(caplog.records) == 1
         rig.clock.advance(1.1 * LOGGED_AGAIN_S)
-        rig.topic.tell(ServoStatus.INVALID, "the arm is relaxed")
+        rig.topic.publish(ServoStatus.INVALID, "the arm is relaxed")
     assert len(caplog.records) == 2
     assert len(rig.heard) == 21
 
@@ -226,11 +225,11 @@ class GateRig:
 
     def __init__(self) -> None:
         self.busy = ""
-        self.gate = Gate(lambda _client: True, TIMEOUT_S, lambda: self.busy)
+        self.gate = CommandGate(lambda _client: True, TIMEOUT_S, lambda: self.busy)
 
     def said(self, at_s: float, client: Node = ONE, kind: CommandType = TWIST) -> str:
-        refusal = self.gate.refusal(client, kind, at_s)
-        return "" if refusal is None else refusal.message
+        rejection = self.gate.rejection(client, kind, at_s)
+        return "" if rejection is None else rejection.message
 
 
 @pytest.fixture
@@ -245,17 +244,17 @@ def test_the_first_command_needs_no_permission_and_the_kind_may_change(gate_rig:
 
 def test_a_second_client_is_turned_away_by_the_name_of_the_first(gate_rig: GateRig) -> None:
     gate_rig.said(0.0)
-    refusal = gate_rig.gate.refusal(OTHER, TWIST, 0.1)
-    assert refusal is not None
-    assert "one does" in refusal.message
-    assert not refusal.of_owner
+    rejection = gate_rig.gate.rejection(OTHER, TWIST, 0.1)
+    assert rejection is not None
+    assert "one does" in rejection.message
+    assert not rejection.from_owner
 
 
 def test_a_selected_kind_excludes_the_others_until_the_stick_is_let_go_of(gate_rig: GateRig) -> None:
     gate_rig.gate.select(TWIST)
     assert gate_rig.said(0.0) == ""
     assert "TWIST was selected" in gate_rig.said(0.1, kind=JOG)
-    assert gate_rig.said(0.2 + SILENCE_S, OTHER, JOG) == ""
+    assert gate_rig.said(0.2 + OWNERSHIP_TIMEOUT_S, OTHER, JOG) == ""
 
 
 def test_a_pause_lets_nothing_through(gate_rig: GateRig) -> None:
@@ -289,15 +288,15 @@ def test_who_takes_it_first_keeps_it_while_it_steers() -> None:
     ownership = Ownership(lambda _client: True)
     assert ownership.take(ONE, 0.0)
     assert not ownership.take(OTHER, 0.5)
-    assert ownership.take(ONE, 0.9 * SILENCE_S)
-    assert not ownership.take(OTHER, 1.8 * SILENCE_S)
+    assert ownership.take(ONE, 0.9 * OWNERSHIP_TIMEOUT_S)
+    assert not ownership.take(OTHER, 1.8 * OWNERSHIP_TIMEOUT_S)
 
 
 def test_silence_sets_it_free() -> None:
     ownership = Ownership(lambda _client: True)
     ownership.take(ONE, 0.0)
-    assert ownership.take(OTHER, 1.1 * SILENCE_S)
-    assert ownership.owner(1.2 * SILENCE_S) is OTHER
+    assert ownership.take(OTHER, 1.1 * OWNERSHIP_TIMEOUT_S)
+    assert ownership.owner(1.2 * OWNERSHIP_TIMEOUT_S) is OTHER
 
 
 def test_leaving_sets_it_free() -> None:

@@ -11,7 +11,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 # Several servers, machines that come and go, processes that are killed.
 MANY_PROCESSES := tests/test_campaign.py tests/test_survival.py tests/test_zenoh_end_to_end.py \
-	tests/planners/cluster tests/server/test_planning_cluster.py
+	tests/planners/files/test_batch.py
 
 .PHONY: install install-dev run page page-if-npm test test-processes test-page test-clients lint check bench bench-planning campaign campaign-planners lock clean
 

@@ -1,1 +1,1 @@
-"""How fast and how even: every figure the documentation quotes is printed by one of these."""
+"""Benchmarks: each figure that the documentation quotes is printed by one of these modules."""

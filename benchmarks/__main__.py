@@ -18,7 +18,6 @@ from benchmarks import (
     page,
     planner_processes,
     planning,
-    planning_cluster,
     planning_scene_services,
     planning_scenes,
     processes,
@@ -36,7 +35,6 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "planning": planning.run,
     "planner_processes": planner_processes.run,
     "planning_scenes": planning_scenes.run,
-    "planning_cluster": planning_cluster.run,
     "busy_machine": busy_machine.run,
     "servo_loop": servo_loop.run,
     "servo_stream": servo_stream.run,
@@ -55,7 +53,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
 
 
 def main() -> None:
-    """Run what was named, or everything."""
+    """Run the named benchmarks, or all of them."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=main.__doc__)
     parser.add_argument("names", nargs="*", choices=[*BENCHMARKS, []], metavar="NAME", help=", ".join(BENCHMARKS))
     names = parser.parse_args().names or list(BENCHMARKS)

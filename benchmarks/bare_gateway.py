@@ -10,11 +10,11 @@ import uvloop
 
 from protocol.registry import Registry
 from server.gateway.listener import Listener
-from server.graph import Graph
+from server.graph.topics import Graph
 
 
 async def main(port: int) -> None:
-    """Serve for ever."""
+    """Serve until the process is ended."""
     listener = Listener(Graph(Registry.load()), "127.0.0.1", port)
     await listener.bind()
     await listener.open()

@@ -10,7 +10,7 @@ from robot.control.pacing import Pacer, become_punctual
 
 
 def lateness_s(seconds: float) -> list[float]:
-    """Tick for a while; returns by how much each tick started late [s]."""
+    """Tick for a while and return the lateness of each tick [s]."""
     become_punctual()
     until_s = time.monotonic() + seconds
     pacer, found = Pacer(time.monotonic()), []

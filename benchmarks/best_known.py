@@ -1,8 +1,8 @@
 """Note the best known durations: ``python -m benchmarks.best_known``, changes ``benchmarks/scenes/*.json``.
 
 Plans every joint problem of the benchmark's own scenes with several seeds and much time, and keeps the shortest motion
-that the official meshes find nothing wrong with; a shorter one that is noted already stays. Needs the reference data
-beside the checkout.
+that passes the check with the official meshes; a shorter duration noted earlier stays. Needs the reference data beside
+the checkout.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from benchmarks.make_scenes import SCENES
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options, Outcome
 from planners.problem import Plan
-from robot import model
+from robot.description import model
 from tests.helpers.full_meshes import Judge
 from tests.helpers.shared import SHARED
 
@@ -24,7 +24,7 @@ ALLOWED_TIME_S = 10.0
 
 
 def note(path: Path) -> None:
-    """Bring the durations of one file up to date."""
+    """Update the durations of one file."""
     fields = json.loads(path.read_text())
     entries = {entry["id"]: entry for entry in fields["joint_problems"]}
     judge = Judge(SHARED, fields)
@@ -41,11 +41,11 @@ def note(path: Path) -> None:
 def _outcomes(path: Path, ids: tuple[str, ...], seed: int) -> list[Outcome]:
     settings = {"seed": seed, "optimization_time_s": OPTIMIZATION_S, "allowed_time_s": ALLOWED_TIME_S}
     file = problem_file.read(path, model.builtin())
-    return list(plan_command.plan_all(file, plan_command.chosen(file, Options(path, ids=ids, settings=settings))))
+    return list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=ids, settings=settings))))
 
 
 def main() -> None:
-    """Every scene of the benchmark's own."""
+    """Update every scene of the benchmark's own."""
     for path in sorted(SCENES.glob("*.json")):
         note(path)
         print(f"{path.stem}: noted")

@@ -1,6 +1,6 @@
-"""Goals on the default server beside processes that burn the cores: none may fail, and no fault may come of it.
+"""Goals on the default server while other processes load the cores: no goal may fail and no fault may occur.
 
-``python -m benchmarks.busy_machine [BURNERS_A_CORE ...]`` takes other loads than those of the table.
+``python -m benchmarks.busy_machine [BURNERS_A_CORE ...]`` uses other loads than those of the table.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BURNERS_A_CORE = (0, 1, 2, 4)
 SWING_RAD = 0.3
 GOAL_TIMEOUT_S = 120.0
 
-# As an ordinary user's server, which may not raise its priority (CAP_SYS_NICE).
+# Server of an ordinary user, which may not raise its priority (CAP_SYS_NICE).
 ORDINARY_USER = ("setpriv", "--bounding-set", "-sys_nice", "--inh-caps", "-sys_nice")
 
 SUCCESS = 1
@@ -38,10 +38,10 @@ class Run:
     """Events of one run.
 
     Attributes:
-        codes: how often each error code was the answer.
-        faults: the codes of faults that the arm told of.
+        codes: number of results by error code.
+        faults: codes of the faults that the arm reported.
         silence_s: longest time between two messages of ``/joint_states`` at a client [s].
-        slowest_share: least share of real time at which the simulated arm ran.
+        slowest_share: lowest speed of the simulated arm, as a share of real time.
     """
 
     codes: Counter[int] = field(default_factory=Counter)
@@ -79,7 +79,7 @@ def run(burners_a_core: tuple[int, ...] = BURNERS_A_CORE) -> None:
 
 @contextlib.contextmanager
 def burning(count: int) -> Iterator[None]:
-    """Keep processes that do nothing but compute, for as long as the block lasts."""
+    """Run processes that only compute, until the block ends."""
     burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
@@ -107,7 +107,7 @@ async def _send_goals(prefix: tuple[str, ...]) -> Run:
 
 
 def _look_back(client: FrameClient, found: Run) -> None:
-    """Read what was told beside the answers."""
+    """Read the faults and the speed from the recorded messages."""
     at_s = [message["_at_s"] for message in client.messages("/joint_states")]
     found.silence_s = max(after - before for before, after in itertools.pairwise(at_s))
     for message in client.messages("/diagnostics"):

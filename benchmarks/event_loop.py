@@ -1,9 +1,9 @@
-"""How late does planning make the server's event loop?
+"""Lateness that planning adds to the server's event loop.
 
 The server runs in this process beside a task that wants to run every millisecond. Its lateness in wall time contains
-what the machine's other processes take away; the CPU time that the loop spends between two of its turns does not, and
-is an upper bound on how long anything of ours held the loop. What planning adds is the lateness beside planners that
-are never idle, less that beside as many processes that compute something else at the planners' niceness.
+the time that other processes of the machine take; the CPU time that the loop spends between two of its turns does not,
+and is an upper bound on the time for which the server held the loop. Planning adds the lateness beside planners that
+are never idle, minus that beside as many processes that compute something else at the planners' niceness.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from benchmarks.figures import percentiles, print_table
 from planners.pool import PlannerPool
 from planners.worker_process import NICENESS
-from robot import model
+from robot.description import model
 from server.app import App
-from server.config_reading import load
+from server.config_loader import load
 from tests.helpers.requests import EASY, LONG
 
 BUSY_PROGRAM = f"import os; os.nice({NICENESS})\nwhile True: sum(range(100_000))"
@@ -34,7 +34,7 @@ BUSY_PROGRAM = f"import os; os.nice({NICENESS})\nwhile True: sum(range(100_000))
 QUIET_S = 5.0
 LOAD_S = 15.0
 
-# Planning is compared with other loads in short turns, so that what else the machine does falls on all alike.
+# Planning is compared with other loads in short turns, so that other load of the machine affects all alike.
 TURNS = 12
 TURN_S = 1.5
 SETTLE_S = 0.1
@@ -44,7 +44,7 @@ PORT = 9199
 
 
 class Ticker:
-    """A task that wants its turn every millisecond, and notes what it got."""
+    """Task that wants its turn every millisecond, and notes its lateness."""
 
     def __init__(self) -> None:
         self.lateness_s: list[float] = []
@@ -62,7 +62,7 @@ class Ticker:
             due_s, cpu_s = now_s + TICK_S, now_cpu_s
 
     def row(self, load: str) -> list[str]:
-        """The figures of this load; the ticker starts afresh."""
+        """Return the figures of this load and start afresh."""
         lateness_s, self.lateness_s = self.lateness_s, []
         cpu_s, self.cpu_s = self.cpu_s, []
         return [load, str(len(cpu_s)), *percentiles(lateness_s, 50, 99, 100), *percentiles(cpu_s, 99, 100)]
@@ -117,7 +117,7 @@ async def _ticked() -> Ticker:
 
 
 def _pooled(tickers: list[Ticker]) -> NDArray[np.float64]:
-    """Lateness p50, p99 and max, CPU time between ticks p99 and max [ms]."""
+    """Return lateness p50, p99 and max, and CPU time between ticks p99 and max [ms]."""
     lateness_s = np.concatenate([ticker.lateness_s for ticker in tickers])
     cpu_s = np.concatenate([ticker.cpu_s for ticker in tickers])
     figures_s = [*np.percentile(lateness_s, [50, 99, 100]), *np.percentile(cpu_s, [99, 100])]
@@ -146,7 +146,7 @@ async def _planning(pool: PlannerPool) -> AsyncIterator[None]:
 
 
 async def _plan_for_ever(pool: PlannerPool) -> None:
-    """Plan hard and easy motions, and give some up, as clients do."""
+    """Plan hard and easy motions without end, and cancel some, as clients do."""
     while True:
         await pool.ask(EASY)
         with contextlib.suppress(TimeoutError):

@@ -10,7 +10,7 @@ Row = Sequence[str]
 
 
 def percentiles(values: Iterable[float], *shares: float, scale: float = 1e3, digits: int = 2) -> list[str]:
-    """Percentiles of values, scaled (seconds to milliseconds) and rounded."""
+    """Return percentiles of values, scaled (seconds to milliseconds) and rounded."""
     array = np.fromiter(values, dtype=float)
     if not array.size:
         return ["-" for _ in shares]

@@ -1,4 +1,4 @@
-"""A client that floods a server as fast as it is taken: ``python -m benchmarks.flood_clients KIND URL S``."""
+"""Client that floods a server as fast as the server reads: ``python -m benchmarks.flood_clients KIND URL S``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMes
 
 SEED = 4
 
-# Topics of a flood of subscriptions; more than the server allows one client, so that refusals are part of it.
+# Topics of a flood of subscriptions; more than the server allows one client, so that it also rejects some.
 TOPICS = 3000
 
-# Clients that subscribe to all that the arm says, ask for more, and read nothing.
+# Clients that subscribe to all topics of the arm, send more requests, and read nothing.
 DEAF_CLIENTS = 1
 SUBSCRIBED = ("/joint_states", "/tf", "/diagnostics", "/rosout", "/moveit_goal_status")
 

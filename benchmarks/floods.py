@@ -1,7 +1,7 @@
-"""What a client that floods the server does to another one: ``python -m benchmarks.floods [--seconds S] [KIND ...]``.
+"""Effect of a flooding client on another client: ``python -m benchmarks.floods [--seconds S] [KIND ...]``.
 
-Quiet and flooded phases take turns, so that both meet the same machine. The flooding process has the lowest priority:
-what it takes from the others is what the server gives it, not what the scheduler does.
+Quiet and flooded phases take turns, so that both run under the same conditions. The flooding process has the lowest
+priority: it takes time from the others through the server's work for it, not through the scheduler.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tests.helpers.server import ROOT, RunningServer
 SECONDS = 10.0
 TURNS = 3
 
-# The planner workers load, and the flood begins and ends, beside the phases.
+# Time for loading the planner workers, and for start and end of the flood, outside the phases.
 WARM_UP_S = 3.0
 SETTLE_S = 0.5
 CONNECT_S = 1.0
@@ -39,13 +39,13 @@ GOAL = 1.5
 
 @dataclass
 class Phase:
-    """What one client saw of ``/joint_states``: how old each was [s], and how long after the one before it came [s]."""
+    """Observations of one client of ``/joint_states``: age of each state [s] and time since the one before it [s]."""
 
     ages_s: list[float] = field(default_factory=list)
     intervals_s: list[float] = field(default_factory=list)
 
     def p99_ms(self) -> tuple[float, float]:
-        """Of the ages and the intervals [ms]."""
+        """Return p99 of the ages and of the intervals [ms]."""
         return float(np.percentile(self.ages_s, 99) * 1e3), float(np.percentile(self.intervals_s, 99) * 1e3)
 
 
@@ -66,7 +66,7 @@ def run(seconds: float = SECONDS, kinds: tuple[str, ...] = tuple(FLOODS)) -> Non
 
 
 class _Drained:
-    """Keeps the server's log from growing in here: a flood is told of, and this process is not what is measured."""
+    """Thread that trims the kept log lines of the server, which would grow in this process during a flood."""
 
     def __init__(self, server: RunningServer) -> None:
         self._lines = server.lines
@@ -79,7 +79,7 @@ class _Drained:
             del self._lines[:-100]
 
     def close(self) -> None:
-        """Let the lines be."""
+        """Stop trimming."""
         self._done.set()
         self._thread.join()
 
@@ -89,7 +89,7 @@ def _measured(kind: str, server: RunningServer, process: psutil.Process, seconds
     for _ in range(TURNS):
         with _watching(server.url, seconds, quiet):
             pass
-        # Who watches is there before the flood: of those who come from one address only so many are let in a second.
+        # The watching client connects before the flood: the rate of connections per address is limited.
         with _flooding(kind, server.url, _watching(server.url, seconds, flooded)):
             memory_mb.append(process.memory_info().rss / 1e6)
         time.sleep(SETTLE_S)
@@ -118,7 +118,7 @@ def _flooding(kind: str, url: str, watching: AbstractContextManager[None]) -> It
 
 @contextmanager
 def _watching(url: str, seconds: float, phase: Phase) -> Iterator[None]:
-    """Have a client connected; from WARM_UP_S on it takes note of every state that comes, and the end waits for it."""
+    """Run a client that notes every state from WARM_UP_S on; the end of the block waits for it."""
     command = [sys.executable, "-m", "benchmarks.watch_states", url, str(seconds), str(WARM_UP_S)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE)
     time.sleep(CONNECT_S)
@@ -129,7 +129,7 @@ def _watching(url: str, seconds: float, phase: Phase) -> Iterator[None]:
 
 
 def main() -> None:
-    """Flood as the command line says."""
+    """Run the floods that the command line names."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.floods", description=main.__doc__)
     parser.add_argument("kinds", nargs="*", choices=[*FLOODS, []], metavar="KIND", help=", ".join(FLOODS))
     parser.add_argument("--seconds", type=float, default=SECONDS, help="length of each phase")

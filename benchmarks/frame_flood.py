@@ -1,4 +1,4 @@
-"""A client that publishes without pause, as fast as the server takes it."""
+"""Client that publishes without pause, as fast as the server reads."""
 
 from __future__ import annotations
 

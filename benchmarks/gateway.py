@@ -1,8 +1,8 @@
-"""The gateway beside a bare relay, in one run: what validation, queues and limits cost.
+"""Gateway compared with a bare relay, in one run: the cost of validation, queues and limits.
 
 Load and clients are processes of their own, so that the CPU time of the server's process is the server's alone. The two
-servers take turns at each load, several times over, and the medians count: what else the machine does meanwhile then
-falls on both.
+servers take turns at each load, several times, and the medians count: other load of the machine then affects both
+alike.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROUNDS = 3
 
 FAN_OUTS = (1, 8, 32, 64, 128)
 
-# What the gateway may need as a multiple of the relay; of its rate, at least that share.
+# Upper bound of the gateway's cost as a multiple of the relay's; lower bound of its rate as a share.
 FAN_OUT, RATE, RATE_CPU, SERVICE, STRING, DEAF = 1.3, 0.5, 2.0, 1.5, 2.0, 1.2
 
 
@@ -76,12 +76,12 @@ def _running() -> Iterator[dict[str, int]]:
 
 
 def _beside_relay(pids: dict[str, int], *load: str) -> list[dict[str, float]]:
-    """The figures of a load on the gateway, and on the relay."""
+    """Return the figures of a load on the gateway, and on the relay."""
     return _medians(pids, *(Run(server, load) for server in SERVERS))
 
 
 def _medians(pids: dict[str, int], *runs: Run) -> list[dict[str, float]]:
-    """Medians of the figures of each run, which take turns."""
+    """Return the medians of the figures of each run; the runs take turns."""
     measured = [[_measure(pids[one.server], one) for one in runs] for _ in range(ROUNDS)]
     return [
         {figure: statistics.median(figures[figure] for figures in rounds) for figure in rounds[0]}
@@ -90,7 +90,7 @@ def _medians(pids: dict[str, int], *runs: Run) -> list[dict[str, float]]:
 
 
 def _measure(pid: int, one: Run) -> dict[str, float]:
-    """Run one load against a server; what it measured."""
+    """Run one load against a server and return its figures."""
     port = SERVERS[one.server][1]
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.gateway_load", str(port), str(pid), *one.load],

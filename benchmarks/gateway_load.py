@@ -27,7 +27,7 @@ LARGE_MESSAGES = 60
 CALLS = 2000
 FLOOD_MESSAGES = 20_000
 
-# As many frames as a client's kernel takes in one go; the publisher waits for its socket behind each such piece.
+# Number of frames that the kernel accepts at once; the publisher waits for its socket after each such piece.
 FLOOD_PIECE = 64
 
 # Longer than any queue between publisher and subscriber takes to empty.
@@ -43,7 +43,7 @@ JOINT_STATE = {
 
 
 class Client(ClientConnection):
-    """A client that can be told to count what comes instead of reading it."""
+    """Client that can count incoming data instead of reading it."""
 
     counting = False
     received_bytes = 0
@@ -88,7 +88,7 @@ class Load:
         return websocket
 
     async def fan_out(self, count: int) -> dict[str, float]:
-        """Publish joint states at a steady rate to so many subscribers."""
+        """Publish joint states at a steady rate to a number of subscribers."""
         topic = f"/fan_out_{count}"
         subscribers = [await self.subscriber(topic, "sensor_msgs/JointState") for _ in range(count)]
         publisher, frame, frame_bytes = await self._joint_state_publisher(topic, subscribers)
@@ -99,7 +99,7 @@ class Load:
         return {"cpu_us": (server_cpu_s(self._pid) - began_s) / deliveries * 1e6}
 
     async def flood(self) -> dict[str, float]:
-        """Publish as fast as the server takes it: messages per second, and the CPU time of each [us]."""
+        """Publish as fast as the server reads; returns messages per second, and the CPU time of each [us]."""
         subscriber = await self.subscriber("/flood", "sensor_msgs/JointState")
         publisher, frame, frame_bytes = await self._joint_state_publisher("/flood", [subscriber])
         began_s, started_s = server_cpu_s(self._pid), time.monotonic()
@@ -114,7 +114,7 @@ class Load:
         }
 
     async def _joint_state_publisher(self, topic: str, subscribers: list[Client]) -> tuple[Client, bytes, int]:
-        """Connect a publisher; its frame as it goes over the wire, and the length of the one that subscribers get."""
+        """Connect a publisher; returns it, its frame on the wire, and the length of the frame that subscribers get."""
         publisher = await self.publisher(topic, "sensor_msgs/JointState")
         text = json.dumps({"op": "publish", "topic": topic, "msg": JOINT_STATE}).encode()
         frame = Frame(Opcode.TEXT, text).serialize(mask=True)
@@ -136,7 +136,7 @@ class Load:
         return {"cpu_us": (server_cpu_s(self._pid) - began_s) / LARGE_MESSAGES * 1e6}
 
     async def service(self) -> dict[str, float]:
-        """Call a service of another client; both are clients as anybody writes them."""
+        """Call a service of another client; both are written as clients usually are."""
         provider, caller = await self.client(), await self.client()
         await provider.send(json.dumps({"op": "advertise_service", "service": "/switch", "type": "std_srvs/SetBool"}))
         serving = asyncio.create_task(_serve(provider))
@@ -152,7 +152,7 @@ class Load:
         return {"median_us": statistics.median(trips_s) * 1e6}
 
     async def latency(self, deaf: int) -> dict[str, float]:
-        """Latency of eight subscribers, beside ``deaf`` ones that never read."""
+        """Measure the latency of eight subscribers, beside ``deaf`` ones that never read."""
         topic = f"/latency_{deaf}"
         latencies_s: list[float] = []
         readers = [
@@ -175,7 +175,7 @@ class Load:
 
 
 def server_cpu_s(pid: int) -> float:
-    """CPU time of all threads of a process [s], to the nanosecond: the usual clock ticks in hundredths of a second."""
+    """Return the CPU time of all threads of a process [s], to the nanosecond; the usual clock counts 10 ms ticks."""
     return sum(int(path.read_text().split()[0]) for path in Path(f"/proc/{pid}/task").glob("*/schedstat")) / 1e9
 
 
@@ -210,7 +210,7 @@ async def _latencies(subscriber: ClientConnection, latencies_s: list[float]) -> 
 
 
 async def main(port: int, pid: int, load: str, *arguments: str) -> None:
-    """Run one load and print what it measured."""
+    """Run one load and print its figures."""
     print(json.dumps(await getattr(Load(port, pid), load)(*(int(argument) for argument in arguments))))
 
 

@@ -1,4 +1,4 @@
-"""A client that keeps the planners busy: goals of every kind, each stopped as soon as it moves the arm."""
+"""Client that keeps the planners busy: goals of every kind, each stopped as soon as it moves the arm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a client's goal message to the first servo write that moves the arm."""
+"""Latency from a client's goal message to the first servo write that moves the arm."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GOAL_ADDRESS = 41
 
 
 def run() -> None:
-    """Send short joint goals, and look up in the servos' log when the first of their writes came."""
+    """Send short joint goals, and look up the time of the first write of each in the servos' log."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "writes.jsonl"
         with RunningServer(settings={**SETTINGS, "ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
@@ -39,7 +39,7 @@ def run() -> None:
 
 
 async def _send_goals(url: str) -> list[float]:
-    """Monotonic times at which the goals were sent [s]."""
+    """Send the goals and return the monotonic times at which they were sent [s]."""
     sent_s = []
     async with frame_client(url) as client:
         await client.open_goals()
@@ -53,7 +53,7 @@ async def _send_goals(url: str) -> list[float]:
 
 
 def _first_change_s(writes: list[dict[str, Any]], after_s: float) -> float:
-    """When the first goal of the shoulder pan that differs from the one before was written."""
+    """Return the time of the first write that changes the goal of the shoulder pan."""
     held = None
     for entry in writes:
         goal = entry["data"][PAN_SERVO][1:3]

@@ -1,4 +1,4 @@
-"""What the server's memory grows by for each client that is connected and says nothing."""
+"""Memory of the server per client that is connected and sends nothing."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ ROUNDS = 3
 # Time for the server to come to rest.
 SETTLE_S = 2.0
 
-# The planner workers load, and what is made once is made.
+# Time for the planner workers to load, and for one-time allocations.
 WARM_UP_S = 3.0
 
 
 def run() -> None:
-    """Connect, look at the server, disconnect, look again; several times, since memory is given back in part only."""
+    """Measure with and without clients, several times, since memory is given back in part only."""
     with RunningServer() as server:
         process = psutil.Process(server.process.pid)
         asyncio.run(_connected(server.url, 1, process))
@@ -44,7 +44,7 @@ def _round(url: str, process: psutil.Process, number: int) -> list[str]:
 
 
 async def _connected(url: str, count: int, process: psutil.Process) -> int:
-    """Memory of the server while so many clients are connected [bytes]."""
+    """Return the memory of the server while a number of clients are connected [bytes]."""
     async with contextlib.AsyncExitStack() as stack:
         for _ in range(count):
             await stack.enter_async_context(connect(url, ping_interval=None))

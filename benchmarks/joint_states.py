@@ -1,4 +1,4 @@
-"""How old a joint state is when a client has it."""
+"""Age of a joint state when a client receives it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Draw the benchmark's own problems: ``python -m benchmarks.make_scenes``, writes ``benchmarks/scenes/*.json``.
 
-A problem counts as feasible once a slow search in the official meshes has found a path, so that no planner of ours has
-a say in what is asked of it. Needs the reference data beside the checkout.
+A problem counts as feasible once a slow search in the official meshes has found a path, so that the planners under test
+have no influence on the problems. Needs the reference data beside the checkout.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ CHECK_RAD = 0.005
 EXTEND_RAD = 0.3
 MAX_NODES = 3000
 
-# A start this deep in something is no matter of a hull's margin.
+# A start this deep in an obstacle collides with any margin of the hulls.
 MIN_TOUCHING = 20
 
 
 class Draw:
-    """Problems in one scene."""
+    """Random problems in one scene."""
 
     def __init__(self, name: str, arrangement: Arrangement, seed: int) -> None:
         self._name, self._arrangement = name, arrangement
@@ -66,7 +66,7 @@ class Draw:
         self._judge = Judge(SHARED, self.fields)
 
     def file(self) -> Fields:
-        """The problem file."""
+        """Return the content of the problem file."""
         pairs = self._connected_pairs()
         joint_problems = [
             {"id": f"{self._name}-j{i:02}", "start": _listed(start), "goal": _listed(goal)}
@@ -136,7 +136,7 @@ class Draw:
                 return point
 
     def _colliding(self) -> Vector:
-        """A pose with the tip above the table and links deep in something."""
+        """Draw a pose with the tip above the table and links deep in an obstacle."""
         while True:
             point = self._anywhere()
             around = point + self._rng.normal(scale=0.05, size=(MIN_TOUCHING, 5))
@@ -147,7 +147,7 @@ class Draw:
 def _connected(
     collides: Callable[[Vector], bool], start: Vector, goal: Vector, lower: Vector, upper: Vector, rng: Any
 ) -> bool:
-    """Whether two trees that grow towards each other meet."""
+    """Search with two trees that grow towards each other; returns True if they meet."""
     trees = [[start], [goal]]
     while len(trees[0]) + len(trees[1]) < MAX_NODES:
         reached = _grow(collides, trees[0], rng.uniform(lower, upper), EXTEND_RAD)

@@ -1,7 +1,7 @@
-"""Plans with MPlib, in an interpreter of its own: ``python mplib_peer.py PROBLEM.json URDF SRDF TIP RRT_RANGE``.
+"""Plan with MPlib, in an interpreter of its own: ``python mplib_peer.py PROBLEM.json URDF SRDF TIP RRT_RANGE``.
 
 Prints a line of JSON for each joint problem: CPU seconds, and the motion as ``armbridge plan --json`` writes it or the
-reason why there is none. Imports nothing of ours: MPlib needs numpy below 2.
+reason of the failure. Imports nothing of armbridge: MPlib needs numpy below 2.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from mplib import Planner, Pose
 from mplib.collision_detection import fcl
 
-# Samples as dense as those it is compared with.
+# The same density of samples as armbridge's motions, with which these are compared.
 TIME_STEP_S = 0.01
 PLANNING_TIME_S = 2.0
 
@@ -48,7 +48,7 @@ def main(problem_path: str, urdf: str, srdf: str, tip: str, rrt_range: str) -> N
 
 
 def _full(names: list[str], fields: dict[str, Any], point: list[float]) -> Any:
-    """A configuration of every joint."""
+    """Return a configuration of every joint."""
     positions = dict(zip(fields["joint_names"], point, strict=True)) | {"gripper": fields["gripper"]}
     return np.array([positions[name] for name in names])
 

@@ -1,4 +1,4 @@
-"""MPlib beside ours: an environment of its own, the same robot with the same hulls, and a process for its plans."""
+"""MPlib for comparison: an environment of its own, the same robot with the same hulls, and a process for its plans."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from robot import model
-from robot.model import Hull, RobotModel
+from robot.description import model
+from robot.description.model import Hull, RobotModel
 
 REQUIREMENTS = ("mplib==0.2.1", "numpy<2")
 ENVIRONMENT = Path(__file__).parents[1] / "build" / "mplib"
@@ -20,15 +20,15 @@ PEER = Path(__file__).with_name("mplib_peer.py")
 # Downloads of some 100 MB.
 INSTALL_S = 600.0
 
-# Two seconds a problem at most, and its start.
+# At most two seconds a problem, plus the start.
 PLAN_S = 300.0
 
-# A line of its own output that is an answer, beside what it prints of itself.
+# Marks the lines of its output that are answers; MPlib prints lines of its own.
 MARK = "@"
 
 
 def installed() -> str:
-    """Make its environment if there is none; why that cannot be done, or nothing."""
+    """Make its environment if there is none; returns the reason of a failure, or an empty text."""
     python = str(_python())
     if _python().exists() and subprocess.run([python, "-c", "import mplib"], check=False).returncode == 0:
         return ""
@@ -44,7 +44,7 @@ def installed() -> str:
 
 
 def plans(problem_path: Path, rrt_range: float) -> Iterator[dict[str, Any]]:
-    """Its answers to the joint problems of a file, with the CPU seconds of each."""
+    """Return MPlib's answers to the joint problems of a file, with the CPU seconds of each."""
     urdf, srdf = _description(ENVIRONMENT / "so101", model.builtin())
     command = [*map(str, (_python(), PEER, problem_path, urdf, srdf)), "gripper_frame_link", str(rrt_range)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PLAN_S)
@@ -60,7 +60,7 @@ def _python() -> Path:
 
 
 def _description(folder: Path, robot: RobotModel) -> tuple[Path, Path]:
-    """The robot as MPlib reads it: its hulls as mesh files instead of the shapes of its URDF."""
+    """Write the robot as MPlib reads it: its hulls as mesh files instead of the shapes of its URDF."""
     folder.mkdir(parents=True, exist_ok=True)
     root = ET.fromstring(robot.urdf)
     for link in root.iterfind("link"):

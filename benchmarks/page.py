@@ -1,6 +1,6 @@
-"""The page in Chromium with software rendering: how soon, how fast, how old, and what it costs the server.
+"""Page in Chromium with software rendering: load time, frame rate, age of the drawn states, and cost to the server.
 
-``python -m benchmarks.page --seconds 600`` watches it for ten minutes.
+``python -m benchmarks.page --seconds 600`` measures it for ten minutes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 OPENINGS = 5
 WATCHED_S = 20.0
 
-# The age is looked at over this long at the end of the time: a lag that grows would be greatest there.
+# The age is measured over this time at the end of the period, where a growing lag is greatest.
 LOOKED_AT_S = 10.0
 
 # Long enough that one goal, or one question of the page, does not count.
@@ -40,7 +40,7 @@ WARM_UP_S = 4.0
 
 SUCCESS = 1
 
-# What the page subscribes to, and the least time between two messages [ms].
+# Topics of the page, and the least time between two messages [ms].
 SHOWN = {
     "/joint_states": 33,
     "/arm_controller/controller_state": 33,
@@ -81,18 +81,18 @@ WATCHED = """() => ({
 
 @dataclass(frozen=True)
 class Watched:
-    """What was drawn in a while."""
+    """Frames and states drawn in a period."""
 
     frames_per_s: float
     ages_s: list[float]
 
     def in_frames(self) -> list[float]:
-        """The ages in frames of the mean length."""
+        """Return the ages in frames of the mean length."""
         return [age_s * self.frames_per_s for age_s in self.ages_s]
 
 
 def run(seconds: float = WATCHED_S) -> None:
-    """Measure with one server and one browser, or say what is missing."""
+    """Measure with one server and one browser, or print the reason why that is impossible."""
     missing = what_is_missing()
     if missing:
         print(f"\nThe page cannot be measured: {missing}")
@@ -138,7 +138,7 @@ def _watched(browser: Browser, server: RunningServer, seconds: float) -> Watched
 
 
 def _costs(browser: Browser, server: RunningServer) -> list[list[str]]:
-    """The same arm at rest with nobody, with a subscriber, and with the page."""
+    """Measure the server with the arm at rest: without a client, with a subscriber, and with the page."""
     process = psutil.Process(server.process.pid)
     nobody = _cpu_percent(process)
     plain = [_cpu_percent(process, functools.partial(_subscribe, server, topics)) for topics in (JOINT_STATES, SHOWN)]
@@ -169,7 +169,7 @@ def _subscribe(server: RunningServer, topics: dict[str, int]) -> None:
 
 @contextmanager
 def _moving(server: RunningServer) -> Iterator[None]:
-    """Goals to and fro, one after the other, until the block ends."""
+    """Send goals to and fro, one after the other, until the block ends."""
     over = threading.Event()
     mover = threading.Thread(target=_move, args=(server, over))
     mover.start()
@@ -192,13 +192,13 @@ def _move(server: RunningServer, over: threading.Event) -> None:
             if json.loads(websocket.recv(timeout=30.0))["msg"]["val"] == SUCCESS:
                 turn += 1
             else:
-                # Somebody kept the emulated servos from answering: on a busy machine the arm has faults.
+                # On a busy machine the emulated servos may answer too late: the arm has faults.
                 call(server.url, "/arm/reset_fault")
                 over.wait(0.5)
 
 
 def main() -> None:
-    """Read how long to watch, and measure."""
+    """Measure for the time that the command line gives."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=main.__doc__)
     parser.add_argument("--seconds", type=float, default=WATCHED_S, help="how long the page is watched")
     run(parser.parse_args().seconds)

@@ -1,7 +1,7 @@
-"""``python -m benchmarks.planner_campaign``: faults without end in the planner processes of one pool.
+"""``python -m benchmarks.planner_campaign``: random faults in the planner processes of one pool.
 
-Each round asks for a motion, has something go wrong with it, and then asks for a motion that must be planned, and be
-the same as ever; a fault may cost one motion, not two. Ends with a table, or with the first round that broke the pool.
+Each round requests a motion, injects a fault, and then requests a motion that must be planned, with the same result as
+without a fault; a fault may cost one motion, not two. Ends with a table, or with the first round that broke the pool.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ import uvloop
 
 from benchmarks.figures import percentiles, print_table
 from planners import worker_process
-from planners.local_workers import LOAD_TIMEOUT_S
-from planners.pool import OVERTIME_S, PlannerPool
+from planners.pool import LOAD_TIMEOUT_S, OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
-from robot import model
+from robot.description import model
 from tests.helpers.broken_planner import FAULTS
 from tests.helpers.requests import EASY, LONG, STATE, broken
 
 MEMORY_LIMIT_BYTES = 300_000_000
 
-# A worker is replaced in a second; one that is stopped while it loads takes the pool its whole patience.
+# A worker is replaced in a second; for one that is stopped while it loads the pool waits its whole time limit.
 RECOVERY_TIMEOUT_S = LOAD_TIMEOUT_S + 30.0
 
 # A fault takes as long as a hang at most, and these end a grace period after the allowed time; before that, a worker
@@ -38,7 +37,7 @@ RECOVERY_TIMEOUT_S = LOAD_TIMEOUT_S + 30.0
 ALLOWED_TIME_S = 0.3
 FAULT_TIMEOUT_S = RECOVERY_TIMEOUT_S + ALLOWED_TIME_S + OVERTIME_S
 
-# Open files and memory may swing by so much without being a leak.
+# Open files and memory may vary by this much without a leak.
 SPARE_FILES = 4
 SPARE_BYTES = 30e6
 
@@ -47,11 +46,11 @@ SIGNALS = (signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV, signal.SIGTERM, signa
 
 
 class Campaign:
-    """Faults for one pool.
+    """Random faults in one pool.
 
     Args:
-        pool: started.
-        rng: chooses among the faults.
+        pool: pool that has been started.
+        rng: source of the random choices.
     """
 
     def __init__(self, pool: PlannerPool, rng: random.Random) -> None:
@@ -62,7 +61,7 @@ class Campaign:
         self.recovery_s: dict[str, list[float]] = defaultdict(list)
 
     async def round(self) -> None:
-        """One fault, and what must be true after it."""
+        """Inject one fault, and check the pool after it."""
         faults: list[tuple[str, Callable[[], Awaitable[str]]]] = [
             *((fault, lambda fault=fault: self._ask(broken(fault, ALLOWED_TIME_S))) for fault in FAULTS),
             ("cancelled", self._cancelled),
@@ -73,7 +72,7 @@ class Campaign:
         code = await asyncio.wait_for(fault(), FAULT_TIMEOUT_S)
         started_s = time.monotonic()
         if code == SUCCESS:
-            # It hit a worker that had nothing to do; the next motion may be given to that one.
+            # The fault hit an idle worker; the next motion may be given to that one.
             code = _code(await self._pool.ask(_brief(EASY)))
         self.codes[name][code] += 1
         await asyncio.wait_for(self._check(), RECOVERY_TIMEOUT_S)
@@ -164,7 +163,7 @@ def _report(campaign: Campaign) -> None:
 
 
 def main() -> None:
-    """Run for a time."""
+    """Run rounds for the time that the command line gives."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.planner_campaign", description=__doc__)
     parser.add_argument("--seconds", type=float, default=120.0, help="for so long (120)")
     parser.add_argument("--seed", type=int, default=1, help="of the choice of faults (1)")

@@ -1,4 +1,4 @@
-"""The planner processes: what they cost, and how soon one is free again after a cancel, a hang and a large scene."""
+"""Planner processes: their cost, and the time until one is free again after a cancel, a hang and a large scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import Answer, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
 from planners.worker_process import WorkerProcess
-from robot import model
+from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.requests import EASY, LONG, STATE, broken
 
@@ -72,7 +72,7 @@ async def _starts() -> None:
 
 
 def _memory_mb(pid: int) -> tuple[float, float]:
-    """Resident memory, and the share that no other process uses."""
+    """Return the resident memory, and the part that no other process shares [MB]."""
     info = psutil.Process(pid).memory_full_info()
     return info.rss / 1e6, info.uss / 1e6
 
@@ -117,7 +117,7 @@ async def _cancel(worker: WorkerProcess, after_s: float) -> float:
 
 
 async def _kills() -> list[float]:
-    """Cancel requests that hang in native code; the next request waits for nothing but the spare."""
+    """Cancel requests that hang in native code; the next request waits for the spare process only."""
     worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(model.builtin())
     await pool.start()

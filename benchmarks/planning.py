@@ -11,7 +11,7 @@ from benchmarks.figures import percentiles, print_table
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningFailure, PlanningProblem
-from robot import model
+from robot.description import model
 
 PROBLEMS = 450
 SEED = 5
@@ -27,7 +27,7 @@ BLOCKED_LINES = (
 
 
 def blocked_problem(number: int, attempts: int) -> PlanningProblem:
-    """A joint goal that needs a search, seeded by its number."""
+    """Return a joint goal that needs a search, seeded by its number."""
     start, end = BLOCKED_LINES[number % len(BLOCKED_LINES)]
     arm = model.builtin().groups["arm"].joints
     start_rad = {**dict(zip(arm, start, strict=True)), "gripper": 0.0}
@@ -46,7 +46,7 @@ class Draw:
         self._upper = np.array([joint.upper for joint in self._robot.movable_joints])
 
     def problem(self, number: int) -> PlanningProblem:
-        """By turns a position goal, a joint goal, and a joint goal that needs a search."""
+        """Return by turns a position goal, a joint goal, and a joint goal that needs a search."""
         kind = number % 3
         if kind == 2:
             return blocked_problem(number, attempts=5)
@@ -62,7 +62,7 @@ class Draw:
 
 
 def run() -> None:
-    """Plan random problems; sort them by goal and by how they ended."""
+    """Plan random problems; group them by kind of goal and by outcome."""
     planner, draw = Planner(model.builtin()), Draw()
     times_s: dict[str, list[float]] = defaultdict(list)
     for number in range(PROBLEMS):

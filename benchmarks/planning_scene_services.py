@@ -1,4 +1,4 @@
-"""What the services of the planning scene cost, called as compas_fab calls them."""
+"""Cost of the services of the planning scene, called as compas_fab calls them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ import numpy as np
 from benchmarks.figures import percentiles, print_table
 from protocol.codecs import json
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.messages import ArmState, Mode
-from server.calls import Response
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.interface import APPLY, GET, SceneInterface
 from server.moveit.scene.scene_state import AssumedStates, SceneState
-from server.node import Node
 
 OBJECTS = 50
 
@@ -35,7 +35,7 @@ ROUNDS = 20
 
 
 class _StandingArm:
-    """An arm that stands still, without its process."""
+    """Arm that stands still, without its process."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         at = np.zeros(len(joints))
@@ -122,7 +122,7 @@ def _pose(number: int, z_m: float) -> dict[str, Any]:
 
 
 def _as_compas_fab_sends_it_back(response: bytes) -> bytes:
-    """The scene as a difference, without the fields that compas_fab's own classes do not have."""
+    """Return the scene as a difference, without the fields that compas_fab's own classes do not have."""
     scene: Any = python_json.loads(response)["scene"]
     for thing in scene["world"]["collision_objects"]:
         del thing["subframe_names"], thing["subframe_poses"]

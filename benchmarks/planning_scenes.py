@@ -1,4 +1,4 @@
-"""Motions among obstacles: are they valid, found, short and quick, and are the refusals true? And MPlib beside it.
+"""Motions among obstacles, beside MPlib: validity, success rate, duration, planning time, correctness of refusals.
 
 The scenes are those of the reference data beside the checkout, when it is there, and the benchmark's own. Validity is
 judged by the official meshes, which are part of the reference data.
@@ -23,7 +23,7 @@ from planners.files import plan_command, problem_file
 from planners.files.plan_command import Outcome
 from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
-from robot import model
+from robot.description import model
 from tests.helpers.full_meshes import Judge
 from tests.helpers.shared import SHARED
 
@@ -37,22 +37,22 @@ MPLIB_RANGES = (0.1, 1.0)
 # MPlib's timing exceeds its limits by 10 to 20 % nearly everywhere; only what is beyond that is held against it.
 MPLIB_RATE_EXCESS = 0.25
 
-# What makes a motion of its invalid: words of the judge, the worst first.
+# Violations of MPlib's motions: the words of the mesh check, the worst first.
 MPLIB_FAULTS = ("touches", "position limit", "acceleration limit", "velocity limit")
 
-# A file, and what MPlib answers to one of its problems.
+# A problem file, and MPlib's answer to one of its problems.
 Answered = tuple[Path, dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One problem, how it was answered, and what the judge says.
+    """One problem, its answer, and the verdict of the mesh check.
 
     Attributes:
-        fields: the problem as the file has it.
-        mesh: whether there is a mesh among the obstacles.
-        outcome: our answer.
-        faults: what is wrong with the motion; None when there is none, or nobody to judge it.
+        fields: problem as in the file.
+        mesh: True if a mesh is among the obstacles.
+        outcome: armbridge's answer.
+        faults: violations of the motion; None without a motion, or without the official meshes.
     """
 
     fields: dict[str, Any]
@@ -62,7 +62,7 @@ class Measured:
 
     @property
     def kind(self) -> str:
-        """Which row of the table it belongs to."""
+        """Return the row of the table to which the problem belongs."""
         if not isinstance(self.outcome.answer, Plan):
             return "refused"
         if self.outcome.answer.method == STRAIGHT_LINE:
@@ -71,7 +71,7 @@ class Measured:
 
     @property
     def duration_ratio(self) -> float | None:
-        """Duration over the best known one, where one is known."""
+        """Return the ratio of the duration to the best known one, or None if none is known."""
         best_s = self.fields.get("best_known_duration")
         if best_s is None or not isinstance(self.outcome.answer, Plan):
             return None
@@ -79,7 +79,7 @@ class Measured:
 
 
 def run() -> None:
-    """Measure and print."""
+    """Measure every scene and print the tables."""
     paths = scene_files()
     if not SHARED.is_dir():
         print("no reference data beside the checkout: its scenes and the judgement by the official meshes are left out")
@@ -88,7 +88,7 @@ def run() -> None:
     peers = {rrt_range: list[Answered]() for rrt_range in MPLIB_RANGES}
     for path in paths:
         default += measure(path, {})
-        # Beside ours in time as well: the machine may be busier later.
+        # Planned right after armbridge's motions: the machine may be busier later.
         for rrt_range, answers in peers.items() if not reason else ():
             answers += ((path, answer) for answer in mplib_side.plans(path, rrt_range))
         longer += measure(path, {"optimization_time_s": LONG_OPTIMIZATION_S})
@@ -103,18 +103,18 @@ def run() -> None:
 
 
 def scene_files() -> list[Path]:
-    """Every problem file there is."""
+    """Return every problem file."""
     return [*sorted((SHARED / "planning_problems").glob("*.json")), *sorted(SCENES.glob("*.json"))]
 
 
 def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
-    """Plan and judge every problem of a file."""
+    """Plan every problem of a file and check the motions."""
     fields = json.loads(path.read_text())
     entries = {entry["id"]: entry for key in _LISTS for entry in fields.get(key, [])}
     mesh = any(thing.get("type") == "mesh" for thing in fields["objects"])
     judge = _judge(path) if SHARED.is_dir() else None
     file = problem_file.read(path, model.builtin())
-    options = plan_command.Options(path, every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
+    options = plan_command.Options([path], every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
     for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
         entry = entries[outcome.asked.id]
         (answer,) = plan_command.as_json([outcome], file.joint_names)

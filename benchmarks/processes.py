@@ -1,4 +1,4 @@
-"""Start-up time, and what each process costs at rest."""
+"""Start-up time, and the cost of each process at rest."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMES = {"robot.control.loop": "arm", "planners.worker": "planner"}
 
 
 def run() -> None:
-    """Start the server several times; leave the last one alone and watch its processes."""
+    """Start the server several times; measure the processes of the last one at rest."""
     starts_s = []
     for number in range(STARTS):
         started_s = time.monotonic()

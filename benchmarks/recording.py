@@ -1,4 +1,4 @@
-"""What a recording costs: processor time per message, and how long the event loop's turns become."""
+"""Cost of a recording: CPU time per message, and length of the event loop's turns."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ import uvloop
 from benchmarks.figures import percentiles, print_table
 from protocol.publication import Publication
 from protocol.registry import Registry
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.recording.recorder import Recorder
 
-# An arm says a hundred messages a second; a busy network of clients says some thousands.
+# An arm sends a hundred messages a second; a busy network of clients sends some thousands.
 RATES_HZ = (100, 1000, 5000)
 SECONDS = 3.0
 TICK_S = 0.002
@@ -36,14 +36,14 @@ JOINT_STATE = {
 
 @dataclass
 class Cost:
-    """What publishing took.
+    """Cost of publishing.
 
     Attributes:
-        cpu_us: of the whole process, per message [us].
-        publish_us: of the event loop's thread in `Graph.publish`, per message [us].
-        turns_s: processor time of the whole process between two turns of the event loop [s]: nothing held it longer.
+        cpu_us: CPU time of the whole process, per message [us].
+        publish_us: CPU time of the event loop's thread in `Graph.publish`, per message [us].
+        turns_s: CPU time of the whole process between two turns of the event loop [s], an upper bound on each turn.
         file_bytes: size of the file per message; 0 without one.
-        dropped: messages that are not in it.
+        dropped: messages that are missing in the file.
     """
 
     cpu_us: float
@@ -58,7 +58,7 @@ def run() -> None:
     rows = []
     for rate_hz in RATES_HZ:
         plain, recorded = [], []
-        # In turns, so that what else the machine does meets both alike.
+        # In turns, so that other load of the machine affects both alike.
         for _ in range(REPEATS):
             plain.append(uvloop.run(_measure(rate_hz, None)))
             with tempfile.TemporaryDirectory() as directory:
@@ -92,7 +92,7 @@ async def _measure(rate_hz: int, file: Path | None) -> Cost:
     recorder = None if file is None else Recorder(graph, file)
     if recorder is not None:
         recorder.open()
-    # As the server does it: what lives as long as the process is not looked at again.
+    # As the server does: the garbage collector skips objects that live as long as the process.
     gc.collect()
     gc.freeze()
     cost = await _publish(graph, talker, rate_hz)
@@ -122,7 +122,7 @@ async def _publish(graph: Graph, talker: Node, rate_hz: int) -> Cost:
 
 
 def _best(costs: list[Cost]) -> Cost:
-    """The least of each figure over the runs: what the machine adds is never negative."""
+    """Return the minimum of each figure over the runs: other load of the machine only ever adds to it."""
     return Cost(
         min(cost.cpu_us for cost in costs),
         min(cost.publish_us for cost in costs),

@@ -1,4 +1,4 @@
-"""The reference for the gateway: the barest relay that can be written on the same libraries.
+"""Reference for the gateway: the smallest relay that can be written on the same libraries.
 
 asyncio on uvloop, ``websockets`` and its ``broadcast``, orjson; no types, no validation, no queues, no limits. Usage:
 ``python -m benchmarks.relay PORT``.
@@ -42,7 +42,7 @@ async def handle(websocket: ServerConnection) -> None:
 
 
 async def main(port: int) -> None:
-    """Serve for ever."""
+    """Serve until the process is ended."""
     async with serve(handle, "127.0.0.1", port, compression=None, max_size=None):
         await asyncio.get_running_loop().create_future()
 

@@ -1,4 +1,4 @@
-"""How long rosapi takes to answer, with a hundred topics."""
+"""Response time of rosapi with a hundred topics."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import time
 
 from benchmarks.figures import percentiles, print_table
 from protocol.registry import Registry
-from server.calls import Response
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph
 from server.rosapi.api import RosApi
 
 TOPICS = 100
@@ -28,7 +28,7 @@ SERVICES = ("topics", "topics_and_raw_types", "services", "nodes", "get_time", "
 
 
 def run() -> None:
-    """Call each service again and again."""
+    """Call each service many times."""
     asyncio.run(_measure())
 
 

@@ -1,4 +1,4 @@
-"""The things in the benchmark's own scenes, as fields of problem files: metres in the arm's root link."""
+"""Collision objects of the benchmark's own scenes, as fields of problem files [m], in the arm's root link."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Arrangement:
     """One scene to draw problems for.
 
     Attributes:
-        description: what it is.
-        objects: what stands around.
-        region: lower and upper corner of where the tip of every second pose is to be: the awkward part [m].
-        attached: what the arm holds.
-        inside: a point so deep in an obstacle that open fingers do not reach around it [m].
+        description: phrase for the problem file.
+        objects: collision objects.
+        region: lower and upper corner of the difficult region, in which the tip of every second pose lies [m].
+        attached: attached collision objects.
+        inside: point so deep in an obstacle that open fingers do not reach around it [m].
     """
 
     description: str
@@ -41,7 +41,7 @@ def _pose(middle: Sequence[float]) -> Fields:
 
 
 def box(name: str, lower: Corner, upper: Corner) -> Fields:
-    """A box between two corners."""
+    """Return a box between two corners."""
     size = [round(b - a, 6) for a, b in zip(lower, upper, strict=True)]
     return _thing(name, "box", size, tuple((a + b) / 2 for a, b in zip(lower, upper, strict=True)))
 
@@ -52,7 +52,7 @@ IN_TABLE = (0.24, 0.0, -0.028)
 
 
 def arrangements() -> dict[str, Arrangement]:
-    """Every scene by name."""
+    """Return every scene by name."""
     return {
         "shelf": _shelf(),
         "window": _window(),
@@ -156,7 +156,7 @@ def _held_bar() -> Arrangement:
 
 
 def _torus(radius_m: float, tube_m: float, around: int, across: int) -> tuple[list[list[float]], list[list[int]]]:
-    """A ring about the x axis."""
+    """Return a ring about the x axis."""
     vertices = []
     for u in np.arange(around) * 2 * math.pi / around:
         for v in np.arange(across) * 2 * math.pi / across:

@@ -1,7 +1,6 @@
-"""The arm process: how punctual it is, what it costs, and how soon a stop reaches the servos.
+"""Arm process: lateness of its ticks, CPU time, and latency from a stop to the servos.
 
-All of it on the emulated bus; when a servo was told something stands in the emulator's log of writes, on the same
-clock as this process.
+All of it on the emulated bus, whose log has the time of each write to a servo, on the same clock as this process.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from benchmarks.campaign.write_log import Entry, read_entries
 from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import blocked_problem
 from planners.pool import PlannerPool
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
+from robot.description import model
+from robot.description.limits import within_calibration
 from robot.hardware.config import FeetechConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
-from robot.trapezoid import rest_to_rest
+from robot.trajectory import rest_to_rest
 from tests.helpers.arm_server import ArmClient, arm_client, values_of
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator
@@ -45,8 +44,8 @@ START_TIMEOUT_S = 15.0
 PLANNERS = 2
 SEARCHED = blocked_problem(0, attempts=20)
 
-# Three tellings within one period are a burst: ticks that were missed and made up for. A late tick and the punctual one
-# after it are two.
+# Three writes of goals within one period are a burst: missed ticks that were made up for. A late tick and the punctual
+# one after it are two.
 BURST, BURST_S = 3, PERIOD_S
 
 MISSING_SERVO = 6
@@ -70,7 +69,7 @@ FLOOD_S = 600.0
 
 @dataclass
 class Rig:
-    """An arm process on an emulator."""
+    """Arm process on an emulator."""
 
     emulator: RunningEmulator
     log: Path
@@ -148,7 +147,7 @@ async def _watch(name: str, rig: Rig) -> list[str]:
 
 
 async def _bare_ticks() -> list[float]:
-    """How late a loop is that does nothing, for as long as the other is watched [s]."""
+    """Return the lateness of a loop that does nothing, over the same time as the servo loop [s]."""
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "benchmarks.bare_ticks", f"{SECONDS:g}", stdout=asyncio.subprocess.PIPE
     )
@@ -198,7 +197,7 @@ def _move(rig: Rig, target_rad: float) -> asyncio.Future[MotionEnded]:
 
 
 def _slower_s(entries: Iterable[Entry], told_s: float) -> float:
-    """When the joint's goal first fell behind its cruise after a moment (monotonic [s])."""
+    """Return the first time after a moment at which the joint's goal fell behind its cruise (monotonic [s])."""
     for before, after in itertools.pairwise(entries):
         if after.at_s > told_s and abs(after.goal[SERVO] - before.goal[SERVO]) <= SLOWER_TICKS:
             return after.at_s
@@ -241,12 +240,12 @@ async def _emergency_row(name: str, client: ArmClient, log: Path) -> list[str]:
 
 
 def _cuts(entry: Entry) -> bool:
-    """Whether a write took torque off somewhere."""
+    """Return True if a write switched off the torque of a servo."""
     return 0 in entry.torque.values() and any("TORQUE_ENABLE" in registers for registers in entry.written.values())
 
 
 async def _recover(client: ArmClient) -> None:
-    """Bring the arm to hold."""
+    """Reset and enable the arm until it holds."""
     remedies = {"fault": "/arm/reset_fault", "relaxed": "/arm/enable"}
     async with asyncio.timeout(RECOVERY_S):
         while (mode := values_of(client.topics["/arm/state"][-1])["mode"]) not in ("holding", "moving"):

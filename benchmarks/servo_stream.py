@@ -1,7 +1,6 @@
-"""Steering: how soon a stick moves the servos, how long the planners think, and whether the jerk stays bounded.
+"""Servoing: latency from the stick to the servos, planning time, and bound of the jerk.
 
-All of it on the emulated bus; when a servo was told something stands in the emulator's log of writes, on the same
-clock as this process.
+All of it on the emulated bus, whose log has the time of each write to a servo, on the same clock as this process.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import blocked_problem
 from planners.pool import PlannerPool
 from planners.servo.question import ServoAnswer, ServoQuestion, TipTwist
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
-from robot.control.velocity_tracking import TIME_TO_FULL_ACCELERATION_S
+from robot.control.streaming import TIME_TO_FULL_ACCELERATION_S
+from robot.description import model
+from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import FeetechConfig
-from robot.limits import JointBounds, within_calibration
 from robot.messages import ArmConfig, Commanded
 from tests.helpers.arm_server import ArmClient, arm_client
 from tests.helpers.server import RunningServer
@@ -66,7 +65,7 @@ POLL_S = 0.002
 
 
 def run() -> None:
-    """Hold sticks, ask planners, and steer wildly."""
+    """Measure held sticks, planning times, and random setpoints."""
     print_table(
         "From the first command of a stick to the first changed goal of a servo [ms]",
         ["stick, 100 commands a second", "times", "p50", "p99", "max"],
@@ -110,7 +109,7 @@ async def _sticks() -> list[list[str]]:
 
 
 async def _stroke(client: ArmClient, topic: str, message: dict[str, Any]) -> float:
-    """Hold a stick and let go of it; when it was begun (monotonic [s])."""
+    """Hold a stick and release it; returns the time at which it was first held (monotonic [s])."""
     await asyncio.sleep(PAUSE_S)
     begun_s = time.monotonic()
     while time.monotonic() - begun_s < STROKE_S:
@@ -120,7 +119,7 @@ async def _stroke(client: ArmClient, topic: str, message: dict[str, Any]) -> flo
 
 
 def _changed_s(entries: list[Entry], begun_s: float) -> float:
-    """When a goal first differed from what it was at a moment."""
+    """Return the first time at which a goal differed from its value at ``begun_s`` (monotonic [s])."""
     before = next(entry for entry in reversed(entries) if entry.at_s <= begun_s)
     return next(entry.at_s for entry in entries if entry.at_s > begun_s and entry.goal != before.goal)
 
@@ -161,7 +160,7 @@ async def _plan_for_ever(pool: PlannerPool) -> None:
 
 
 async def _wild() -> list[list[str]]:
-    """Setpoints at random, and what the servo loop makes of them at every tick."""
+    """Send random setpoints, and measure the servo loop's output at every tick."""
     with _emulator() as (emulator, _):
         arm = Arm(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, emulator.port)), lambda _state: None)
         await arm.start(START_TIMEOUT_S)

@@ -1,4 +1,4 @@
-"""A day's work in minutes: goals as fast as they finish, on a bad bus, with clients that come, go and vanish.
+"""Soak test: goals as fast as they finish, on an unreliable bus, with clients that connect, leave and vanish.
 
 ``python -m benchmarks.soak SECONDS`` samples the server's memory, threads and file descriptors, and counts the answers.
 """
@@ -37,7 +37,7 @@ SETTINGS = {
     "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1.0",
 }
 
-# What is loaded and grown once is so by then; slopes are of what comes after it.
+# One-time loading and growth has ended by then; slopes are of the samples after it.
 WARM_UP_SHARE = 0.2
 SAMPLES = 200
 
@@ -61,7 +61,7 @@ NAMES = ("home", "ready", "rest", "nowhere")
 
 @dataclass
 class Log:
-    """What was seen: samples of time [s], memory [MB], threads, file descriptors, and of children's memory [MB]."""
+    """Samples of time [s], memory [MB], threads, file descriptors, and the children's memory [MB]."""
 
     samples: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     answers: collections.Counter[int] = field(default_factory=collections.Counter)
@@ -72,7 +72,7 @@ class Log:
 
 
 def run(seconds: float = SECONDS) -> None:
-    """Work for so long, and tell what grew."""
+    """Send goals for the given time, and print the growth of each resource."""
     log = Log()
     with RunningServer(settings=SETTINGS) as server:
         asyncio.run(_work(server, seconds, log))
@@ -118,12 +118,12 @@ def _goal(topic: str, chance: random.Random) -> dict[str, object]:
 
 
 def _forget(client: FrameClient) -> None:
-    """Give up what has come, which would grow in here."""
+    """Discard received messages, which would grow in this process."""
     client.received.clear()
 
 
 async def _repair(url: str) -> bool:
-    """Reset a fault and enable the arm again, as a person would."""
+    """Reset a fault and enable the arm again, as an operator would."""
     async with connect(url) as websocket:
         for service in ("/arm/reset_fault", "/arm/enable"):
             await websocket.send(f'{{"op":"call_service","service":"{service}"}}')
@@ -133,7 +133,7 @@ async def _repair(url: str) -> bool:
 
 
 async def _vanish(url: str, until_s: float, log: Log) -> None:
-    """Clients that subscribe to everything, move the gripper, and break off without a word."""
+    """Connect clients that subscribe to everything, move the gripper, and vanish without a closing handshake."""
     while time.monotonic() < until_s:
         websocket = await connect(url, ping_interval=None)
         for topic in ("/joint_states", "/tf", "/moveit_goal_status", "/diagnostics"):

@@ -1,6 +1,7 @@
-"""How long a server takes from its start to its first answer, to its ready line, and to the first goal's motion.
+"""Time from a server's start to its first answer, to its ready line, and to the first goal's motion.
 
-``python -m benchmarks.start [CHECKOUT ...]`` compares checkouts, started in turn; without one, it is this one alone.
+``python -m benchmarks.start [CHECKOUT ...]`` compares checkouts, started in turn; without arguments, it
+measures this one alone.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ FRAMES: tuple[dict[str, Any], ...] = (
 
 
 def run(checkouts: tuple[Path, ...] = (ROOT,)) -> None:
-    """Start the server of each checkout in turn, and note when what came."""
+    """Start the server of each checkout in turn, and note the time of each event."""
     found: dict[Path, list[dict[str, float]]] = {checkout: [] for checkout in checkouts}
     for _ in range(STARTS):
         for checkout in checkouts:
@@ -58,7 +59,7 @@ def run(checkouts: tuple[Path, ...] = (ROOT,)) -> None:
 
 
 def _times_s(checkout: Path) -> dict[str, float]:
-    """Time of each event since the start of the process [s]."""
+    """Return the time of each event since the start of the process [s]."""
     port = free_port()
     with _server(checkout, port) as (began_s, ready_s):
         times = asyncio.run(asyncio.wait_for(_ask(port, began_s), TIMEOUT_S))
@@ -67,7 +68,7 @@ def _times_s(checkout: Path) -> dict[str, float]:
 
 @contextmanager
 def _server(checkout: Path, port: int) -> Iterator[tuple[float, list[float]]]:
-    """A server; gives when its process was started and a list that gets the time of its ready line."""
+    """Run a server; yields the start time of its process and a list that gets the time of its ready line."""
     ready_s: list[float] = []
     began_s = time.monotonic()
     process = subprocess.Popen(
@@ -93,7 +94,7 @@ def _server(checkout: Path, port: int) -> Iterator[tuple[float, list[float]]]:
 
 
 async def _ask(port: int, began_s: float) -> dict[str, float]:
-    """Ask for everything at once, as soon as the port is there."""
+    """Send all requests at once, as soon as the port is open."""
     times: dict[str, float] = {}
     rest_rad: float | None = None
     await _until_port_is_there(port)

@@ -1,6 +1,6 @@
-"""A client of ``/joint_states``: ``python -m benchmarks.watch_states URL SECONDS AFTER`` prints what it saw, as JSON.
+"""Client of ``/joint_states``: ``python -m benchmarks.watch_states URL SECONDS AFTER`` prints its observations as JSON.
 
-A process of its own, so that nothing else that a benchmark does makes it late.
+It is a process of its own, so that other work of a benchmark does not delay it.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from websockets.asyncio.client import connect
 
 
 async def watch(url: str, seconds: float, after_s: float = 0.0) -> dict[str, list[float]]:
-    """How old each state was [s], and how long after the one before it came [s]; one machine, one clock.
+    """Return the age of each state [s], and the time since the one before it [s]; client and server share one clock.
 
     Args:
-        url: of the server.
-        seconds: how long to take note.
-        after_s: how long to read before that.
+        url: URL of the server.
+        seconds: duration of the observation.
+        after_s: time to read before the observation [s].
     """
     ages_s, intervals_s = [], []
     async with connect(url) as websocket:

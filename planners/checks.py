@@ -1,4 +1,4 @@
-"""What can be refused before any search: each check gives the code that is true of the case, with its figures.
+"""Checks before any search: each gives the code that is true of the case, with its figures.
 
 Every check gives a :class:`PlanningFailure`, or None when there is nothing to say against what it looks at.
 """
@@ -21,7 +21,7 @@ from planners.problem import (
     StateQuestion,
     planner_name,
 )
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 # A relaxed arm may hang this far beyond a soft limit, and a servo's zero is set by hand.
 START_LIMIT_TOLERANCE_RAD = 0.05
@@ -72,7 +72,7 @@ def check_state_question(robot: RobotModel, question: StateQuestion) -> Planning
 
 
 def check_group(robot: RobotModel, name: str) -> PlanningFailure | None:
-    """Whether there is a planning group of this name."""
+    """Tell whether there is a planning group of this name."""
     if name in robot.groups:
         return None
     known = ", ".join(sorted(robot.groups))
@@ -104,7 +104,7 @@ def limit_flaws(
 
 
 def check_start_contact(pairs: Sequence[CollidingPair]) -> PlanningFailure | None:
-    """What touches at the start; shallow contacts may be left and are no failure."""
+    """Check for contact at the start; shallow contacts may be left and are no failure."""
     if all(pair.depth_m <= START_CONTACT_DEPTH_M for pair in pairs):
         return None
     return contact_failure(MoveItErrorCode.START_STATE_IN_COLLISION, "the arm stands in collision", pairs)

@@ -5,6 +5,7 @@
   * :exc:`ShapeError`
   * :exc:`ProblemFileError`
   * :exc:`PlottingError`
+  * :exc:`BatchError`
 """
 
 from __future__ import annotations
@@ -46,3 +47,7 @@ class ProblemFileError(PlannerError):
 
 class PlottingError(PlannerError):
     """A picture cannot be drawn."""
+
+
+class BatchError(PlannerError):
+    """A batch of problems cannot be planned on a Dask cluster."""

@@ -1,4 +1,4 @@
-"""Where a motion is to end, and what must hold on its way: plain data in the robot's root link, SI units.
+"""Goals of a motion and constraints on its path: plain data in the robot's root link, SI units.
 
 Orientations are unit quaternions x, y, z, w. This module imports none of the planning libraries.
 """
@@ -143,7 +143,7 @@ class Constraints:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is demanded."""
+        """True when nothing is demanded."""
         return not (self.joints or self.positions or self.orientations)
 
 

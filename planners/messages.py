@@ -1,4 +1,4 @@
-"""What the server and a planner process say to each other.
+"""Messages between the server and a planner process.
 
 The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
 :class:`MoreObjects` until it is whole, and requests, the next after the answer to the last. Each request gets one
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from planners.problem import Answer, Request
 from planners.scene import Scene, SceneObject
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Problem in, plan out: check, find goal configurations, find a certified motion to one of them."""
+"""Planner of one robot: problem in, plan out. Checks, goal configurations, then a certified motion to one of them.
+
+It also answers questions about single configurations (inverse kinematics, state validity) and rechecks the rest of a
+motion that is being executed when the scene has changed.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,8 @@ from numpy.typing import NDArray
 from planners import checks
 from planners.budget import Budget
 from planners.cartesian.planning import plan_cartesian
-from planners.geometry.collision import CollisionModel
+from planners.geometry.certificate import Contact, certify
+from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.ik.goal_refusals import start_violates
 from planners.ik.goal_states import Asker, GoalState, GoalStates
@@ -19,21 +24,24 @@ from planners.motions.motion import MotionTask, find_motion
 from planners.problem import (
     Answer,
     CartesianProblem,
+    IkAnswer,
     IkQuestion,
+    MoveItErrorCode,
     Plan,
     PlanningFailure,
     PlanningProblem,
+    RateLimits,
+    RecheckAnswer,
     RecheckQuestion,
     Request,
+    StateAnswer,
     StateQuestion,
 )
-from planners.questions import answer_ik, answer_state
-from planners.rates import RateLimits
-from planners.recheck import recheck
 from planners.scene import Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
-from robot.model import RobotModel
+from robot.description.model import RobotModel
+from robot.trajectory import Trajectory
 
 Vector = NDArray[np.float64]
 
@@ -175,3 +183,173 @@ class Planner:
             problem.acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),
             jerks if np.any(np.isfinite(jerks)) else None,
         )
+
+
+# The first solution is the one nearest to where the robot stands; a service's caller waits for no more.
+WANTED = 1
+
+# Measured positions of an arm that rests on a limit lie beyond it by noise.
+LIMIT_TOLERANCE_RAD = 1e-3
+
+
+def answer_ik(
+    question: IkQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel, budget: Budget
+) -> IkAnswer | PlanningFailure:
+    """Find configurations in which a goal holds.
+
+    Args:
+        question: what must hold.
+        robot: the arm.
+        states: finds configurations.
+        collision: the joints of a configuration.
+        budget: ends the search.
+    """
+    refusal = checks.check_ik_question(robot, question) or checks.check_start(robot, question.start_rad)
+    if refusal is not None:
+        return refusal
+    start_q = np.array([question.start_rad[name] for name in collision.joint_names])
+    start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
+    asker = Asker(
+        robot.groups[question.group],
+        start_q,
+        question.constraints,
+        budget,
+        wanted=WANTED,
+        avoid_collisions=question.avoid_collisions,
+        start_counts=False,
+    )
+    found = states.find(question.goal, asker)
+    if isinstance(found, PlanningFailure):
+        return found
+    return IkAnswer(
+        tuple(dict(zip(collision.joint_names, state.q.tolist(), strict=True)) for state in found),
+        tuple(state.deviation for state in found),
+    )
+
+
+def answer_state(
+    question: StateQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel
+) -> StateAnswer | PlanningFailure:
+    """Say all that is wrong with a state: limits, contacts, constraints.
+
+    Args:
+        question: the state.
+        robot: the arm.
+        states: measures constraints.
+        collision: its collisions with itself and the scene.
+    """
+    refusal = checks.check_state_question(robot, question)
+    if refusal is not None:
+        return refusal
+    positions_rad = question.positions_rad
+    code = MoveItErrorCode.INVALID_ROBOT_STATE
+    problems = list(checks.limit_flaws(robot, positions_rad, LIMIT_TOLERANCE_RAD, code))
+    q = np.array([positions_rad[name] for name in collision.joint_names])
+    pairs = collision.colliding_pairs(q)
+    if pairs:
+        problems.append(checks.contact_failure(MoveItErrorCode.START_STATE_IN_COLLISION, "these touch", pairs))
+    problems += [
+        PlanningFailure(MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED, violation.sentence, violation.details)
+        for violation in states.condition_set(question.constraints).violations(q)
+    ]
+    return StateAnswer(not problems, tuple(problems))
+
+
+# The arm's own links are thicker than this, so a glance this often misses only what is grazed.
+LOOK_STEP_M = 0.03
+
+
+def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionModel) -> RecheckAnswer | PlanningFailure:
+    """Check the rest of a motion against the present scene, as plans are checked before they leave.
+
+    Contacts that are shallow where the motion is now do not count unless it deepens them, as at the start of a plan.
+
+    Args:
+        question: the motion, and how much of it is behind.
+        robot: the arm.
+        collision: its collisions with itself and the scene.
+
+    Returns:
+        The first contact with its time on the motion, or that there is none; a failure for a question that is none.
+    """
+    refusal = _check_question(question, robot)
+    if refusal is not None:
+        return refusal
+    rest = _rest(question.trajectory, question.from_s)
+    positions = dict(question.others_rad) | dict(zip(rest.joint_names, rest.positions_rad[0].tolist(), strict=True))
+    refusal = checks.check_start(robot, positions)
+    if refusal is not None:
+        return refusal
+    now_q = np.array([positions[name] for name in collision.joint_names])
+    contacts = collision.colliding_pairs(now_q)
+    if checks.check_start_contact(contacts) is not None:
+        return RecheckAnswer(_contact(contacts, question.from_s), question.from_s)
+    space = JointSpace(collision, robot.groups[question.group], now_q, collision.overlaps_m(now_q))
+    found = _seen(space, rest) or certify(space, rest)
+    if found is None:
+        return RecheckAnswer(None)
+    return RecheckAnswer(_contact(found.pairs, question.from_s + found.time_s), question.from_s + found.time_s)
+
+
+def _seen(space: JointSpace, motion: Trajectory) -> Contact | None:
+    """The first sample that touches something, by a look at some of them in their order.
+
+    What is in the way is seen in a quarter of the time that the certificate takes to say where it begins.
+    """
+    travel_m = np.cumsum(np.abs(np.diff(motion.positions_rad, axis=0)) @ space.travel_m_per_rad)
+    looked = np.flatnonzero(np.diff(np.floor(travel_m / LOOK_STEP_M), prepend=0.0)) + 1
+    before = 0
+    for index in looked:
+        if not _free(space, motion.positions_rad[index]):
+            touching = (i for i in range(before + 1, index + 1) if not _free(space, motion.positions_rad[i]))
+            first = next(touching)
+            return Contact(float(motion.time_s[first]), space.contacts(motion.positions_rad[first]))
+        before = int(index)
+    return None
+
+
+def _free(space: JointSpace, point: Vector) -> bool:
+    """Tell whether nothing touches at a point, by the full meshes where only hulls do."""
+    return space.free(point) or (space.look_closer(point) and space.free(point))
+
+
+def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:
+    refusal = checks.check_group(robot, question.group)
+    if refusal is not None:
+        return refusal
+    group = robot.groups[question.group]
+    motion = question.trajectory
+    if motion.joint_names != group.joints:
+        return _invalid(f"a motion of {', '.join(motion.joint_names)} is none of the joints {', '.join(group.joints)}")
+    if not all(np.all(np.isfinite(part)) for part in (motion.time_s, motion.positions_rad, motion.velocities_rad_s)):
+        return _invalid("the motion has numbers that are not finite")
+    if not 0.0 <= question.from_s <= motion.duration_s:
+        return _invalid(
+            f"the motion lasts from 0 to {motion.duration_s:.4g} s, there is no time {question.from_s:.4g} s"
+        )
+    return None
+
+
+def _rest(motion: Trajectory, from_s: float) -> Trajectory:
+    """The part of a motion after a time, with times that start at 0."""
+    position, velocity, acceleration = motion.sample(from_s)
+    after = motion.time_s > from_s
+    return Trajectory(
+        motion.joint_names,
+        np.concatenate(([0.0], motion.time_s[after] - from_s)),
+        np.vstack((position, motion.positions_rad[after])),
+        np.vstack((velocity, motion.velocities_rad_s[after])),
+        np.vstack((acceleration, motion.accelerations_rad_s2[after])),
+    )
+
+
+def _contact(pairs: Sequence[CollidingPair], time_s: float) -> PlanningFailure:
+    return PlanningFailure(
+        MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE,
+        f"at {time_s:.2f} s of the motion would touch: {checks.describe_pairs(pairs)}",
+        {"pairs": checks.pairs_as_data(pairs), "contact_s": time_s},
+    )
+
+
+def _invalid(message: str) -> PlanningFailure:
+    return PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message)

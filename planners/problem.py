@@ -1,8 +1,7 @@
-"""What is asked of a planner and what it answers: plain data that crosses process boundaries.
+"""Requests to a planner and its answers: plain data that crosses process boundaries.
 
-Where a motion is to end is said in :mod:`planners.goals`, what is in its way in :mod:`planners.scene`.
-
-This module imports none of the planning libraries, so the server can speak of problems without loading them.
+Goals are defined in :mod:`planners.goals`, scenes in :mod:`planners.scene`. This module imports none of the planning
+libraries, so the server can describe problems without loading them.
 """
 
 from __future__ import annotations
@@ -11,6 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from planners.goals import Constraints, Goal
 from planners.scene import Pose
@@ -71,7 +73,7 @@ PLANNER_IDS = (
 
 
 def planner_name(planner_id: str) -> str | None:
-    """Which of :data:`PLANNER_IDS` is meant, in MoveIt's spellings as well; the default for none; None if unknown.
+    """Resolve a planner's id, also in MoveIt's spelling, to one of :data:`PLANNER_IDS`; None if unknown.
 
     MoveIt's configurations say "RRTConnectkConfigDefault" and "geometric::RRTConnect" for "RRTConnect".
     """
@@ -169,7 +171,7 @@ class CartesianProblem:
 
 @dataclass(frozen=True)
 class IkQuestion:
-    """Where must the joints be for a goal to hold? Answered by :class:`IkAnswer`.
+    """Question for joint positions at which a goal holds; answered by :class:`IkAnswer`.
 
     Attributes:
         group: the joints that may move.
@@ -220,7 +222,7 @@ Request = PlanningProblem | CartesianProblem | IkQuestion | StateQuestion | Rech
 
 @dataclass(frozen=True)
 class PlanningFailure:
-    """Why there is no motion.
+    """Reason for which there is no motion.
 
     Attributes:
         code: the value of moveit_msgs/MoveItErrorCodes that is true of the case.
@@ -235,7 +237,7 @@ class PlanningFailure:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far the end of a motion is from what was asked: position [m] and rotation [rad]."""
+    """Deviation of a motion's end from its goal: position [m] and rotation [rad]."""
 
     position_m: float = 0.0
     orientation_rad: float = 0.0
@@ -293,7 +295,7 @@ class IkAnswer:
 
 @dataclass(frozen=True)
 class StateAnswer:
-    """What is true of a state.
+    """Facts about a state.
 
     Attributes:
         valid: whether nothing is wrong with it.
@@ -306,10 +308,28 @@ class StateAnswer:
 
 @dataclass(frozen=True)
 class RecheckAnswer:
-    """Whether the rest of a motion is free: ``contact`` says what it would touch at ``contact_s``, else None."""
+    """Answer to a recheck of the rest of a motion: ``contact`` says what it would touch at ``contact_s``, else None."""
 
     contact: PlanningFailure | None
     contact_s: float | None = None
 
 
 Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure
+
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RateLimits:
+    """The most that each joint may do, shape (n,) each.
+
+    Attributes:
+        velocity_rad_s: above 0 [rad/s].
+        acceleration_rad_s2: above 0 [rad/s^2].
+        jerk_rad_s3: above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
+    """
+
+    velocity_rad_s: Vector
+    acceleration_rad_s2: Vector
+    jerk_rad_s3: Vector | None = None

@@ -1,4 +1,4 @@
-"""What stands around the robot and what it holds: plain data that crosses process boundaries.
+"""Planning scene: objects around the robot and attached to it, as plain data that crosses process boundaries.
 
 Poses are in the robot's root link unless said otherwise, in metres, orientations as unit quaternions x, y, z, w.
 This module imports none of the planning libraries.

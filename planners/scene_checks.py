@@ -1,4 +1,4 @@
-"""What is refused of a scene: names, links, sizes, poses and counts, before any planning library sees it."""
+"""Checks of a scene: names, links, sizes, poses and counts, before any planning library sees it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NO_AREA_M2 = 1e-14
 
 
 def check_scene(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
-    """What is wrong with a scene, or None.
+    """Check a scene; returns the failure, or None.
 
     Args:
         scene: the scene.
@@ -43,7 +43,7 @@ def check_scene(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
 
 
 def check_whole(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
-    """What is wrong with a scene apart from the shapes and poses in it, or None: quick, for many small changes.
+    """Check a scene apart from its shapes and poses; returns the failure, or None. Quick, for many small changes.
 
     Args:
         scene: the scene.
@@ -59,7 +59,7 @@ def check_whole(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
 
 
 def pose_fault(pose: Pose) -> str | None:
-    """What is wrong with a pose, as the end of a sentence about the thing that has it; None for nothing."""
+    """Return the fault of a pose, as the end of a sentence about its owner; None for a sound one."""
     if not _within(pose.position_m, -MAX_LENGTH_M):
         return f"has a position that is not finite or beyond {MAX_LENGTH_M:g} m: {pose.position_m}"
     length = math.hypot(*pose.orientation)
@@ -69,7 +69,7 @@ def pose_fault(pose: Pose) -> str | None:
 
 
 def shape_fault(shape: Shape) -> str | None:
-    """What is wrong with a shape, as the end of a sentence about the thing that has it; None for nothing."""
+    """Return the fault of a shape, as the end of a sentence about its owner; None for a sound one."""
     match shape:
         case Box():
             return _size_fault("box", shape.size_m)

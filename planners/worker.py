@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from planners.budget import read_run_delay_s
 from planners.messages import (
     Answered,
     Ask,
@@ -31,10 +32,9 @@ from planners.messages import (
 )
 from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
-from planners.run_delay import read_run_delay_s
 from planners.scene import EMPTY_SCENE, Scene, SceneObject
 from robot.channel import Channel, channel_of_child
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.planner")
 
@@ -48,7 +48,7 @@ MakePlanner: TypeAlias = Callable[[RobotModel, Callable[[], float]], Planner]
 
 
 class Mailbox:
-    """What the server sends, also while a request is worked on."""
+    """Messages from the server, received also while a request is worked on."""
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
@@ -63,7 +63,7 @@ class Mailbox:
         return self._messages.popleft() if self._messages else None
 
     def withdrawn(self, number: int) -> bool:
-        """Whether nobody waits for the answer to a request any more; asked thousands of times a second."""
+        """Tell whether nobody waits for the answer to a request any more; asked thousands of times a second."""
         if self._readable.poll(0):
             self._messages += self._channel.receive(timeout_s=0.0)
         return self._channel.closed or Cancel(number) in self._messages

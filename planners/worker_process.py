@@ -9,6 +9,7 @@ import logging
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import Any
 
+from planners.budget import Deadline, read_run_delay_s
 from planners.messages import (
     Answered,
     Ask,
@@ -35,10 +36,9 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
-from planners.run_delay import Deadline, read_run_delay_s
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from planners.servo.question import ServoAnswer, ServoQuestion
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.processes import Child, StartedChild
 
 log = logging.getLogger("armbridge.planners")
@@ -124,26 +124,21 @@ class WorkerProcess:
         return self._child.pid
 
     @property
-    def takes_questions(self) -> bool:
-        """It is on this machine."""
-        return True
-
-    @property
     def usable(self) -> bool:
-        """Whether it can take a request: it has loaded the robot, runs, and does not intend to end."""
+        """True when it can take a request: it has loaded the robot, runs, and does not intend to end."""
         return self.loaded and not self._ending and self._child.running
 
     @property
     def ending(self) -> str:
-        """How the process ended, or that it has not."""
+        """Description of the process's end, or that it has not ended."""
         return self._child.ending
 
     def run_delay_s(self) -> float | None:
-        """Read for how long the process has waited for a core; see :func:`planners.run_delay.read_run_delay_s`."""
+        """Read for how long the process has waited for a core; see :func:`planners.budget.read_run_delay_s`."""
         return read_run_delay_s(self.pid)
 
     def has(self, scene: Scene) -> bool:
-        """Whether the process has this scene."""
+        """Tell whether the process has this scene."""
         return self._scene_version == scene.version
 
     async def ask(self, request: Request, scene: Scene) -> Answer:
@@ -262,7 +257,7 @@ def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]
 
 
 def allowed_time_s(request: Request) -> float:
-    """How long a planner may take by the request's own word, within reason [s]; it refuses what is no time itself."""
+    """Return the time that a request allows its planner, bounded [s]; the planner itself refuses what is no time."""
     match request:
         case StateQuestion() | RecheckQuestion() | ServoQuestion():
             return CHECK_TIME_S

@@ -1,4 +1,4 @@
-"""What this room refuses, as one tree.
+"""Errors of the wire protocol, as one tree.
 
 ProtocolError
 ├── InterfaceError    a type name that the interface tables do not know

@@ -1,4 +1,4 @@
-"""What rosapi tells about a message type: its full text, as `gendeps --cat` prints it, and its TypeDefs.
+"""Message types as rosapi describes them: the full text, as `gendeps --cat` prints it, and its TypeDefs.
 
 Both are told as one generation of ROS declares the type; a type that exists only in ROS 2 as if ROS 1 had it.
 """
@@ -10,8 +10,7 @@ from typing import Any
 
 from protocol import values
 from protocol.dialect import Dialect, declared_in_ros1, spell_type
-from protocol.registry import ArrayBounds, Constant, Field, MessageType, Registry
-from protocol.tables import ROS1_TIMES
+from protocol.registry import ROS1_TIMES, ArrayBounds, Constant, Field, MessageType, Registry
 
 # What readers split the text at (genmsg's gendeps).
 _SEPARATOR = "=" * 80

@@ -1,4 +1,4 @@
-"""What one client may cost."""
+"""Limits on the resources of one client."""
 
 from __future__ import annotations
 

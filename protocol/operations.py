@@ -83,7 +83,7 @@ Level: TypeAlias = Annotated[
 
 
 class Operation(BaseModel):
-    """What all operations have in common.
+    """Base of all operations.
 
     Attributes:
         op: the operation's name.

@@ -1,20 +1,78 @@
-"""The interface tables: looks a type up by name and tells its fields, bounds, defaults and constants.
+"""Registry of interface types: looks a type up by name and gives its fields, bounds, defaults and constants.
 
 A `Registry` speaks one generation of ROS. The one of ROS 2, which the server works with, also knows the types
-that exist only in ROS 1, in ROS 2 spelling; `Registry.ros1` tells how ROS 1 declares its types.
+that exist only in ROS 1, in ROS 2 spelling; `Registry.ros1` holds them as ROS 1 declares them. The tables are package
+data; the messages that ROS 1 makes of each action are derived from the action when the tables are read.
 """
 
 from __future__ import annotations
 
 import functools
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from importlib import resources
+from typing import Any, Literal, TypeAlias
 
-from protocol import tables
 from protocol.errors import InterfaceError
-from protocol.tables import Definition, Table
+
+# Canonical name -> definition: ``kind`` is msg, srv or action. A message has ``fields`` (rows of name, type and
+# perhaps default) and ``consts`` (rows of type, name and value); services and actions have members of that form.
+Definition: TypeAlias = Mapping[str, Any]
+Table: TypeAlias = Mapping[str, Definition]
+
+# ROS 1 has these as primitives; as messages of two fields everything that walks a type can walk them too.
+ROS1_TIMES: Table = {
+    "time": {"kind": "msg", "fields": [["secs", "uint32"], ["nsecs", "uint32"]], "consts": []},
+    "duration": {"kind": "msg", "fields": [["secs", "int32"], ["nsecs", "int32"]], "consts": []},
+}
+
+
+def read_ros2() -> Table:
+    """Read the ROS 2 table."""
+    return _read("ros2.json")
+
+
+def read_ros1() -> Table:
+    """Read the ROS 1 table, with the messages of its actions."""
+    table = _read("ros1.json")
+    messages = {name: row for action in table for name, row in _action_messages(action, table[action]).items()}
+    return {**messages, **table}
+
+
+def _read(file_name: str) -> Table:
+    # Read through importlib, for the package may be installed as a zip.
+    text = resources.files("protocol").joinpath("interfaces", file_name).read_text("utf-8")
+    table: Table = json.loads(text)
+    return table
+
+
+def _action_messages(name: str, definition: Definition) -> Table:
+    """Return the seven messages that actionlib generates for an action (ROS 1 actionlib, genaction)."""
+    if definition["kind"] != "action":
+        return {}
+    package, _, action = name.split("/")
+    spelled, canonical = f"{package}/{action}", f"{package}/msg/{action}"
+    status = [["header", "std_msgs/Header"], ["status", "actionlib_msgs/GoalStatus"]]
+    goal = [["header", "std_msgs/Header"], ["goal_id", "actionlib_msgs/GoalID"], ["goal", f"{spelled}Goal"]]
+    parts = {
+        "Goal": definition["goal"],
+        "Result": definition["result"],
+        "Feedback": definition["feedback"],
+        "ActionGoal": _message(goal),
+        "ActionResult": _message([*status, ["result", f"{spelled}Result"]]),
+        "ActionFeedback": _message([*status, ["feedback", f"{spelled}Feedback"]]),
+        "Action": _message(
+            [[f"action_{part}", f"{spelled}Action{part.title()}"] for part in ("goal", "result", "feedback")]
+        ),
+    }
+    return {f"{canonical}{suffix}": {"kind": "msg", **part} for suffix, part in parts.items()}
+
+
+def _message(fields: list[list[str]]) -> Definition:
+    return {"fields": fields, "consts": []}
+
 
 Kind: TypeAlias = Literal["msg", "srv", "action"]
 
@@ -38,7 +96,7 @@ _ROS2_NAMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interface
 
 @dataclass(frozen=True, slots=True)
 class ArrayBounds:
-    """How many elements an array field holds.
+    """Bounds on the number of elements of an array field.
 
     Attributes:
         min_length: least number of elements.
@@ -50,7 +108,7 @@ class ArrayBounds:
 
     @property
     def fixed(self) -> bool:
-        """Whether the array has exactly one possible length."""
+        """True when the array has exactly one possible length."""
         return self.min_length == self.max_length
 
 
@@ -72,7 +130,7 @@ class Field:
 
     @property
     def primitive(self) -> bool:
-        """Whether the base is a primitive type, not a message."""
+        """True when the base is a primitive type, not a message."""
         return self.base in PRIMITIVES
 
 
@@ -129,24 +187,24 @@ class Registry:
     @classmethod
     def load(cls) -> Registry:
         """Read the tables that ship with this package."""
-        return cls(tables.read_ros2(), tables.read_ros1())
+        return cls(read_ros2(), read_ros1())
 
     @functools.cached_property
     def ros1(self) -> Registry:
         """The types as ROS 1 declares them; ``time`` and ``duration`` are message types of these names."""
-        return Registry({**tables.ROS1_TIMES, **self._ros1_table})
+        return Registry({**ROS1_TIMES, **self._ros1_table})
 
     def type_names(self) -> Iterator[str]:
         """Go over the canonical names of this generation's messages, services and actions."""
-        return (name for name in self._table if name not in tables.ROS1_TIMES)
+        return (name for name in self._table if name not in ROS1_TIMES)
 
     def knows(self, name: str, kind: Kind = "msg") -> bool:
-        """Whether a type of this name and kind can be looked up."""
+        """Tell whether a type of this name and kind can be looked up."""
         definition = self._find(_canonical(name, kind))
         return definition is not None and definition["kind"] == kind
 
     def exists_only_in_ros1(self, name: str, kind: Kind = "msg") -> bool:
-        """Whether a client that uses this type must be speaking ROS 1."""
+        """Tell whether a client that uses this type must be speaking ROS 1."""
         canonical = _canonical(name, kind)
         return _definition(self._table, canonical) is None and _definition(self._ros1_table, canonical) is not None
 

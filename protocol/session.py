@@ -13,18 +13,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from protocol import fragments, operations
+from protocol import framing, operations
 from protocol.codecs import bson, json, png
 from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
 from protocol.framing import FrameReader
 from protocol.limits import Limits
 from protocol.operations import Fragment, Operation, Png
-from protocol.outbox import Outbox
-from protocol.parcel import Frame, Parcel, pack
-from protocol.publication import Encoding, Publication
-from protocol.registrations import Publications
-from protocol.subscriptions import Subscription, Subscriptions
+from protocol.publication import Encoding, Frame, Parcel, Publication, pack
+from protocol.send_queue import Outbox
+from protocol.subscriptions import Publications, Subscription, Subscriptions
 
 # What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
 SEND_BUDGET_BYTES = 65_536
@@ -41,7 +39,7 @@ LEVELS = ("none", "error", "warning", "info")
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a frame, or an operation in it, is not carried out.
+    """Reason for which a frame, or an operation in it, is not carried out.
 
     Attributes:
         op: the operation's name, None where none could be read.
@@ -78,7 +76,7 @@ class Session:
         self.dialect = dialect
         self._outbox = Outbox(self.limits)
         self._reader = FrameReader(self.limits)
-        self._reassembly = fragments.Reassembly(self.limits)
+        self._reassembly = framing.Reassembly(self.limits)
         self._fragment_size: int | None = None
         self._fragment_ids = itertools.count(1)
         # How many of the dropped messages the client has been told of, and when it was [s].
@@ -233,22 +231,22 @@ class Session:
 
     @property
     def waiting(self) -> bool:
-        """Whether anything is queued, due or not."""
+        """True when anything is queued, due or not."""
         return not self._outbox.empty
 
     @property
     def queued_bytes(self) -> int:
-        """What waits to be sent."""
+        """Size of all that waits to be sent [bytes]."""
         return self._outbox.size_bytes
 
     @property
     def speaks_bson(self) -> bool:
-        """Whether the client is answered in BSON, as its last frame was."""
+        """True when the client is answered in BSON, as its last frame was."""
         return self._reader.last_was_bson
 
     @property
     def overflowed(self) -> bool:
-        """Whether replies piled up beyond ``max_queued_reply_bytes``: close the connection."""
+        """True when replies have piled up beyond ``max_queued_reply_bytes``: close the connection."""
         return self._outbox.overflowed
 
     @property

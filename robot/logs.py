@@ -1,4 +1,13 @@
-"""The log of the server and of its children, who share one terminal: plain lines or JSON, and nothing secret in it."""
+"""The log of the server and of its children, who share one terminal: plain lines or JSON, and nothing secret in it.
+
+A bound on the log: what one place in the program says again and again is left out beyond a rate.
+
+Clients and machines decide how often something goes wrong, and a log must not fill the disk with it.
+
+Levels of loggers that are changed while the server runs: in the server and in every child, now or later.
+
+A bound on lines of the log that say the same again and again: the first, second, fourth, eighth, … are written.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +15,13 @@ import json
 import logging
 import re
 import sys
+import time
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import TracebackType
-from typing import Literal, TypeAlias
-
-from robot.log_flood import FloodFilter, left_out_note
+from typing import Literal, Protocol, TypeAlias
 
 LogFormat: TypeAlias = Literal["plain", "json"]
 
@@ -121,3 +131,113 @@ def apply(change: LoggerLevel) -> None:
 def _log_exception(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
     """Have the end of a process by an exception told as all else is."""
     logging.getLogger(OUR_LOGGER).critical("ended by an exception", exc_info=(kind, error, traceback))
+
+
+# Of one place: lines at once, and in the long run [1/s]. A day of that is 200 MB.
+BURST = 500
+LINES_PER_S = 10.0
+
+Place: TypeAlias = tuple[str, int]
+
+
+class FloodFilter(logging.Filter):
+    """Lets records through that are not too many; how many were left out is told with the next that is not.
+
+    Args:
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        # Lines that are left and when they were counted, and how many were left out; no more of them than the program
+        # has calls of the log.
+        self._shares: dict[Place, tuple[float, float, int]] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether a record is told."""
+        place, now_s = (record.pathname, record.lineno), self._clock()
+        left, counted_s, left_out = self._shares.get(place, (float(BURST), now_s, 0))
+        left = min(float(BURST), left + (now_s - counted_s) * LINES_PER_S)
+        if left < 1.0:
+            self._shares[place] = left, now_s, left_out + 1
+            return False
+        self._shares[place] = left - 1.0, now_s, 0
+        record.left_out = left_out
+        return True
+
+
+def left_out_note(record: logging.LogRecord) -> str:
+    """How many records like this one were left out before it; empty for none."""
+    count = getattr(record, "left_out", 0)
+    return f" ({count} more lines like this were left out before)" if count else ""
+
+
+# Loggers whose levels can be changed; there are some thirty.
+MAX_CHANGED_LOGGERS = 100
+
+
+class Follower(Protocol):
+    """A child, which applies what it is sent."""
+
+    def send(self, message: object) -> None:
+        """Send it a message."""
+
+
+_followers: weakref.WeakSet[Follower] = weakref.WeakSet()
+_changed: dict[str, LoggerLevel] = {}
+
+
+def change(level: LoggerLevel) -> bool:
+    """Change a logger's level.
+
+    Returns:
+        False when so many other loggers have been changed that no further one is.
+    """
+    if level.name not in _changed and len(_changed) >= MAX_CHANGED_LOGGERS:
+        return False
+    _changed[level.name] = level
+    apply(level)
+    for follower in list(_followers):
+        follower.send(level)
+    return True
+
+
+def follow(child: Follower) -> None:
+    """Have a child follow, as long as somebody keeps it; it is told what has been changed already."""
+    _followers.add(child)
+    for level in _changed.values():
+        child.send(level)
+
+
+# What has not happened for so long is told as the first time.
+CALM_S = 600.0
+
+
+class Repeats:
+    """Count of one event.
+
+    Attributes:
+        count: how often it has happened since it was calm.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._last_s = float("-inf")
+
+    def due(self, now_s: float) -> bool:
+        """Count the event once more; returns whether it is to be told.
+
+        Args:
+            now_s: monotonic time [s].
+        """
+        if now_s - self._last_s > CALM_S:
+            self.count = 0
+        self._last_s = now_s
+        self.count += 1
+        return self.count & (self.count - 1) == 0
+
+    @property
+    def note(self) -> str:
+        """Text to append to the line; empty the first time."""
+        return f" ({self.count} times so far)" if self.count > 1 else ""

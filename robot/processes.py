@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 from typing import Any, cast
 
-from robot import log_levels, logs
+from robot import logs
 from robot.channel import Decoder, encode
 
 log = logging.getLogger("armbridge.processes")
@@ -114,7 +114,7 @@ class Child:
         link = _Link(self._hand_on, self._process, self._on_exit)
         await asyncio.get_running_loop().create_unix_connection(lambda: link, sock=self._socket)
         self._link = link
-        log_levels.follow(self)
+        logs.follow(self)
 
     def send(self, message: object) -> None:
         """Queue a message for the child; lost when the child is gone."""

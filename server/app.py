@@ -15,30 +15,25 @@ from protocol.registry import Registry
 from robot.arm import Arm
 from robot.messages import ArmHealth, ArmState, EndState, Mode
 from robot.processes import StartedChild
-from server.access.access import Access
-from server.access.control import Control
-from server.arm_pace import ArmPace
-from server.arm_services import ArmServices
-from server.arm_setup import Description, arm_config, check_parameters
-from server.arm_state import ArmStateTopics
+from server.access.authorization import Access
+from server.access.control_lease import ControlServices
+from server.arm.services import ArmPace, ArmServices
+from server.arm.setup import Description, arm_config, check_parameters
+from server.arm.topics import ArmStateTopics, JointStates
 from server.config import RecordingSettings, Settings
 from server.diagnostics import Diagnostics
 from server.errors import StartError
-from server.gateway import page
-from server.gateway.entrance.entrance import Entrance
-from server.gateway.http import HttpGate
-from server.gateway.listener import Listener
-from server.graph import Graph
+from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, page_is_built
+from server.gateway.listener import Listener, ListenerSettings
+from server.graph.topics import Graph
 from server.hangup import on_hangup
-from server.joint_states import JointStates
+from server.lifecycle import Step, stop_in_order, stop_signals, unless_ended
 from server.moveit.face import MoveItFace
 from server.moveit.readiness import ARM_START_TIMEOUT_S
 from server.operations.operations import Operations
 from server.operations.service_manager import environment_manager
-from server.planning_cluster import planning_cluster
 from server.rosapi.api import RosApi
 from server.rosout import Rosout
-from server.stopping import Step, stop_in_order, stop_signals, unless_ended
 from server.timers import call_later
 from server.zenoh.joining import bridge_of
 
@@ -87,7 +82,7 @@ class App:
         )
         self._operations = Operations(self._graph, environment_manager())
         access = self._access = Access(settings.access)
-        self._control = Control(self._graph, access.lease, time.monotonic, call_later)
+        self._control = ControlServices(self._graph, access.lease, time.monotonic, call_later)
         self._rosapi = RosApi(
             self._graph, self._graph.services, self._graph.actions, registry, time.time, access.params
         )
@@ -103,15 +98,14 @@ class App:
             self._graph,
             settings.server.host,
             settings.server.port,
-            HttpGate(description.robot, routes=self._operations.routes),
+            HttpHandler(description.robot, routes=self._operations.routes),
             takes_goals_along=settings.goals.on_disconnect == "stop",
-            entrance=Entrance.of(settings.server, settings.access, access.tokens),
+            settings=ListenerSettings.from_settings(settings.server, settings.access, access.tokens),
             access=access,
             limits=settings.server.limits.limits(),
         )
         planning = settings.planning
-        self._pool = PlannerPool(description.robot, planning.active_here, planning.memory_limit_bytes)
-        self._cluster = planning_cluster(planning, description.robot, self._pool)
+        self._pool = PlannerPool(description.robot, planning.workers, planning.memory_limit_bytes)
         self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
 
@@ -136,8 +130,8 @@ class App:
     def _tell_start(self) -> None:
         self._operations.tell_started()
         log.info("%s", self._what_runs_where())
-        if not page.is_built(page.PAGE_DIRECTORY):
-            log.info("%s", page.HOW_TO_GET_IT)
+        if not page_is_built(PAGE_DIRECTORY):
+            log.info("%s", HOW_TO_BUILD_PAGE)
 
     async def _start(self) -> None:
         self._rosout = Rosout(self._graph, asyncio.get_running_loop())
@@ -163,8 +157,6 @@ class App:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
-        if self._cluster is not None:
-            self._cluster.start()
 
     def _open_parts(self) -> None:
         self._joint_states.open()
@@ -204,7 +196,6 @@ class App:
             Step("clients", self._close_clients, 0.6),
             Step("other machines", self._close_bridge, 0.4),
             Step("the recording", self._close_recorder, 0.8),
-            Step("the cluster", self._close_cluster, 0.4),
             Step("planners", self._pool.close, 0.4),
         ]
 
@@ -227,10 +218,6 @@ class App:
         if self._rosout is not None:
             self._rosout.close()
 
-    async def _close_cluster(self) -> None:
-        if self._cluster is not None:
-            await self._cluster.close()
-
     def _what_runs_where(self) -> str:
         arm, serial = self._arm, self._settings.arm.serial
         bus = f"on {serial}" if serial is not None else "simulated"
@@ -240,7 +227,7 @@ class App:
             bus += f", NOT CONNECTED ({arm.state.reason})"
         elif arm.state.mode is not Mode.HOLDING:
             bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
-        shown = f"{self._listener.page_url} (page), " if page.is_built(page.PAGE_DIRECTORY) else ""
+        shown = f"{self._listener.page_url} (page), " if page_is_built(PAGE_DIRECTORY) else ""
         return (
             f"armbridge is ready: {self._listener.url} (rosbridge), {shown}"
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from protocol.messages import Stamp
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 COUNT_TOPIC = "/client_count"
 LIST_TOPIC = "/connected_clients"

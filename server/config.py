@@ -3,20 +3,87 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from robot.logs import LogFormat
-from robot.messages import EmergencyPolicy, EndState
-from server.access.settings import AccessSettings
-from server.arm_guard_settings import GuardSettings
-from server.gateway.session_settings import SessionSettings
+from robot.messages import EmergencyPolicy, EndState, GuardLimits
+from server.access.settings import AccessSettings, SessionSettings
 from server.goal_queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
-from server.planning_settings import PlanningSettings
 from server.zenoh.settings import ZenohSettings
+
+
+def _no_cluster(value: object) -> object:
+    if isinstance(value, str) and "://" in value:
+        raise ValueError(
+            "must be 1 to 16: a server plans on its own machine only; a Dask cluster plans batches of problems, by"
+            " armbridge plan FILE --scheduler tcp://HOST:PORT"
+        )
+    return value
+
+
+class PlanningSettings(BaseModel):
+    """The planner processes.
+
+    Attributes:
+        workers: how many goals may be planned at the same time; one more process is kept as a warm spare.
+        memory_limit_mb: data that each process may hold; one that needs more is restarted [MB].
+        save_failed_goals: directory for the goals that could not be planned, as files for ``armbridge plan``; None
+            to keep none.
+        keep_failed_goals: how many of these files are kept, the newest.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    workers: Annotated[int, BeforeValidator(_no_cluster)] = Field(default=1, ge=1, le=16)
+    memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
+    save_failed_goals: Path | None = None
+    keep_failed_goals: int = Field(default=100, ge=1, le=100_000)
+
+    @property
+    def memory_limit_bytes(self) -> int:
+        """``memory_limit_mb`` as processes take it."""
+        return self.memory_limit_mb * 1_000_000
+
+
+_DEFAULT = GuardLimits()
+
+
+class GuardSettings(BaseModel):
+    """How hard the servos may push, and what is borne before a motion has failed.
+
+    Attributes:
+        torque_limit: share of full motor duty that each servo may use; less is gentler, and carries less.
+        gripper_torque_limit: the same for that of the gripper.
+        tracking_error_rad: a joint that is farther behind its goal is lost, which is a fault [rad].
+        tracking_time_s: for so long it may be [s].
+        stall_current_a: a servo that draws more and all but stands still is stalled, which is a fault, or a grip [A].
+        stall_time_s: for so long it may be; the servo's own protection latches after 2 s [s].
+        min_voltage_v: a supply below is a fault; 9 V are right for servos of 12 V [V].
+        goal_tolerance_rad: how near each joint must come to the end of its motion [rad].
+        settle_timeout_s: time for that, after which the motion has failed; less than
+            ``moveit.allowed_goal_duration_margin`` [s].
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    torque_limit: float = Field(default=_DEFAULT.torque_limit, ge=0.3, le=0.8)
+    gripper_torque_limit: float = Field(default=_DEFAULT.gripper_torque_limit, ge=0.2, le=0.5)
+    tracking_error_rad: float = Field(default=_DEFAULT.tracking_error_rad, ge=0.1, le=1.0)
+    tracking_time_s: float = Field(default=_DEFAULT.tracking_time_s, ge=0.05, le=1.0)
+    stall_current_a: float = Field(default=_DEFAULT.stall_current_a, ge=0.3, le=2.7)
+    stall_time_s: float = Field(default=_DEFAULT.stall_time_s, ge=0.1, le=1.5)
+    min_voltage_v: float = Field(default=_DEFAULT.min_voltage_v, ge=4.0, le=11.0)
+    goal_tolerance_rad: float = Field(default=_DEFAULT.goal_tolerance_rad, ge=0.02, le=0.3)
+    settle_timeout_s: float = Field(default=_DEFAULT.settle_timeout_s, ge=0.1, le=10.0)
+
+    def limits(self) -> GuardLimits:
+        """The same as the arm process has it."""
+        return GuardLimits(**self.model_dump())
+
 
 # Of the environment variables.
 PREFIX = "ARMBRIDGE_"

@@ -10,9 +10,9 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
-from server.arm_state import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
-from server.graph import Graph
-from server.node import Node
+from server.arm.topics import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 TOPIC = "/diagnostics"
 

@@ -15,7 +15,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.trajectory import Trajectory
-from server.node import Node
+from server.graph.node import Node
 
 log = logging.getLogger("armbridge.goals")
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot.logs import message_of
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 TOPIC = "/rosout"
 TYPE = "rcl_interfaces/msg/Log"

@@ -15,7 +15,7 @@ import pytest
 from websockets.sync.client import connect
 
 from server import cli
-from server.config_reading import load
+from server.config_loader import load
 from tests.helpers.server import ROOT, RunningServer
 from tests.test_readme import blocks
 
@@ -76,7 +76,7 @@ def test_a_command_with_an_example_succeeds(command: str, simulated_server: Runn
     _, *arguments = shlex.split(command)
     port = str(simulated_server.port)
     arguments = [port if word == SERVER_PORT else word for word in arguments]
-    done = run_python(arguments if port in arguments else [*arguments, port])
+    done = run_python(arguments if port in arguments else [*arguments, "--port", port])
     assert done.returncode == 0, done.stdout + done.stderr
 
 

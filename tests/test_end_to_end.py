@@ -20,9 +20,9 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
-from robot import model
 from robot.calibration import Calibration
-from server.gateway.page import HOW_TO_GET_IT, PAGE_DIRECTORY, is_built
+from robot.description import model
+from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, page_is_built
 from server.recording.reader import Recording
 from tests.helpers.client import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.server import RunningServer, read_write_log
@@ -286,12 +286,12 @@ def test_the_page_is_on_the_same_port_or_how_to_get_it(server: RunningServer) ->
     response = connection.getresponse()
     text = response.read().decode()
     connection.close()
-    if is_built(PAGE_DIRECTORY):
+    if page_is_built(PAGE_DIRECTORY):
         assert (response.status, "<script" in text) == (200, True)
         assert server.has_logged(f"http://127.0.0.1:{server.port}/ (page)")
     else:
-        assert (response.status, HOW_TO_GET_IT in text) == (404, True)
-        assert server.has_logged(HOW_TO_GET_IT)
+        assert (response.status, HOW_TO_BUILD_PAGE in text) == (404, True)
+        assert server.has_logged(HOW_TO_BUILD_PAGE)
     assert not any("rejected" in line or "HTTP" in line for line in server.lines)
 
 

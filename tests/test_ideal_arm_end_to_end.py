@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot import model
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from tests.helpers.arm_server import arm_client, values_of
 from tests.helpers.client import FrameClient, frame_client
 from tests.helpers.server import RunningServer

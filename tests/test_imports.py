@@ -22,15 +22,14 @@ ALLOWED = {
         "planners.goals",
         "planners.scene",
         "planners.scene_checks",
+        "planners.scene",
         "planners.problem",
         "planners.files.problem_file",
         "planners.files.plan_command",
         "planners.pool",
-        "planners.cluster.address",
-        "planners.cluster.cluster",
         "planners.servo.question",
     ),
-    "planners": ("planners", "robot.model", "robot.trajectory", "robot.channel", "robot.processes"),
+    "planners": ("planners", "robot.description.model", "robot.trajectory", "robot.channel", "robot.processes"),
     "robot": ("robot",),
     "protocol": ("protocol",),
 }
@@ -39,17 +38,8 @@ ALLOWED = {
 ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
-    "robot/arm_stream.py",
     "planners/pool.py",
     "planners/worker_process.py",
-    "planners/local_workers.py",
-    "planners/places.py",
-    # A Dask cluster is spoken to from the server's event loop, and from a Dask worker's where it has planner processes.
-    "planners/cluster/link.py",
-    "planners/cluster/cluster.py",
-    "planners/cluster/cluster_worker.py",
-    "planners/cluster/roster.py",
-    "planners/cluster/tasks.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from server.config_reading import load
+from server.config_loader import load
 from tests.helpers.server import RunningServer
 
 ROOT = Path(__file__).parents[1]

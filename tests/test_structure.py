@@ -1,41 +1,55 @@
-"""Every module has a test of its own name, so that its place is found from either side."""
+"""Tests follow the folders of the source: each module is reached by the tests of its own folder."""
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("server", "planners", "robot", "protocol")
 
 # Modules that hold only data or names, or run what others define; and the one process main that end-to-end tests run.
 WITHOUT_TEST = {
-    "robot/messages.py",
-    "robot/guard_limits.py",
-    "robot/hardware/interface.py",
-    "planners/messages.py",
-    "planners/cluster/messages.py",
-    "planners/planning_worker.py",
-    "planners/goals.py",
-    "planners/problem.py",
-    "planners/rates.py",
-    "planners/scene.py",
-    "planners/servo/question.py",
-    "server/errors.py",
-    "robot/errors.py",
-    "server/moveit/parameters.py",
-    "server/moveit/motions.py",
+    "planners.messages",
     # A child's main: run by the tests of the handle on it.
-    "robot/control/loop.py",
+    "robot.control.loop",
 }
 
 
-def test_every_module_has_a_test_file() -> None:
-    missing = [
-        str(path.relative_to(ROOT))
-        for room in ROOMS
-        for path in sorted((ROOT / room).rglob("*.py"))
-        if not path.name.startswith("__")
-        and str(path.relative_to(ROOT)) not in WITHOUT_TEST
-        and not (ROOT / "tests" / path.relative_to(ROOT).with_name(f"test_{path.name}")).exists()
-    ]
-    assert not missing
+def folders() -> list[Path]:
+    """Every folder of the source that holds modules."""
+    return sorted(
+        {path.parent for room in ROOMS for path in (ROOT / room).rglob("*.py") if "node_modules" not in path.parts}
+    )
+
+
+def imported_by(path: Path) -> set[str]:
+    """Full names of the modules that a test imports, and of what it imports from them."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    """Imports of each module of the source and of the tests' helpers, by its full name."""
+    places = (*ROOMS, "tests")
+    paths = [path for room in places for path in (ROOT / room).rglob("[!_]*.py") if "node_modules" not in path.parts]
+    return {".".join(path.relative_to(ROOT).with_suffix("").parts): imported_by(path) for path in paths}
+
+
+@pytest.mark.parametrize("folder", [str(folder.relative_to(ROOT)) for folder in folders()])
+def test_every_module_is_reached_by_the_tests_of_its_folder(folder: str, imports: dict[str, set[str]]) -> None:
+    reached: set[str] = set()
+    found = set().union(*(imported_by(path) for path in (ROOT / "tests" / folder).glob("*.py"))) & imports.keys()
+    while found:
+        reached |= found
+        found = set().union(*(imports[name] for name in found)) & imports.keys() - reached
+    modules = {f"{folder.replace('/', '.')}.{path.stem}" for path in (ROOT / folder).glob("[!_]*.py")}
+    assert modules - reached - WITHOUT_TEST == set()

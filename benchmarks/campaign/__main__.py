@@ -1,4 +1,4 @@
-"""``python -m benchmarks.campaign``: run seeds, print a table and every violating seed."""
+"""``python -m benchmarks.campaign``: run seeds, print a table and every seed with a violation."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from benchmarks.figures import print_table
 
 SEEDS = 200
 
-# A run waits most of its time; so many keep two cores busy without delaying each other's ticks much.
+# A run waits most of its time; this many keep two cores busy without delaying each other's ticks much.
 JOBS = 6
 
 
 def main() -> int:
-    """Run the campaign; the exit code tells whether every run was good."""
+    """Run the campaign; the exit code is 0 if no run has a violation."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=main.__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"how many seeds (default {SEEDS})")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them (default 0)")

@@ -1,4 +1,4 @@
-"""A run of the arm process alone: motions one after the other, with whatever befalls the arm."""
+"""Run of the arm process alone: motions one after the other, with the scenario's faults."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from benchmarks.campaign.emulator import CampaignBus, campaign_bus
 from benchmarks.campaign.result import Result
 from benchmarks.campaign.scenario import CALIBRATION, MOVING_S, Event, Scenario, random_goal
 from benchmarks.campaign.write_log import Entry
-from robot import model
 from robot.arm import Arm
+from robot.description import model
+from robot.description.limits import within_calibration
 from robot.hardware.config import FeetechConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
 from tests.helpers.trajectories import smooth_move
 
@@ -45,7 +45,7 @@ DURATIONS_S = (0.6, 1.4)
 
 
 class ListeningArm(Arm):
-    """An arm that keeps count of what its process says."""
+    """Arm that counts the messages of its process."""
 
     def __init__(self, config: ArmConfig) -> None:
         self.states: list[ArmState] = []
@@ -63,7 +63,7 @@ class ListeningArm(Arm):
 
 @dataclass
 class ArmRun:
-    """One run, and the spans in which goals may change."""
+    """One run, and the spans in which the servos' goals may change."""
 
     scenario: Scenario
     bus: CampaignBus
@@ -74,7 +74,7 @@ class ArmRun:
     resets: int = 0
 
     async def play(self) -> list[Entry]:
-        """Move, suffer, recover, end; returns what the servos were told."""
+        """Move, inject the faults, recover, end; returns the log of writes to the servos."""
         await self.arm.start(START_TIMEOUT_S)
         await self._until(Mode.HOLDING)
         self.bus.strike(self.scenario)
@@ -99,7 +99,7 @@ class ArmRun:
                 os.kill(self.arm.pid, signal.SIGKILL)
 
     async def _go_on(self) -> None:
-        """Do what a person would: move an arm that holds, reset a fault, enable what is relaxed."""
+        """Act as an operator: move an arm that holds, reset a fault, enable an arm that is relaxed."""
         mode = self.arm.state.mode
         if mode is Mode.HOLDING:
             if await self._move() is not Outcome.REFUSED:
@@ -144,7 +144,7 @@ class ArmRun:
         return done.done
 
     async def _recover(self) -> None:
-        """Without faults the arm must come back, and move again."""
+        """Check that the arm recovers and moves again once the faults have ended."""
         self.bus.calm()
         until_s = time.monotonic() + RECOVERY_S
         while time.monotonic() < until_s:
@@ -157,7 +157,7 @@ class ArmRun:
         )
 
     async def _end(self) -> list[Entry]:
-        """End the arm process, in the midst of a motion if it moves, and see what became of the arm."""
+        """End the arm process, during a motion if it moves, and check the state of the arm."""
         mode = self.arm.state.mode
         started_s = time.monotonic()
         held = mode is Mode.HOLDING and self.chance.random() < 0.5
@@ -182,7 +182,7 @@ class ArmRun:
 
 
 def _end_state(entries: list[Entry], mode: Mode, scenario: Scenario) -> list[str]:
-    """Whether an arm that was well is in its configured end state."""
+    """Check that an arm without a fault is in its configured end state."""
     torque = set(entries[-1].torque.values())
     if mode is Mode.HOLDING and scenario.on_exit is EndState.HOLD and torque != {1}:
         return [f"the arm was to hold at the end, but its torque is {entries[-1].torque}"]
@@ -234,7 +234,7 @@ def _check(run: ArmRun, entries: list[Entry]) -> None:
 
 
 def _minding(states: list[ArmState], wall_minus_monotonic_s: float) -> list[checks.Span]:
-    """When the arm was in a fault, which it gives way to, or being connected, which adopts goals."""
+    """Return the spans in which the arm had a fault, which lets it give way, or was connecting, which adopts goals."""
     return [
         checks.Span(at_s - checks.HEARD_LATE_S, at_s + checks.HEARD_LATE_S)
         for state in states

@@ -1,4 +1,4 @@
-"""What must hold in every run, whatever happens: each check returns sentences, one a violation."""
+"""Invariants of every run: each check returns one sentence per violation."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 from benchmarks.campaign.scenario import CALIBRATION
 from benchmarks.campaign.write_log import Entry, pairs
-from robot import model
 from robot.control.controller import STEP_MARGIN
+from robot.description import model
+from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.clock import MAX_TICK_S
-from robot.limits import JointBounds, within_calibration
 from robot.messages import ArmState
 
 # Torque must come on with the joint at its goal.
@@ -21,15 +21,15 @@ TORQUE_ON_WITHIN_TICKS = 30
 # Goals are whole ticks: a bound may be missed by the rounding of both ends.
 ROUNDING_TICKS = 2
 
-# A servo that hears nothing for longer than this ends every motion: what it then hears is no further on.
+# A servo without a write for longer than this ends every motion: its next goal is no further on.
 DEAF_S = 0.15
 
-# Between the question and the end of the replies; the log tells the truth only where something was written.
+# Between the request and the end of the replies; the log has the true positions only at writes.
 BEFORE_READING_S = 0.02
 AFTER_READING_S = 0.06
 READING_WITHIN_TICKS = 4
 
-# How much later than it happened the campaign learns of something.
+# Delay between an event and its arrival at the campaign.
 HEARD_LATE_S = 0.15
 
 _JOINTS = {joint.servo_id: joint for joint in CALIBRATION.joints}
@@ -38,13 +38,13 @@ _BOUNDS = JointBounds.of(within_calibration(model.builtin(), CALIBRATION), _NAME
 
 
 def _ticks_s(servo: int) -> float:
-    """The joint's velocity limit [ticks/s]."""
+    """Return the joint's velocity limit [ticks/s]."""
     velocity = _BOUNDS.max_velocity[list(_JOINTS).index(servo)]
     return abs(_JOINTS[servo].ticks_s_from_rad_s(float(velocity)))
 
 
 def _soft_limits(servo: int) -> tuple[int, int]:
-    """The joint's soft limits [ticks]."""
+    """Return the joint's soft limits [ticks]."""
     joint, column = _JOINTS[servo], list(_JOINTS).index(servo)
     ends = (joint.ticks_from_rad(_BOUNDS.lower_rad[column]), joint.ticks_from_rad(_BOUNDS.upper_rad[column]))
     return min(ends), max(ends)
@@ -101,14 +101,14 @@ def torque_on(entries: list[Entry]) -> list[str]:
 
 @dataclass(frozen=True)
 class Span:
-    """A time in which something was so (monotonic [s])."""
+    """Span of time in which a condition held (monotonic [s])."""
 
     start_s: float
     end_s: float
 
 
 def unasked_motion(entries: list[Entry], licensed: Sequence[Span]) -> list[str]:
-    """Goals of a driven servo change only while something was asked for, or a fault is being minded."""
+    """Goals of a driven servo change only during a motion that was requested, or while a fault is handled."""
     found = []
     for before, after in pairs(entries):
         for servo in _JOINTS:
@@ -121,7 +121,7 @@ def unasked_motion(entries: list[Entry], licensed: Sequence[Span]) -> list[str]:
 
 
 def readings(entries: list[Entry], states: Iterable[ArmState], wall_minus_monotonic_s: float) -> list[str]:
-    """No state tells a position at which the joint was not when it was asked."""
+    """No state reports a position that the joint did not have when it was read."""
     times_s = [entry.at_s for entry in entries]
     found = []
     for state in states:

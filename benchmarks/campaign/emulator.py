@@ -18,7 +18,7 @@ class CampaignBus:
     """A running emulator.
 
     Attributes:
-        port: the name under which the adapter is found again.
+        port: name under which the adapter is found again after it was unplugged.
     """
 
     emulator: RunningEmulator
@@ -26,13 +26,13 @@ class CampaignBus:
     port: str
 
     def tell(self, command: Mapping[str, object]) -> None:
-        """Give one live command."""
+        """Send one live command."""
         answer = self.emulator.command(**command)
         if "error" in answer:
             raise ValueError(str(answer["error"]))
 
     def strike(self, scenario: Scenario) -> None:
-        """Begin the scenario's faults on the wire."""
+        """Start the scenario's faults on the wire."""
         if scenario.wire:
             self.tell(scenario.wire)
 
@@ -42,7 +42,7 @@ class CampaignBus:
             self.tell(command)
 
     def entries(self) -> list[Entry]:
-        """The log up to now, with a last entry that tells how the servos are."""
+        """Return the log up to now; its last entry has the present state of the servos."""
         self.tell({})
         return read_entries(self.log)
 

@@ -1,4 +1,4 @@
-"""What one run found."""
+"""Result of one run."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ class Result:
     """One run.
 
     Attributes:
-        violations: a sentence each; none in a good run.
-        outcomes: how motions ended, and how often.
-        faults: codes of the faults that the arm told of.
-        writes: writes that the servos took.
-        states: states that the arm told.
+        violations: one sentence each; empty in a good run.
+        outcomes: number of motions by how they ended.
+        faults: codes of the faults that the arm reported.
+        writes: number of writes to the servos.
+        states: number of states that the arm sent.
     """
 
     seed: int
@@ -26,5 +26,5 @@ class Result:
     states: int = 0
 
     def count(self, outcome: str) -> None:
-        """Take note of how a motion ended."""
+        """Count the outcome of a motion."""
         self.outcomes[outcome] = self.outcomes.get(outcome, 0) + 1

@@ -1,4 +1,4 @@
-"""What happens in one run of the campaign: all of it follows from the seed."""
+"""Scenario of one run of the campaign, drawn from its seed."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ START_RAD = (0.3, -0.7, 0.6, 0.1, -0.4, 0.8)
 # Every motion ends so near to the start pose at most [rad].
 REACH_RAD = 0.5
 
-# Motions go on for so long; what happens to the arm begins within the first part of it [s].
+# Duration of the motions, and the first and last time at which an incident starts [s].
 MOVING_S = 3.0
 FIRST_EVENT_S = 0.4
 LAST_EVENT_S = 1.8
 
-# What is struck on the wire, and how often.
+# Kinds of faults on the wire, and the rates that are drawn for them.
 WIRE_FAULTS = ("drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise", "delay", "lose_instruction")
 RATES = (0.01, 0.05)
 
 
 class Happening(Enum):
-    """What befalls the arm in a run, besides faults on the wire."""
+    """Incident in a run, besides faults on the wire."""
 
     NOTHING = "wire faults only"
     SERVO_OFFLINE = "servo offline"
@@ -60,13 +60,13 @@ OF_SERVER = frozenset({Happening.SERVER_KILLED, Happening.SERVER_FROZEN})
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happens at a time.
+    """One event and its time.
 
     Attributes:
         at_s: since the first motion began [s].
         command: live command to the emulator; empty for none.
-        order: what the arm is told; None for nothing.
-        kills_arm: whether the arm process gets SIGKILL.
+        order: order to the arm; None for no order.
+        kills_arm: True if the arm process gets SIGKILL.
     """
 
     at_s: float
@@ -81,7 +81,7 @@ class Scenario:
 
     Attributes:
         wire: probabilities of faults on the wire.
-        calmed: whether all faults end, and the arm is to recover, before the arm process is told to end.
+        calmed: True if all faults end, and the arm must recover, before the arm process is ended.
     """
 
     seed: int
@@ -95,7 +95,7 @@ class Scenario:
 
 
 def scenario_of(seed: int) -> Scenario:
-    """The run of a seed; successive seeds go through the happenings in turn."""
+    """Return the scenario of a seed; successive seeds take the incidents in turn."""
     chance = random.Random(seed)
     happening = list(Happening)[seed % len(Happening)]
     return Scenario(
@@ -111,13 +111,13 @@ def scenario_of(seed: int) -> Scenario:
 
 
 def random_goal(chance: random.Random) -> dict[str, float]:
-    """A pose near the start pose, of some joints [rad]."""
+    """Draw a pose of some joints near the start pose [rad]."""
     chosen = chance.sample(range(len(JOINTS)), chance.randint(1, len(JOINTS)))
     return {JOINTS[joint].joint: START_RAD[joint] + chance.uniform(-REACH_RAD, REACH_RAD) for joint in chosen}
 
 
 def _wire(chance: random.Random, *, at_least_one: bool) -> dict[str, float]:
-    """None, one, or several faults at once."""
+    """Draw the rates of the faults on the wire: of none, one, or several at once."""
     count = chance.choice((0, 1, 1, 2, 3))
     names = chance.sample(WIRE_FAULTS, max(count, int(at_least_one)))
     return {name: chance.choice(RATES) for name in names}
@@ -138,7 +138,7 @@ def _events(happening: Happening, chance: random.Random) -> tuple[Event, ...]:
 
 
 def _ticks_near(servo: int, away_rad: float) -> int:
-    """A tick so far from the start pose, inside the joint's range."""
+    """Return a tick at a distance from the start pose, inside the joint's range."""
     lower, upper = SO101_JOINTS[servo].lower_rad, SO101_JOINTS[servo].upper_rad
     return JOINTS[servo].ticks_from_rad(max(lower, min(upper, START_RAD[servo] + away_rad)))
 
@@ -155,7 +155,7 @@ def _for_servo(name: str, begin: object, end: object) -> Callable[[int, random.R
 
 
 def _placed(name: str, reach_rad: float) -> Callable[[int, random.Random], Commands]:
-    """Something at a place near the joint, which goes away later."""
+    """Return a maker of commands that put an obstacle near a joint, and remove it later."""
 
     def commands(servo: int, chance: random.Random) -> Commands:
         ticks = _ticks_near(servo, chance.uniform(-reach_rad, reach_rad))
@@ -197,7 +197,7 @@ _COMMANDS: Mapping[Happening, Callable[[int, random.Random], Commands]] = Mappin
     }
 )
 
-# Ends whatever a scenario may have begun.
+# Ends every fault that a scenario may have started.
 CALM: tuple[Mapping[str, object], ...] = (
     dict.fromkeys(WIRE_FAULTS, 0.0),
     {"online": [joint.servo_id for joint in JOINTS], "frozen": False, "plugged": True, "supply": 5.0},

@@ -1,4 +1,4 @@
-"""One seed, from the scenario to what it found."""
+"""Run of one seed, from the scenario to its result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from benchmarks.campaign.server_run import run_server
 
 
 def run_seed(seed: int, folder: Path) -> Result:
-    """Run one seed; what goes wrong with the run itself is a violation as well."""
+    """Run one seed; an error of the run itself counts as a violation."""
     scenario = scenario_of(seed)
     run = run_server if scenario.happening in OF_SERVER else run_arm
     try:

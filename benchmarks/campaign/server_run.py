@@ -1,4 +1,4 @@
-"""A run of the whole server, which is killed or falls silent in the midst of a motion."""
+"""Run of the whole server, which is killed or hangs during a motion."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ SILENCE_S = 4.0
 # Braking, relaxing, and ending.
 END_S = 8.0
 
-# Resetting faults and enabling, and how often to look whether it has helped.
+# Time for resetting faults and enabling, and the period of the check.
 RECOVERY_S = 10.0
 LOOK_S = 0.1
 REMEDY = {"fault": "/arm/reset_fault", "relaxed": "/arm/enable"}
 
-# At rest, goals do not change for so long.
+# At rest, goals do not change for this time.
 REST_S = 0.2
 
 
@@ -52,7 +52,7 @@ class ServerRun:
         self._chance = random.Random(scenario.seed)
 
     async def play(self) -> list[Entry]:
-        """Lose a server, or its attention, and go on; returns what the servos were told."""
+        """Kill a server and start the next one, or hang a server; returns the log of writes to the servos."""
         with self._server() as server:
             async with arm_client(server.url) as client:
                 await client.until_mode("holding")
@@ -92,14 +92,14 @@ class ServerRun:
         await self._answer(client, 2)
 
     async def _go_on(self, client: ArmClient) -> None:
-        """Without faults the next goal must succeed."""
+        """Check that the next goal succeeds once the faults have ended."""
         self._bus.calm()
         await self._enable(client)
         if await self._goal(client) != SUCCESS:
             self.result.violations.append(f"the arm did not go on: {client.topics[RESULT_TOPIC][-1]}")
 
     async def _enable(self, client: ArmClient) -> None:
-        """Do what a person would until the arm holds."""
+        """Reset faults and enable the arm, as an operator would, until it holds."""
         states = await client.until("/arm/state", bool)
         async with asyncio.timeout(RECOVERY_S):
             while (mode := values_of(states[-1])["mode"]) != "holding":
@@ -123,7 +123,7 @@ class ServerRun:
         return await self._answer(client, before + 1)
 
     async def _answer(self, client: ArmClient, number: int) -> int | None:
-        """The error code of so many-th goal's one answer."""
+        """Return the error code of the only result of the goal with this number."""
         try:
             results = await client.until(RESULT_TOPIC, lambda results: len(results) >= number, ANSWER_S)
         except TimeoutError:
@@ -136,7 +136,7 @@ class ServerRun:
         return code
 
     def _check_end_state(self) -> None:
-        """The arm must be at rest, and hold or be relaxed as configured."""
+        """Check that the arm is at rest, and holds or is relaxed as configured."""
         entries = self._bus.entries()
         torque = {0} if self._scenario.on_server_lost is EndState.RELAX else {1}
         last = entries[-1]
@@ -148,7 +148,7 @@ class ServerRun:
 
 
 async def run_server(scenario: Scenario, folder: Path) -> Result:
-    """Run a scenario of a server that is lost."""
+    """Run a scenario in which a server is lost."""
     with campaign_bus(scenario, folder) as bus:
         run = ServerRun(scenario, bus)
         entries = await run.play()

@@ -1,4 +1,4 @@
-"""The emulator's log of every write, as what the servos were told over time."""
+"""Log of every write of the emulator: the servos' registers over time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Entry:
-    """One write or live command, and all servos after it.
+    """One write or live command, and the state of all servos after it.
 
     Attributes:
         at_s: monotonic [s].
@@ -32,13 +32,13 @@ class Entry:
 
 
 def read_entries(path: Path) -> list[Entry]:
-    """Everything that was written, oldest first."""
+    """Return every write, oldest first."""
     with path.open() as lines:
         return [_entry(json.loads(line)) for line in lines if line.endswith("\n")]
 
 
 def pairs(entries: list[Entry]) -> Iterator[tuple[Entry, Entry]]:
-    """Each entry with the one before it."""
+    """Return each entry with the one before it."""
     yield from itertools.pairwise(entries)
 
 

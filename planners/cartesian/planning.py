@@ -10,22 +10,19 @@ from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
-from planners.cartesian import checks as cartesian_checks
-from planners.cartesian.following import Ended, Followed, Following, leaves_limits
+from planners.cartesian import tip_path as cartesian_checks
+from planners.cartesian.following import Ended, Followed, Following, TipTracker, leaves_limits
 from planners.cartesian.path_timing import time_along
-from planners.cartesian.spline import SplinePath
-from planners.cartesian.tip_curve import tip_curve
+from planners.cartesian.tip_curve import SplinePath, tip_curve
 from planners.cartesian.tip_path import TipPath
-from planners.cartesian.tip_tracking import TipTracker
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
-from planners.geometry.forward import ForwardKinematics
 from planners.geometry.joint_space import JointSpace
+from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_refusals import start_violates
-from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure
-from planners.rates import RateLimits
-from robot.model import RobotModel
+from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
 Vector = NDArray[np.float64]
@@ -98,7 +95,7 @@ def _rate_limits(robot: RobotModel, problem: CartesianProblem) -> RateLimits:
 
 @dataclass(frozen=True)
 class _PointFlaws:
-    """What is wrong with single points of the path."""
+    """Flaws of single points of the path."""
 
     space: JointSpace
     constraints: ConditionSet
@@ -114,7 +111,7 @@ class _PointFlaws:
         return None if self.constraints.holds(q) else self.ended((), point)
 
     def ended(self, pairs: Sequence[CollidingPair], point: Vector) -> Ended:
-        """What a point that is not free has: contacts, or else constraints that do not hold there."""
+        """Return the flaw of a point that is not free: contacts, or else the constraints that do not hold there."""
         if pairs:
             sentence = f"there would touch: {checks.describe_pairs(pairs)}"
             return Ended("collision", sentence, {"pairs": checks.pairs_as_data(pairs)})
@@ -155,7 +152,7 @@ class _Task:
         return budget.failure() if budget.used_up() else self._answer(followed, self._stand(start), Deviation(), budget)
 
     def _end(self, motion: Trajectory) -> tuple[Vector, Ended] | None:
-        """Where a motion may go no further, and why."""
+        """Return the point beyond which a motion may not go, and the reason."""
         beyond = np.argwhere(self.tracker.outside(motion.positions_rad))
         if len(beyond):
             sample, joint = beyond[0]
@@ -185,7 +182,7 @@ class _Task:
         return Trajectory(self.joint_names, np.zeros(1), start[np.newaxis], rest, rest)
 
     def _top_rate(self, curve: SplinePath) -> Vector | None:
-        """How fast the path's length may pass at each point of the grid for the tip to keep its speed [m/s]."""
+        """Return the greatest speed along the path at each grid point for the tip to keep its limit [m/s]."""
         if self.problem.tip_speed_m_s is None:
             return None
         moves = zip(curve(curve.grid), curve(curve.grid, 1), strict=True)

@@ -1,4 +1,4 @@
-"""The smooth curve through the points of a followed path, and how far the tip is off the path between them."""
+"""Smooth curve through the points of a followed path, a natural cubic spline, and the tip's deviation between them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,46 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.cartesian.following import CHORD_M, Followed
-from planners.cartesian.spline import SplinePath
+from planners.cartesian.following import CHORD_M, Followed, TipTracker
 from planners.cartesian.tip_path import TipPath, apart_rad
-from planners.cartesian.tip_tracking import TipTracker
 from planners.problem import Deviation
 
 Vector = NDArray[np.float64]
+
+# On a curve of few points the progress still has to rise and fall within this many steps.
+LEAST_GRID_STEPS = 20
+
+# The limits between grid points are kept to a few per mille with this many between two points of the curve.
+GRID_STEPS_PER_SPAN = 2
+
+
+class SplinePath:
+    """The natural cubic spline through points.
+
+    Args:
+        knots: shape (m,), m >= 2, strictly increasing parameters.
+        points: shape (m, n), finite, where the curve is there [rad].
+    """
+
+    def __init__(self, knots: Vector, points: Vector) -> None:
+        from scipy.interpolate import CubicSpline
+
+        self.knots = knots
+        self.points = points
+        self._curve = CubicSpline(knots, points, bc_type="natural")
+
+    @property
+    def grid(self) -> Vector:
+        """Parameters for timing: the second derivative is linear between them."""
+        spans = len(self.knots) - 1
+        steps = max(GRID_STEPS_PER_SPAN, -(-LEAST_GRID_STEPS // spans))
+        at = np.arange(spans * steps + 1) / steps
+        return np.interp(at, np.arange(spans + 1), self.knots)
+
+    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
+        """Position, first or second derivative at parameters, shape (k, n)."""
+        return self._curve(path_positions, order)
+
 
 # The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
 MEASURED_PER_SPAN = 2

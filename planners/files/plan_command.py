@@ -1,58 +1,137 @@
-"""``armbridge plan``: plan the problems of a file without a server."""
+"""``armbridge plan``: plan the problems of files without a server, print a table, and plot the motions."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import itertools
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
-from planners.errors import PlannerError, ProblemFileError
-from planners.files import plotting, problem_file
+from planners.errors import PlannerError, PlottingError, ProblemFileError
+from planners.files import batch, problem_file
 from planners.files.problem_file import FileProblem, ProblemFile
 from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
-# Exit codes: every answer is one that the file takes as right; some are not; nothing was planned.
+# As many rows as can still be looked at in one picture.
+MAX_MOTIONS = 20
+
+# Points a curve is drawn with.
+POINTS = 400
+
+# Inches of a row, wide and high.
+ROW_SIZE_IN = (12.0, 2.6)
+
+
+def check_available() -> None:
+    """Say so early when there is nothing to draw with.
+
+    Raises:
+        PlottingError: matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        raise PlottingError("plots need matplotlib; install it with: pip install matplotlib")
+
+
+def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
+    """Draw motions into a file, the first :data:`MAX_MOTIONS` of them.
+
+    Args:
+        path: the picture; its ending says of what kind.
+        motions: name and motion.
+
+    Raises:
+        PlottingError: there is no motion to draw, or no picture of this ending can be drawn.
+    """
+    # Loaded when something is drawn: it takes a quarter of a second.
+    from matplotlib.figure import Figure
+
+    drawn = motions[:MAX_MOTIONS]
+    if not drawn:
+        raise PlottingError("there is no motion to plot")
+    width_in, height_in = ROW_SIZE_IN
+    figure = Figure(figsize=(width_in, height_in * len(drawn)), layout="constrained")
+    rows = figure.subplots(len(drawn), 2, squeeze=False)
+    for (positions, velocities), (name, motion) in zip(rows, drawn, strict=True):
+        times_s = np.linspace(0.0, motion.duration_s, POINTS)
+        samples = [motion.sample(time_s) for time_s in times_s]
+        positions.plot(times_s, [sample[0] for sample in samples], label=motion.joint_names)
+        velocities.plot(times_s, [sample[1] for sample in samples])
+        positions.set(title=name, xlabel="time [s]", ylabel="position [rad]")
+        velocities.set(title=name, xlabel="time [s]", ylabel="velocity [rad/s]")
+    rows[0][0].legend(fontsize="small")
+    try:
+        figure.savefig(path)
+    except ValueError as error:
+        raise PlottingError(f"{path} cannot be drawn: {error}") from error
+
+
+# Exit codes: every answer is one that its file takes as right; some are not; nothing was planned.
 EXIT_EXPECTED = 0
 EXIT_UNEXPECTED = 3
 EXIT_USAGE = 2
 
-_ROW = "{:<20} {:>5}  {:<26} {:>8}  {:>12}  {:>12}\n"
-_HEADER = _ROW.format("problem", "code", "", "CPU [ms]", "duration [s]", "length [rad]")
+_ROW = "{:<{}} {:>5}  {:<26} {:>8}  {:>12}  {:>12}\n"
+_TITLES = ("code", "", "CPU [ms]", "duration [s]", "length [rad]")
+_NAME_WIDTH = 20
+
+# Back to the begin of the line, and clear it (ECMA-48).
+_CLEAR_LINE = "\r\x1b[K"
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command is called with.
+    """Options of the command.
 
     Attributes:
-        path: the problem file.
+        paths: the problem files.
         every: whether the infeasible problems are planned as well.
-        ids: the problems to plan, whatever list they are in; empty for all feasible ones.
+        ids: the problems to plan, whatever file and list they are in; empty for all feasible ones.
         json_path: where the answers go as JSON, or None.
         plot_path: where the plot of the motions goes, or None.
-        settings: fields of :class:`PlanningProblem` that hold for every problem, whatever the file says.
+        settings: fields of :class:`PlanningProblem` that hold for every problem, whatever the files say.
+        scheduler: address of the Dask scheduler whose workers plan; None to plan here.
     """
 
-    path: Path
+    paths: Sequence[Path]
     every: bool = False
     ids: tuple[str, ...] = ()
     json_path: Path | None = None
     plot_path: Path | None = None
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
+    scheduler: str | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """One problem to plan.
+
+    Attributes:
+        name: its id, after the path of its file when there are several.
+        path: of its file.
+        file: its file.
+        asked: the problem.
+    """
+
+    name: str
+    path: Path
+    file: ProblemFile
+    asked: FileProblem
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one problem.
+    """Outcome of one problem.
 
     Attributes:
         asked: the problem.
@@ -71,7 +150,7 @@ class Outcome:
 
     @property
     def expected(self) -> bool:
-        """Whether the file takes it as a right answer."""
+        """True when the file accepts the answer."""
         return self.code in self.asked.accept_codes
 
 
@@ -79,31 +158,28 @@ def run(options: Options, robot: RobotModel, output: TextIO, errors: TextIO) -> 
     """Plan, print a table, and write the files asked for; the exit code."""
     try:
         if options.plot_path is not None:
-            plotting.check_available()
-        file = problem_file.read(options.path, robot)
-        outcomes = list(_printed(plan_all(file, chosen(file, options)), output))
-        _write(options, file, outcomes)
+            check_available()
+        tasks = _tasks(options, robot)
+        # Closed whatever happens, so that a cluster does not go on with what nobody waits for.
+        with contextlib.closing(_answers(tasks, options.scheduler)) as answers:
+            outcomes = _printed(tasks, answers, output, errors)
+        _write(options, tasks, outcomes)
     except (PlannerError, OSError) as error:
         errors.write(f"armbridge: {error}\n")
         return EXIT_USAGE
     wrong = sum(not outcome.expected for outcome in outcomes)
-    output.write(f"{len(outcomes) - wrong} of {len(outcomes)} answered as the file expects\n")
+    expecting = "the file expects" if len(options.paths) == 1 else "their files expect"
+    output.write(f"{len(outcomes) - wrong} of {len(outcomes)} answered as {expecting}\n")
     return EXIT_UNEXPECTED if wrong else EXIT_EXPECTED
 
 
 def chosen(file: ProblemFile, options: Options) -> list[FileProblem]:
-    """The problems to plan, with the settings of the command line.
-
-    Raises:
-        ProblemFileError: the file has no problem of an id that was named.
-    """
-    known = {problem.id: problem for problem in file.problems}
-    for name in options.ids:
-        if name not in known:
-            raise ProblemFileError(str(options.path), "id", f"there is no problem {name!r}")
-    wanted = [known[name] for name in options.ids] or [
-        problem for problem in file.problems if options.every or problem.feasible
-    ]
+    """The problems of a file to plan, with the settings of the command line."""
+    if options.ids:
+        known = {problem.id: problem for problem in file.problems}
+        wanted = [known[name] for name in options.ids if name in known]
+    else:
+        wanted = [problem for problem in file.problems if options.every or problem.feasible]
     return [dataclasses.replace(one, problem=dataclasses.replace(one.problem, **options.settings)) for one in wanted]
 
 
@@ -122,27 +198,75 @@ def plan_all(file: ProblemFile, problems: Sequence[FileProblem]) -> Iterator[Out
         yield Outcome(asked, answer, time.process_time() - started_s)
 
 
+def _tasks(options: Options, robot: RobotModel) -> list[Task]:
+    """Read the files, and choose what is planned.
+
+    Raises:
+        ProblemFileError: a file cannot be used, or none has a problem of an id that was named.
+    """
+    files = [problem_file.read(path, robot) for path in options.paths]
+    known = {problem.id for file in files for problem in file.problems}
+    for name in options.ids:
+        if name not in known:
+            raise ProblemFileError(", ".join(map(str, options.paths)), "id", f"there is no problem {name!r}")
+    return [
+        Task(asked.id if len(files) == 1 else f"{path}:{asked.id}", path, file, asked)
+        for path, file in zip(options.paths, files, strict=True)
+        for asked in chosen(file, options)
+    ]
+
+
+def _answers(tasks: Sequence[Task], scheduler: str | None) -> Generator[tuple[int, Outcome]]:
+    """Plan tasks here or on a cluster; outcomes come with the tasks' numbers, in the order in which they are known."""
+    if scheduler is not None:
+        planned = batch.plan_on(scheduler, [(task.file, task.asked.problem) for task in tasks])
+        for number, answer, cpu_s in planned:
+            yield number, Outcome(tasks[number].asked, answer, cpu_s)
+        return
+    number = 0
+    for _, group in itertools.groupby(tasks, key=lambda task: id(task.file)):
+        together = list(group)
+        for outcome in plan_all(together[0].file, [task.asked for task in together]):
+            yield number, outcome
+            number += 1
+
+
 def as_json(outcomes: Sequence[Outcome], joint_names: Sequence[str]) -> list[dict[str, Any]]:
     """Answers as plain values, joints in the given order."""
     return [_answer_as_json(outcome, joint_names) for outcome in outcomes]
 
 
-def _printed(outcomes: Iterator[Outcome], output: TextIO) -> Iterator[Outcome]:
-    """The outcomes, each printed as it comes."""
-    output.write(_HEADER)
-    for outcome in outcomes:
-        output.write(_row(outcome))
-        output.flush()
-        yield outcome
+def _printed(
+    tasks: Sequence[Task], answers: Iterable[tuple[int, Outcome]], output: TextIO, errors: TextIO
+) -> list[Outcome]:
+    """Print each outcome as it comes, and on a terminal how many there are of how many; return them in tasks' order."""
+    width = max([_NAME_WIDTH, *(len(task.name) for task in tasks)])
+    clear = _CLEAR_LINE if errors.isatty() else ""
+    outcomes: dict[int, Outcome] = {}
+    try:
+        for number, outcome in answers:
+            if not outcomes:
+                output.write(_ROW.format("problem", width, *_TITLES))
+            outcomes[number] = outcome
+            errors.write(clear)
+            errors.flush()
+            output.write(_row(tasks[number].name, width, outcome))
+            output.flush()
+            if clear:
+                errors.write(f"{len(outcomes)}/{len(tasks)}")
+                errors.flush()
+    finally:
+        errors.write(clear)
+    return [outcomes[number] for number in range(len(tasks))]
 
 
-def _row(outcome: Outcome) -> str:
+def _row(name: str, width: int, outcome: Outcome) -> str:
     duration, length = "", ""
     if isinstance(outcome.answer, Plan):
         duration = f"{outcome.answer.trajectory.duration_s:.3f}"
         length = f"{path_length_rad(outcome.answer.trajectory):.3f}"
     cpu = f"{1000.0 * outcome.cpu_s:.1f}"
-    row = _ROW.format(outcome.asked.id, outcome.code.value, outcome.code.name, cpu, duration, length)
+    row = _ROW.format(name, width, outcome.code.value, outcome.code.name, cpu, duration, length)
     return row if isinstance(outcome.answer, Plan) else f"{row}    {outcome.answer.message}\n"
 
 
@@ -151,13 +275,17 @@ def path_length_rad(trajectory: Trajectory) -> float:
     return float(np.linalg.norm(np.diff(trajectory.positions_rad, axis=0), axis=1).sum())
 
 
-def _write(options: Options, file: ProblemFile, outcomes: Sequence[Outcome]) -> None:
+def _write(options: Options, tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> None:
     if options.json_path is not None:
-        text = json.dumps(as_json(outcomes, file.joint_names))
-        options.json_path.write_text(text + "\n")
+        written: list[dict[str, Any]] = []
+        for task, outcome in zip(tasks, outcomes, strict=True):
+            (entry,) = as_json([outcome], task.file.joint_names)
+            written.append(entry if len(options.paths) == 1 else {"file": str(task.path), **entry})
+        options.json_path.write_text(json.dumps(written) + "\n")
     if options.plot_path is not None:
-        motions = [(one.asked.id, one.answer.trajectory) for one in outcomes if isinstance(one.answer, Plan)]
-        plotting.plot(options.plot_path, motions)
+        named = zip(tasks, outcomes, strict=True)
+        motions = [(task.name, one.answer.trajectory) for task, one in named if isinstance(one.answer, Plan)]
+        plot(options.plot_path, motions)
 
 
 def _answer_as_json(outcome: Outcome, joint_names: Sequence[str]) -> dict[str, Any]:

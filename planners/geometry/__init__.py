@@ -1,1 +1,1 @@
-"""Where the robot and its surroundings are, and what touches what: pinocchio and coal."""
+"""Geometry of the robot and its surroundings: kinematics and collision by pinocchio and coal."""

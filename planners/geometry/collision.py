@@ -1,26 +1,151 @@
-"""Does the robot touch itself, its surroundings or what it holds; where are its links, and how far do they move?"""
+"""Collision model of the robot, its surroundings and attached objects: checked pairs, contacts and distances."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.broadphase import Broadphase
-from planners.geometry.exact import ExactShapes, Parts, deeper_than, nearer_than, nearest, overlap_m, parts_of
+from planners.geometry.contacts import (
+    Broadphase,
+    ExactShapes,
+    Parts,
+    deeper_than,
+    nearer_than,
+    nearest,
+    overlap_m,
+    parts_of,
+)
+from planners.geometry.kinematics import Reach, approach, kinematic_urdf
 from planners.geometry.nearness import Nearest, NearPair
-from planners.geometry.pairs import Rules, held_by, links_of, padding, standing
-from planners.geometry.shapes import robot_shapes
-from planners.geometry.skeleton import kinematic_urdf
-from planners.geometry.travel import Reach, approach
+from planners.geometry.shapes import link_name, placement, robot_shapes, scaled, solid
 from planners.goals import ZERO
 from planners.problem import PlanningFailure
-from planners.scene import EMPTY_SCENE, Point, Scene
+from planners.scene import EMPTY_SCENE, AttachedObject, Point, Scene
 from planners.scene_checks import check_scene
-from robot.model import RobotModel
+from robot.description.model import RobotModel
+
+
+@dataclass(frozen=True)
+class Body:
+    """One shape of a link or an object.
+
+    Attributes:
+        name: of the link or the object.
+        shape: where it is and what carries it.
+        is_link: whether it belongs to the robot itself.
+        meets_links: whether it is checked against links.
+        meets_objects: whether it is checked against objects.
+        may_touch: names of links that it may touch.
+        padding_m: how much thicker it is when it meets objects [m].
+    """
+
+    name: str
+    shape: pin.GeometryObject
+    is_link: bool
+    meets_links: bool = True
+    meets_objects: bool = True
+    may_touch: frozenset[str] = frozenset()
+    padding_m: float = 0.0
+
+
+def links_of(model: pin.Model, shapes: Sequence[pin.GeometryObject], scene: Scene) -> list[Body]:
+    """The robot's links as a scene wants them.
+
+    Returns:
+        One body for each shape; after them one for each scaled shape: only objects meet links in their other size.
+    """
+    bodies, larger = [], []
+    for shape in shapes:
+        name = link_name(model, shape)
+        padding_m, factor = scene.link_padding_m.get(name, 0.0), scene.link_scale.get(name, 1.0)
+        as_is = factor == 1.0
+        bodies.append(Body(name, shape, is_link=True, meets_objects=as_is, padding_m=padding_m))
+        if not as_is:
+            resized = pin.GeometryObject(
+                shape.name, shape.parentJoint, shape.parentFrame, shape.placement, scaled(shape.geometry, factor)
+            )
+            larger.append(Body(name, resized, is_link=True, meets_links=False, padding_m=padding_m))
+    return [*bodies, *larger]
+
+
+def held_by(model: pin.Model, attached: AttachedObject, reach_m: float) -> Iterator[Body]:
+    """An object that moves with a link, which it touches.
+
+    Args:
+        model: the robot's joints.
+        attached: the object.
+        reach_m: points further than this from the robot can be left out of a plane [m].
+    """
+    frame_id = model.getFrameId(attached.link)
+    frame = model.frames[frame_id]
+    touched = attached.touch_links | {attached.link}
+    at_link = frame.placement * placement(attached.object.pose)
+    for shape, pose in attached.object.shapes:
+        geometry, local = solid(shape, reach_m)
+        place = at_link * placement(pose) * local
+        carried = pin.GeometryObject(attached.object.name, frame.parentJoint, frame_id, place, geometry)
+        yield Body(attached.object.name, carried, is_link=False, may_touch=touched)
+
+
+def standing(scene: Scene, reach_m: float) -> Iterator[Body]:
+    """Objects of the scene around the robot."""
+    for thing in scene.objects:
+        pose = placement(thing.pose)
+        for shape, at in thing.shapes:
+            place = pose * placement(at)
+            geometry, local = solid(shape, reach_m + math.hypot(*place.translation))
+            yield Body(thing.name, pin.GeometryObject(thing.name, 0, 0, place * local, geometry), is_link=False)
+
+
+class Rules:
+    """Pairs of bodies that are checked against each other.
+
+    Those that do not move against each other are not, be they links of one joint or the root link and the world.
+
+    Args:
+        robot: neighbours and the pairs that its SRDF disables are not checked.
+        allowed: pair of names -> whether it may touch, whatever the SRDF says.
+    """
+
+    def __init__(self, robot: RobotModel, allowed: Mapping[frozenset[str], bool]) -> None:
+        adjacent = {frozenset((joint.parent, joint.child)) for joint in robot.joints.values()}
+        self._unchecked = {names for names in adjacent | robot.disabled_pairs if allowed.get(names, True)}
+        self._unchecked |= {names for names, may_touch in allowed.items() if may_touch}
+
+    def pairs(self, movers: Sequence[Body], standing: Sequence[Body]) -> NDArray[np.int64]:
+        """Indices in ``movers`` and then ``standing`` of bodies that are checked, shape (pairs, 2), smaller first."""
+        bodies = [*movers, *standing]
+        found = [
+            (i, j)
+            for i, first in enumerate(movers)
+            for j, second in enumerate(bodies[i + 1 :], i + 1)
+            if self._checked(first, second)
+        ]
+        return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+    def _checked(self, first: Body, second: Body) -> bool:
+        return (
+            first.shape.parentJoint != second.shape.parentJoint
+            and (first.meets_links if second.is_link else first.meets_objects)
+            and (second.meets_links if first.is_link else second.meets_objects)
+            and first.name not in second.may_touch
+            and second.name not in first.may_touch
+            and frozenset((first.name, second.name)) not in self._unchecked
+        )
+
+
+def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the clearance that each pair must keep, shape (pairs,) [m]: links are padded against objects only."""
+    thick_m = np.array([body.padding_m for body in bodies])
+    link = np.array([body.is_link for body in bodies])
+    first, second = pairs.T
+    return np.where(link[first] != link[second], thick_m[first] + thick_m[second], 0.0)
+
 
 Vector = NDArray[np.float64]
 
@@ -115,7 +240,7 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
     ) -> bool:
-        """Whether things touch that must not.
+        """Tell whether things touch that must not.
 
         Args:
             q: configuration.
@@ -130,7 +255,7 @@ class CollisionModel:
         return not all(self._excused(pair, 0.0, allowed, by_mesh) for pair in self._broadphase.touching())
 
     def margins_m(self, joint_travel: Vector) -> Vector:
-        """How much nearer the shapes of each pair can come where the joints move so far.
+        """Return by how much the shapes of each pair can approach when the joints move so far [m].
 
         Args:
             joint_travel: shape (m, n) [rad].
@@ -149,7 +274,7 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
     ) -> tuple[int, ...]:
-        """Which pairs of shapes are nearer than they may be and a margin.
+        """Return the pairs of shapes that are nearer than their clearance and a margin.
 
         Args:
             q: configuration.
@@ -199,7 +324,7 @@ class CollisionModel:
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
 
     def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
-        """How deep pairs of names overlap, by the closest shapes that are known of them [m]."""
+        """Return the depth of overlap of pairs of names, by the most exact shapes known of them [m]."""
         if not self._broadphase.touches(q):
             return {}
         self._broadphase.place(q)
@@ -211,7 +336,7 @@ class CollisionModel:
         return deepest_m
 
     def collides(self, q: Vector) -> bool:
-        """Whether anything overlaps by the closest shapes that are known, whatever the hulls do."""
+        """Tell whether anything overlaps by the closest shapes that are known, whatever the hulls do."""
         if not self._broadphase.touches(q):
             return False
         self._broadphase.place(q)
@@ -268,7 +393,7 @@ class CollisionModel:
     def _excused(
         self, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], by_mesh: frozenset[frozenset[str]]
     ) -> bool:
-        """Whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
+        """Tell whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
         names = self._names(pair)
         depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m if names in allowed else -margin_m
         if names in allowed and -self._broadphase.distance_m(pair) <= depth_m:
@@ -278,7 +403,7 @@ class CollisionModel:
         return names in by_mesh and self._apart_by_mesh(pair, margin_m)
 
     def _overlap_m(self, pair: int) -> float:
-        """How deep a pair overlaps at most, below 0 how far its hulls are apart beyond what they must be [m]."""
+        """Return an upper bound of a pair's overlap, negative for hulls beyond their required clearance [m]."""
         by_hulls_m = -self._broadphase.distance_m(pair)
         if by_hulls_m <= 0.0 or not self._exact.solid or self._names(pair) & self._scaled:
             return by_hulls_m
@@ -286,7 +411,7 @@ class CollisionModel:
         return min(by_hulls_m, overlap_m(*self._parts_of_pair(pair)) + float(self._apart_m[pair]))
 
     def _nearest(self, pair: int) -> Nearest:
-        """Where the shapes of a pair are nearest; by their parts where only their hulls may be in the way."""
+        """Return the nearest points of a pair's shapes; by their parts where only their hulls may be in the way."""
         by_hulls = self._broadphase.nearest(pair)
         if by_hulls.distance_m > HULL_EXCESS_M or not self._exact.solid or self._names(pair) & self._scaled:
             return by_hulls
@@ -303,7 +428,7 @@ class CollisionModel:
         )
 
     def _apart_by_mesh(self, pair: int, margin_m: float) -> bool:
-        """Whether the meshes behind a pair's hulls are known and further apart than a margin [m]."""
+        """Tell whether the meshes behind a pair's hulls are known and further apart than a margin [m]."""
         names = self._names(pair)
         if not self._exact.available or names & self._scaled:
             return False

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
 from planners.geometry.sweep import ANYTHING, Cubics, Threats, first_contact, line_is_free
-from robot.model import Group
+from robot.description.model import Group
 
 Vector = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class JointSpace:
         return part
 
     def free(self, point: Vector | Sequence[float]) -> bool:
-        """Whether the robot touches nothing there, and the condition holds."""
+        """Tell whether the robot touches nothing there, and the condition holds."""
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
         if self._collision.in_collision(self._q, allowed, self._by_mesh):
@@ -105,7 +105,7 @@ class JointSpace:
         return self._holds is not None and CONDITION in among and not self._holds(self._q)
 
     def line_free(self, start: Vector, end: Vector, step_m: float = CHECK_STEP_M) -> bool:
-        """Whether the robot touches nothing on a straight line.
+        """Tell whether the robot touches nothing on a straight line.
 
         Args:
             start: first point, taken to be free.
@@ -115,7 +115,7 @@ class JointSpace:
         return line_is_free(self, start, end, step_m)
 
     def curve_free(self, points: Vector, step_m: float = CHECK_STEP_M) -> bool:
-        """Whether the robot touches nothing along a polyline.
+        """Tell whether the robot touches nothing along a polyline.
 
         Args:
             points: shape (m, n); the first is taken to be free, the last is checked.
@@ -134,7 +134,7 @@ class JointSpace:
         return self._by_mesh != known
 
     def contacts(self, point: Vector) -> tuple[CollidingPair, ...]:
-        """What touches at a point and may not, deepest first."""
+        """Return the forbidden contacts at a point, deepest first."""
         self._q[self._columns] = point
         pairs = self._collision.colliding_pairs(self._q, self._by_mesh)
         allowed = self._allowed_near(np.abs(point - self._start))
@@ -148,13 +148,13 @@ class JointSpace:
         )
 
     def _holds_around(self, q: Vector, joint_travel: Vector, among: Threats) -> bool:
-        """Whether the condition holds where the joints move by so much at most, shape (n,) [rad]."""
+        """Tell whether the condition holds where the joints move by so much at most, shape (n,) [rad]."""
         if self._holds is None or (among is not ANYTHING and CONDITION not in among):
             return True
         return bool(joint_travel @ self.travel_m_per_rad <= CONDITION_STEP_M) and self._holds(q)
 
     def _allowed_near(self, joint_travel: Vector) -> dict[frozenset[str], float]:
-        """What may still overlap, and how deep, so far from the start, shape (n,) [rad]."""
+        """Return the overlaps that are still allowed, with their depths, so far from the start, shape (n,) [rad]."""
         shrunk_m = LEAVING * float(joint_travel @ self.travel_m_per_rad)
         left_m = {names: depth_m - shrunk_m for names, depth_m in self._allowed.items()}
         return {names: depth_m for names, depth_m in left_m.items() if depth_m > -DEPTH_ACCURACY_M}
@@ -166,7 +166,7 @@ def _pairs(threats: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _columns(collision: CollisionModel, group: Group) -> slice | NDArray[np.int64]:
-    """Where the group's joints are in a configuration; a slice, which is quicker, where they stand in a row."""
+    """Return the group's columns in a configuration; a slice, which is quicker, where they are adjacent."""
     columns = np.array([collision.joint_names.index(name) for name in group.joints])
     if np.all(np.diff(columns) == 1):
         return slice(int(columns[0]), int(columns[-1]) + 1)

@@ -1,4 +1,4 @@
-"""How near two shapes are, and how that changes with the joints."""
+"""Distance between two shapes, and its gradient by the joints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Nearest:
-    """Where two shapes are nearest to each other, or overlap deepest.
+    """Points at which two shapes are nearest to each other, or overlap deepest.
 
     Attributes:
         distance_m: between them, below 0 how deep they overlap [m].
@@ -51,7 +51,7 @@ class NearPair:
 
 
 def slope_m_per_rad(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:
-    """How the distance between two shapes grows with each joint, shape (n,) [m/rad].
+    """Return the gradient of the distance between two shapes by joint, shape (n,) [m/rad].
 
     Args:
         model: the robot's joints.

@@ -35,7 +35,7 @@ STRAIGHT_RAD = 1e-8
 
 
 class Surroundings(Protocol):
-    """What is asked about points, shape (n,) [rad]."""
+    """Questions about points, shape (n,) [rad], that a sweep needs answered."""
 
     @property
     def travel_m_per_rad(self) -> Vector:
@@ -43,11 +43,11 @@ class Surroundings(Protocol):
         ...
 
     def free(self, point: Vector) -> bool:
-        """Whether nothing touches at a point."""
+        """Tell whether nothing touches at a point."""
         ...
 
     def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
-        """What can be touched around points, wherever the joints are in a range around each.
+        """Return the pairs that can touch around points, over a range of the joints around each.
 
         Args:
             points: shape (m, n) [rad].
@@ -60,12 +60,12 @@ class Surroundings(Protocol):
         ...
 
     def touches_any(self, point: Vector, among: Threats) -> bool:
-        """Whether any of what threatens a range around a point, shape (n,), is touched there."""
+        """Tell whether any of what threatens a range around a point, shape (n,), is touched there."""
         ...
 
 
 def line_is_free(around: Surroundings, start: Vector, end: Vector, step_m: float) -> bool:
-    """Whether nothing touches on a straight line.
+    """Tell whether nothing touches on a straight line.
 
     Args:
         around: what there is to touch.
@@ -107,7 +107,7 @@ class Cubics:
         return len(self.coefficients)
 
     def straight(self) -> bool:
-        """Whether the curve is a straight line from its first point to its last, run through at whatever speed."""
+        """Tell whether the curve is a straight line from its first point to its last, run through at whatever speed."""
         start, end = self.coefficients[0, 0], self.coefficients[-1, 3]
         length = float(np.linalg.norm(end - start))
         if length == 0.0:
@@ -193,7 +193,7 @@ class _Parts:
 
 
 def first_contact(around: Surroundings, curve: Cubics, step_m: float, *, earliest: bool) -> float | None:
-    """Where something touches on a curve, coarse to fine; the ends are taken to be free.
+    """Find a contact on a curve, coarse to fine; the ends are taken to be free.
 
     Args:
         around: what there is to touch.
@@ -224,7 +224,7 @@ def first_contact(around: Surroundings, curve: Cubics, step_m: float, *, earlies
 
 
 def _narrowed(around: Surroundings, spans: Spans, travel_m: Vector, threats: Sequence[Threats]) -> list[Threats]:
-    """What threatens each span of what threatened a wider one; the widest are left as they are."""
+    """Narrow the threats of wide spans to those of each span; the widest are left as they are."""
     asked = np.flatnonzero(travel_m <= WIDEST_MARGIN_M)
     left = around.threats(spans.points[asked], spans.joint_travel[asked], [threats[i] for i in asked])
     narrowed = list(threats)

@@ -1,16 +1,21 @@
-"""Goals and constraints as sets of conditions, and what of them is violated in a configuration."""
+"""Goals and constraints as sets of conditions on one configuration, which can be measured and solved for.
+
+A condition tells what is ``missing`` to its middle as a vector, and what of that lies ``beyond`` its tolerance: a
+vector of zeros once it holds. Poses are those of its link in the robot's root link.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.forward import ForwardKinematics
+from planners.geometry.kinematics import ForwardKinematics, Placements
 from planners.goals import (
     AxisGoal,
     ConstraintGoal,
@@ -21,18 +26,195 @@ from planners.goals import (
     PositionGoal,
     Quaternion,
 )
-from planners.ik.conditions import (
-    AxisCondition,
-    Condition,
-    JointCondition,
-    LinkCondition,
-    PointCondition,
-    TurnCondition,
-    norm,
-)
 from planners.problem import Deviation
 
 Vector = NDArray[np.float64]
+
+# A turn counts as much as the motion of a point this far away: half the length of a small gripper.
+ROTATION_ARM_M = 0.1
+
+# Of unit vectors: so nearly parallel or opposite that they span no plane.
+PARALLEL = 1e-9
+
+# Rounding in the placement of a link must not break a condition that was met to its very edge.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PointCondition:
+    """A point of a link is in a region.
+
+    Attributes:
+        link: the link.
+        offset_m: the point in the link's frame, shape (3,) [m].
+        center_m: middle of the region, shape (3,) [m].
+        axes: axes of the region in its columns, shape (3, 3).
+        tolerance_m: radius of a sphere, or half the edges of a box, shape (3,) [m].
+        weight: its share where not all can hold.
+    """
+
+    link: str
+    offset_m: Vector
+    center_m: Vector
+    axes: Vector
+    tolerance_m: float | Vector
+    weight: float = 1.0
+
+    arm_m = 1.0
+
+    def point(self, placement: pin.SE3) -> Vector:
+        """Return the point's position, shape (3,) [m]."""
+        position_m: Vector = placement.translation + placement.rotation @ self.offset_m
+        return position_m
+
+    def missing(self, placement: pin.SE3) -> Vector:
+        """From the point to the middle, along the region's axes [m]."""
+        missing_m: Vector = (self.center_m - self.point(placement)) @ self.axes
+        return missing_m
+
+    def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
+        """From the point to the region, shrunk to a share of its size [m]."""
+        return outside(missing, self.tolerance_m, share)
+
+    def distances(self, placements: Placements) -> Vector:
+        """From the middle in each of many placements, shape (m,) [m]."""
+        points_m = placements.positions_m + placements.rotations @ self.offset_m
+        away: Vector = np.linalg.norm(points_m - self.center_m, axis=1)
+        return away
+
+
+@dataclass(frozen=True, eq=False)
+class TurnCondition:
+    """A link has an orientation.
+
+    Attributes:
+        link: the link.
+        rotation: the orientation, shape (3, 3).
+        tolerance_rad: greatest rotation from it about the link's axes, shape (3,) [rad].
+        weight: its share where not all can hold.
+    """
+
+    link: str
+    rotation: Vector
+    tolerance_rad: Vector
+    weight: float = 1.0
+
+    arm_m = ROTATION_ARM_M
+
+    def missing(self, placement: pin.SE3) -> Vector:
+        """Rotation vector to the orientation, along the link's axes [rad]."""
+        missing_rad: Vector = pin.log3(placement.rotation.T @ self.rotation)
+        return missing_rad
+
+    def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
+        """Return the excess beyond a share of the tolerance [rad]."""
+        return outside(missing, self.tolerance_rad, share)
+
+    def distances(self, placements: Placements) -> Vector:
+        """Angle to the orientation in each of many placements, shape (m,) [rad]."""
+        traces = np.einsum("mij,ij->m", placements.rotations, self.rotation)
+        return np.asarray(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class AxisCondition:
+    """An axis of a link has a direction, however the link turns about it.
+
+    Attributes:
+        link: the link.
+        axis: unit vector in the link's frame, shape (3,).
+        direction: unit vector, shape (3,).
+        tolerance_rad: greatest angle between them, or greatest rotation about each of the link's axes, shape (3,).
+        weight: its share where not all can hold.
+    """
+
+    link: str
+    axis: Vector
+    direction: Vector
+    tolerance_rad: float | Vector
+    weight: float = 1.0
+
+    arm_m = ROTATION_ARM_M
+
+    @cached_property
+    def crossing(self) -> Vector:
+        """Cross-product matrix of the axis, shape (3, 3)."""
+        return np.asarray(np.cross(self.axis, np.eye(3)).T)
+
+    def missing(self, placement: pin.SE3) -> Vector:
+        """The shortest rotation vector that brings the axis into the direction, along the link's axes [rad]."""
+        wanted = self.direction @ placement.rotation
+        normal = self.crossing @ wanted
+        sine, cosine = norm(normal), float(self.axis @ wanted)
+        if sine < PARALLEL:
+            return np.zeros(3) if cosine > 0.0 else np.pi * frame_along(self.axis)[:, 0]
+        turn: Vector = normal * (math.atan2(sine, cosine) / sine)
+        return turn
+
+    def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
+        """Return the excess beyond a share of the tolerance [rad]."""
+        return outside(missing, self.tolerance_rad, share)
+
+    def distances(self, placements: Placements) -> Vector:
+        """Angle between axis and direction in each of many placements, shape (m,) [rad]."""
+        return np.asarray(np.arccos(np.clip(placements.rotations @ self.axis @ self.direction, -1.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class JointCondition:
+    """A joint is in a range.
+
+    Attributes:
+        joint: its name.
+        column: where it is in a configuration.
+        position_rad: where it shall be, as far as its limits allow [rad].
+        lower_rad: lower end of the range [rad].
+        upper_rad: upper end [rad].
+        weight: its share where not all can hold.
+    """
+
+    joint: str
+    column: int
+    position_rad: float
+    lower_rad: float
+    upper_rad: float
+    weight: float = 1.0
+
+    arm_m = ROTATION_ARM_M
+
+    def beyond_rad(self, value: float, share: float = 1.0) -> float:
+        """From a position of the joint to a share of the range [rad]."""
+        lower_rad = self.position_rad - share * (self.position_rad - self.lower_rad) - ROUNDING
+        upper_rad = self.position_rad + share * (self.upper_rad - self.position_rad) + ROUNDING
+        return min(max(value, lower_rad), upper_rad) - value
+
+
+LinkCondition = PointCondition | TurnCondition | AxisCondition
+Condition = LinkCondition | JointCondition
+
+
+def outside(vector: Vector, tolerance: float | Vector, share: float) -> Vector:
+    """The part of a vector outside a share of a ball of some radius, or of a box of half edges, around its origin."""
+    if isinstance(tolerance, float):
+        length = norm(vector)
+        inside = share * tolerance + ROUNDING
+        return vector * (1.0 - inside / length) if length > inside else np.zeros_like(vector)
+    half = share * tolerance + ROUNDING
+    rest: Vector = vector - np.minimum(np.maximum(vector, -half), half)
+    return rest
+
+
+def norm(vector: Vector) -> float:
+    """Length of a short vector: numpy's own takes four times as long."""
+    return math.sqrt(float(vector @ vector))
+
+
+def frame_along(axis: Vector) -> Vector:
+    """A rotation whose third column is a unit vector, shape (3, 3)."""
+    across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    across /= np.linalg.norm(across)
+    return np.column_stack((np.cross(across, axis), across, axis))
+
 
 # Messages whose weights nobody has set carry 0; MoveIt takes such constraints as seriously as any.
 LEAST_WEIGHT = 1e-6
@@ -80,7 +262,7 @@ class Wish:
 
 
 def wish(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, joints: Joints) -> Wish:
-    """What a goal demands; it must have passed the checks."""
+    """Return the conditions of a goal; it must have passed the checks."""
     match goal:
         case PositionGoal():
             return Wish((_ball(goal.link, goal.position_m, goal.tolerance_m, goal.offset_m),))
@@ -97,7 +279,7 @@ def wish(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, joints: Join
 
 
 def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Condition, ...]:
-    """What constraints demand; they must have passed the checks."""
+    """Return the conditions of constraints; they must have passed the checks."""
     if constraints is None:
         return ()
     found: list[Condition] = [_in_range(constraint, joints) for constraint in constraints.joints]
@@ -128,19 +310,19 @@ class ConditionSet:
         object.__setattr__(self, "_of_links", links)
 
     def holds(self, q: Vector) -> bool:
-        """Whether all conditions hold."""
+        """Tell whether all conditions hold."""
         if any(condition.beyond_rad(q[condition.column]) for condition in self._of_joints):
             return False
         return not any(beyond.any() for _, _, beyond in self._measured(q))
 
     def beyond_m(self, q: Vector) -> float:
-        """How far the conditions are from holding together: 0 when they do; turns count by their arm [m]."""
+        """Return the distance from satisfying all conditions, 0 when they hold; rotations count by their arm [m]."""
         turned = [condition.arm_m * condition.beyond_rad(q[condition.column]) for condition in self._of_joints]
         moved = [condition.arm_m * norm(beyond) for condition, _, beyond in self._measured(q)]
         return math.hypot(*turned, *moved)
 
     def violations(self, q: Vector) -> list[Violation]:
-        """What does not hold."""
+        """Return the violated conditions."""
         found = [
             _joint_violation(joint, float(q[joint.column]))
             for joint in self._of_joints

@@ -1,4 +1,4 @@
-"""What can be refused of goals and constraints before anything is solved: each refusal says field, limit and value."""
+"""Checks of goals and constraints before anything is solved: each refusal names field, limit and value."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from planners.goals import (
     PositionGoal,
     SingleGoal,
 )
-from planners.ik.tasks import MAX_POINTS
+from planners.ik.kinematics import MAX_POINTS
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 # Quaternions and directions from single precision are off by less; longer and shorter ones are mistakes.
 LENGTH_TOLERANCE = 1e-3

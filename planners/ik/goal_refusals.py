@@ -1,4 +1,4 @@
-"""Why a goal cannot be had, said with the figures."""
+"""Refusals of goals that have no solution, with the figures that were found."""
 
 from __future__ import annotations
 

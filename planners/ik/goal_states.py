@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from planners.budget import Budget
 from planners.geometry.collision import CollisionModel
 from planners.goals import AnyOf, AxisGoal, Constraints, Goal, JointGoal, PoseGoal, PositionGoal, SingleGoal
-from planners.ik.conditions import Condition
-from planners.ik.constraints import ConditionSet, Joints, Wish, conditions, wish
-from planners.ik.findings import MAX_SOLUTIONS, Found
+from planners.ik.constraints import Condition, ConditionSet, Joints, Wish, conditions, wish
 from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates, none_of, out_of_reach, out_of_time
-from planners.ik.goal_search import GoalSearch
+from planners.ik.goal_search import MAX_SOLUTIONS, Found, GoalSearch
 from planners.problem import Deviation, PlanningFailure
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 
 Vector = NDArray[np.float64]
 
@@ -42,7 +40,7 @@ class GoalState:
 
 @dataclass(frozen=True)
 class Asker:
-    """Who asks for configurations.
+    """The caller that asks for configurations.
 
     Attributes:
         group: the joints that may move.
@@ -141,7 +139,7 @@ class GoalStates:
     def _refusal(
         self, goal: TaskGoal, wanted: Wish, also: Sequence[Condition], found: Found, asker: Asker
     ) -> PlanningFailure:
-        """Why nothing was found."""
+        """Return the reason for which nothing was found."""
         if asker.budget.used_up():
             nearest_m = self._point_m(goal, found.nearest_q)
             failure = out_of_time(goal, asker.budget.failure(), nearest_m, found.nearest)
@@ -176,7 +174,7 @@ class GoalStates:
         return replace(failure, details={**failure.details, "nearest_rad": nearest_rad})
 
     def _point_m(self, goal: TaskGoal, q: Vector) -> list[float]:
-        """Where a goal's link has its point [m]; the root link's origin for a goal of constraints."""
+        """Return the point of a goal's link [m]; the root link's origin for a goal of constraints."""
         self.forward.place(q)
         point_m = np.zeros(3)
         if isinstance(goal, PositionGoal):

@@ -1,22 +1,254 @@
-"""Inverse kinematics by placo: from a configuration to one nearby in which conditions hold."""
+"""Inverse kinematics by placo: from a configuration to one nearby in which conditions hold.
+
+Each condition becomes a task of placo's solver, which gets a new target at every step.
+"""
 
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ET
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import placo
 from numpy.typing import NDArray
 
-from planners.geometry.forward import ForwardKinematics
-from planners.ik.conditions import Condition, JointCondition, PointCondition
-from planners.ik.constraints import ConditionSet, Wish
-from planners.ik.tasks import JointTask, LinkTask, link_task, slides, with_targets
-from robot.model import Group, RobotModel
+from planners.geometry.kinematics import ForwardKinematics, kinematic_urdf
+from planners.ik.constraints import (
+    AxisCondition,
+    Condition,
+    ConditionSet,
+    JointCondition,
+    LinkCondition,
+    PointCondition,
+    TurnCondition,
+    Wish,
+    frame_along,
+    norm,
+)
+from robot.description.model import Group, RobotModel
 
 Vector = NDArray[np.float64]
+
+# Further ahead than this the arm is not nearly linear, and a target far outside would throw it into its limits.
+MAX_STEP_M = 0.1
+MAX_STEP_RAD = 0.7
+
+# A condition that holds would keep its link where it is while another one pulls: it is told with this share of its
+# weight until it is broken.
+RELAXED = 1e-3
+
+# Conditions on points that one question can have; each costs every question a microsecond a step.
+MAX_POINTS = 4
+
+# placo measures a point of a link from a point of its own model only: such targets stand at the end of three slides
+# along x, y and z, longer than any arm.
+SLIDE_AXES = ("1 0 0", "0 1 0", "0 0 1")
+SLIDE_LENGTH_M = 1e3
+
+
+_Task = placo.RelativePositionTask | placo.OrientationTask | placo.JointsTask
+
+
+class _Weight:
+    """The weight of a task of placo, told to it when it changes."""
+
+    def __init__(self, task: _Task, name: str, weight: float) -> None:
+        self._task, self._name, self._whole = task, name, weight
+        self._relaxed = False
+        self._tell()
+
+    def relax(self, relaxed: bool) -> None:
+        """Let go of a condition that holds, or take hold of it again."""
+        if relaxed != self._relaxed:
+            self._relaxed = relaxed
+            self._tell()
+
+    def _tell(self) -> None:
+        self._task.configure(self._name, "soft", self._whole * (RELAXED if self._relaxed else 1.0))
+
+
+class LinkTask(ABC):
+    """Moves a link until a condition on it holds.
+
+    Attributes:
+        condition: the condition.
+    """
+
+    max_step = MAX_STEP_RAD
+
+    def __init__(self, condition: LinkCondition, weight: float, name: str, task: _Task) -> None:
+        self.condition = condition
+        self._scale = condition.arm_m * math.sqrt(weight)
+        self._weight = _Weight(task, name, self._scale**2)
+
+    def aim(self, placement: pin.SE3, share: float) -> float:
+        """Say where to go next.
+
+        Args:
+            placement: where the link is.
+            share: of the condition's tolerance that is to be reached.
+
+        Returns:
+            How far that is from here, weighted [m].
+        """
+        beyond = self.condition.beyond(self.condition.missing(placement), share)
+        length = norm(beyond)
+        self._go(placement, beyond if length <= self.max_step else beyond * (self.max_step / length))
+        self._weight.relax(length == 0.0)
+        return self._scale * length
+
+    @abstractmethod
+    def _go(self, placement: pin.SE3, step: Vector) -> None:
+        """Set the target a step, as the condition measures what is missing, away from a placement."""
+
+
+class PointTask(LinkTask):
+    """Moves a point of a link.
+
+    Args:
+        wrapper: placo's model, made from :func:`with_targets`.
+        solver: takes the task.
+        condition: where to.
+        weight: of the task.
+        index: of the task in the solver, below :data:`MAX_POINTS`.
+    """
+
+    max_step = MAX_STEP_M
+
+    def __init__(
+        self,
+        wrapper: placo.RobotWrapper,
+        solver: placo.KinematicsSolver,
+        condition: PointCondition,
+        weight: float,
+        index: int,
+    ) -> None:
+        task = solver.add_relative_position_task(condition.link, _carriage(index, 2), condition.offset_m)
+        super().__init__(condition, weight, f"point {index}", task)
+        self._point = condition
+        self._wrapper = wrapper
+        self._columns = np.array([wrapper.get_joint_offset(_slide(index, axis)) for axis in range(3)])
+
+    def _go(self, placement: pin.SE3, step: Vector) -> None:
+        self._wrapper.state.q[self._columns] = self._point.point(placement) + self._point.axes @ step
+
+
+class TurnTask(LinkTask):
+    """Turns a link.
+
+    Args:
+        solver: takes the task.
+        condition: where to.
+        weight: of the task.
+        index: of the task in the solver.
+    """
+
+    def __init__(
+        self, solver: placo.KinematicsSolver, condition: TurnCondition | AxisCondition, weight: float, index: int
+    ) -> None:
+        self._task = solver.add_orientation_task(condition.link, np.eye(3))
+        super().__init__(condition, weight, f"turn {index}", self._task)
+
+    def _go(self, placement: pin.SE3, step: Vector) -> None:
+        self._task.R_world_frame = placement.rotation @ pin.exp3(step)
+
+
+class AxisTask(TurnTask):
+    """Turns an axis of a link and leaves free the turn about it.
+
+    placo's own task for axes divides by zero once they are parallel.
+
+    Args:
+        solver: takes the task.
+        condition: where to.
+        weight: of the task.
+        index: of the task in the solver.
+    """
+
+    def __init__(self, solver: placo.KinematicsSolver, condition: AxisCondition, weight: float, index: int) -> None:
+        super().__init__(solver, condition, weight, index)
+        self._across = frame_along(condition.axis)
+        self._task.mask.set_axises("xy", "custom")
+
+    def _go(self, placement: pin.SE3, step: Vector) -> None:
+        super()._go(placement, step)
+        self._task.mask.R_custom_world = (placement.rotation @ self._across).T
+
+
+class JointTask:
+    """Moves a joint into its range.
+
+    Args:
+        solver: takes the task.
+        condition: where to.
+        weight: of the task.
+        index: of the task in the solver.
+
+    Attributes:
+        condition: the condition.
+    """
+
+    def __init__(self, solver: placo.KinematicsSolver, condition: JointCondition, weight: float, index: int) -> None:
+        self.condition = condition
+        self._scale = condition.arm_m * math.sqrt(weight)
+        self._task = solver.add_joints_task()
+        self._weight = _Weight(self._task, f"joint {index}", self._scale**2)
+
+    def aim(self, value: float, share: float) -> float:
+        """Say where to go next; as :meth:`LinkTask.aim`, from a position of the joint [rad]."""
+        beyond = self.condition.beyond_rad(value, share)
+        self._task.set_joint(self.condition.joint, value + beyond)
+        self._weight.relax(beyond == 0.0)
+        return self._scale * abs(beyond)
+
+
+def link_task(
+    wrapper: placo.RobotWrapper, solver: placo.KinematicsSolver, condition: LinkCondition, weight: float, index: int
+) -> LinkTask:
+    """The task for a condition on a link; arguments as for :class:`PointTask`."""
+    match condition:
+        case PointCondition():
+            return PointTask(wrapper, solver, condition, weight, index)
+        case TurnCondition():
+            return TurnTask(solver, condition, weight, index)
+        case AxisCondition():
+            return AxisTask(solver, condition, weight, index)
+
+
+def with_targets(robot: RobotModel) -> str:
+    """URDF text of a robot's kinematics with the targets of points beside it."""
+    root = ET.fromstring(kinematic_urdf(robot))  # noqa: S314 - made from what robot.description.model has parsed
+    for point in range(MAX_POINTS):
+        parent = robot.root_link
+        for axis, direction in enumerate(SLIDE_AXES):
+            child = _carriage(point, axis)
+            ET.SubElement(root, "link", name=child)
+            joint = ET.SubElement(root, "joint", name=_slide(point, axis), type="prismatic")
+            ET.SubElement(joint, "parent", link=parent)
+            ET.SubElement(joint, "child", link=child)
+            ET.SubElement(joint, "axis", xyz=direction)
+            limits = {"lower": f"{-SLIDE_LENGTH_M}", "upper": f"{SLIDE_LENGTH_M}", "velocity": "1", "effort": "1"}
+            ET.SubElement(joint, "limit", limits)
+            parent = child
+    return ET.tostring(root, encoding="unicode")
+
+
+def slides() -> list[str]:
+    """The joints of the targets: no solver may move them."""
+    return [_slide(point, axis) for point in range(MAX_POINTS) for axis in range(len(SLIDE_AXES))]
+
+
+def _slide(point: int, axis: int) -> str:
+    return f"planning_slide_{point}_{axis}"
+
+
+def _carriage(point: int, axis: int) -> str:
+    return f"planning_carriage_{point}_{axis}"
+
 
 # Weight of standing still against 1 for reaching. Far from the target it must be felt: joints that barely move the tip
 # would otherwise be driven into their limits. Near to it, it would only slow the descent down: so it shrinks with the
@@ -78,11 +310,11 @@ class Kinematics:
         )
 
     def descent(self, group: Group, wish: Wish) -> Descent:
-        """What brings configurations to where a wish is met, or as near as possible.
+        """Return a descent that brings configurations to where conditions hold, or as near as possible.
 
         Args:
             group: the joints that may move; the others stay.
-            wish: at most :data:`planners.ik.tasks.MAX_POINTS` conditions on points.
+            wish: at most :data:`planners.ik.kinematics.MAX_POINTS` conditions on points.
         """
         return Descent(self._body, group, wish)
 

@@ -1,8 +1,11 @@
-"""From a start and goal configurations to one timed motion that was certified as it will be driven."""
+"""From a start and goal configurations to one timed motion that is certified as it will be executed.
+
+A path that was found is shortened in time: random parts of it are replaced by least-time ramps where those are free.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -12,18 +15,103 @@ from numpy.typing import NDArray
 from planners.budget import Budget
 from planners.geometry.certificate import certify
 from planners.geometry.joint_space import JointSpace
-from planners.motions import jerk
-from planners.motions.curve import Curve
-from planners.motions.effort import CountedSpace, checks_in
-from planners.motions.path import Query, search, without_detours
-from planners.motions.projected_path import PROJECTED_SEARCH, Project, projected_search
-from planners.motions.smoothing import smooth
-from planners.motions.timing import brake, from_moving, line, polyline, same_point
-from planners.problem import MoveItErrorCode, PlanningFailure, planner_name
-from planners.rates import RateLimits
+from planners.motions.curve import Curve, averaged, averaging_start, window_ticks
+from planners.motions.path import (
+    PROJECTED_SEARCH,
+    CountedSpace,
+    Project,
+    Query,
+    checks_in,
+    projected_search,
+    search,
+    without_detours,
+)
+from planners.motions.ramps import (
+    brake,
+    connect,
+    from_moving,
+    least_time_s,
+    line,
+    polyline,
+    reduced,
+    same_point,
+    whole_ticks,
+)
+from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory
 
 Vector = NDArray[np.float64]
+
+# Parts drawn at once: the time that each would save costs next to nothing in one numpy call, and the one that saves
+# most is tried first.
+PARTS_A_ROUND = 32
+
+# Of them so many are tried before others are drawn: those that save less are less worth a check.
+TRIES_A_ROUND = 2
+
+# What is free gets shorter and shorter parts: by this factor after a round without a gain, and back after one with.
+SHRINK = 0.7
+
+# A part that saves less does not pay for its checks [ticks].
+LEAST_GAIN_TICKS = 40
+
+# After so many rounds without a gain the curve is about as short as it gets.
+FRUITLESS_ROUNDS = 8
+
+
+def smooth(
+    curve: Curve,
+    limits: RateLimits,
+    free: Callable[[Curve], bool],
+    rng: np.random.Generator,
+    should_stop: Callable[[], bool],
+) -> Curve:
+    """Shorten a curve in time.
+
+    Args:
+        curve: free, and within the limits.
+        limits: what to keep; their jerk is not considered.
+        free: whether a piece may be driven.
+        rng: what draws the parts.
+        should_stop: asked before each try.
+
+    Returns:
+        A curve with the same end states that takes no longer.
+    """
+    fruitless, reach = 0, 1.0
+    while fruitless < FRUITLESS_ROUNDS and not should_stop():
+        shorter = next(_shorter(curve, reach, limits, free, rng), None)
+        fruitless, reach = (fruitless + 1, SHRINK * reach) if shorter is None else (0, min(1.0, reach / SHRINK))
+        curve = shorter or curve
+    return curve
+
+
+def _shorter(
+    curve: Curve, reach: float, limits: RateLimits, free: Callable[[Curve], bool], rng: np.random.Generator
+) -> Iterator[Curve]:
+    """Curves with one part of at most a share ``reach`` of the whole replaced."""
+    for first, last, ticks in _parts(curve, reach, limits, rng):
+        positions, velocities, _ = curve.at(np.array([first, last]))
+        piece = connect(positions[0], velocities[0], positions[1], velocities[1], ticks, limits)
+        if piece is not None and free(piece):
+            yield curve.replaced(first, last, piece)
+
+
+def _parts(curve: Curve, reach: float, limits: RateLimits, rng: np.random.Generator) -> Iterator[tuple[int, int, int]]:
+    """Parts of the curve, first and last tick, that ramps of so many ticks could replace; the best first."""
+    middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
+    lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
+    shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)
+    ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
+    positions, velocities, _ = curve.at(ends.ravel())
+    p0, p1 = positions[:PARTS_A_ROUND], positions[PARTS_A_ROUND:]
+    v0, v1 = velocities[:PARTS_A_ROUND], velocities[PARTS_A_ROUND:]
+    ticks = whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits)))
+    gains = ends[1] - ends[0] - ticks
+    for i in np.argsort(-gains, kind="stable")[:TRIES_A_ROUND]:
+        if gains[i] >= LEAST_GAIN_TICKS:
+            yield int(ends[0, i]), int(ends[1, i]), int(ticks[i])
+
 
 STRAIGHT_LINE = "straight line"
 
@@ -114,8 +202,8 @@ def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
 def _straight(task: MotionTask, budget: Budget) -> Motion | None:
     """The motion to the first goal that can be reached without a search."""
     moving = bool(task.start_velocity.any())
-    window = jerk.window_ticks(task.limits)
-    ahead = jerk.ahead(task.start, task.start_velocity, window)
+    window = window_ticks(task.limits)
+    ahead = averaging_start(task.start, task.start_velocity, window)
     for index, goal in enumerate(task.goals):
         if budget.used_up():
             return None
@@ -141,17 +229,17 @@ def _certified(task: MotionTask, curve: Curve, window: int) -> Trajectory | None
     """The curve's samples, their jerk limited, if nothing touches on them."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
-    trajectory = jerk.averaged(curve, window, task.joint_names) if window else curve.sampled(task.joint_names)
+    trajectory = averaged(curve, window, task.joint_names) if window else curve.sampled(task.joint_names)
     return None if certify(task.space, trajectory) else trajectory
 
 
 def _braking(task: MotionTask) -> Curve:
-    ahead = jerk.ahead(task.start, task.start_velocity, jerk.window_ticks(task.limits))
+    ahead = averaging_start(task.start, task.start_velocity, window_ticks(task.limits))
     return brake(ahead, task.start_velocity, task.limits)
 
 
 def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
-    """Why a search from where the arm stops is of no use, if that is so."""
+    """Return the failure if a search from the stopping point is of no use, else None."""
     stop = lead.positions_rad[-1]
     if np.any((stop < task.space.lower_rad) | (stop > task.space.upper_rad)):
         return PlanningFailure(
@@ -179,7 +267,7 @@ class _Searching:
         self._rng = np.random.default_rng(task.seed)
         self._searches = count()
         self._finer = self._blocked_paths = 0
-        self._window = jerk.window_ticks(task.limits)
+        self._window = window_ticks(task.limits)
         self._lead = lead
         self._enough_checks: int | None = None
 
@@ -197,7 +285,7 @@ class _Searching:
         return None
 
     def _curves(self) -> list[Curve]:
-        """What is found, and shortened as long as the optimisation lasts; it starts with the first path."""
+        """Yield the curves found, shortened as long as the optimisation lasts; the first path comes first."""
         found: list[Curve] = []
         self._enough_checks = None
         while len(found) < 2 * self._task.attempts and not self._enough():
@@ -212,7 +300,7 @@ class _Searching:
         return found
 
     def _path(self, number: int) -> Vector | None:
-        """What one search finds, without its detours."""
+        """Return the path that one search finds, without its detours."""
         most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
         start = self._task.start if self._lead is None else self._lead.positions_rad[-1]
         query = Query(self._space, start, self._task.goals, self._search_step_m())
@@ -239,7 +327,7 @@ class _Searching:
         return self._space.curve_free(curve, CURVE_STEPS_M[self._finer])
 
     def _enough(self) -> bool:
-        """Whether as much was done as the optimisation time is worth, or the budget is used up."""
+        """Tell whether as much was done as the optimisation time is worth, or the budget is used up."""
         return self._budget.used_up() or (self._enough_checks is not None and self._space.checks >= self._enough_checks)
 
     def _goal_at_end_of(self, curve: Curve) -> int:

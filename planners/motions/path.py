@@ -1,9 +1,15 @@
-"""Collision-free polylines: OMPL's searches, and shortcuts from vertex to vertex."""
+"""Collision-free polylines: OMPL's searches with shortcuts from vertex to vertex, and their effort.
+
+Where so few configurations meet a condition that a search would draw none of them, two trees grow towards each other in
+short steps, each projected onto the condition, after Berenson et al., "Manipulation planning on constraint manifolds",
+2009. The effort of a search is counted in checks, which is the same on every machine.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +17,125 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from planners.motions.effort import CountedSpace
+from planners.geometry.joint_space import JointSpace
+from planners.geometry.sweep import ANYTHING, NOTHING, Threats, line_is_free
+from planners.motions.curve import Curve
 
 Vector = NDArray[np.float64]
+
+# Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
+NOMINAL_CHECKS_PER_S = 30_000
+
+# On longer pieces than this something is near nearly always: only their middle is looked at.
+WIDEST_MARGIN_M = 0.05
+
+
+def checks_in(time_s: float) -> int:
+    """The checks that so much time is worth."""
+    return int(time_s * NOMINAL_CHECKS_PER_S)
+
+
+@lru_cache
+def coarse_first(pieces: int) -> Vector:
+    """Return the fractions at which the pieces of a line end, coarse first, shape (pieces, 1).
+
+    The end comes first, and the others so that they are spread well at any time: what is in the way is found soon.
+    """
+    bits = pieces.bit_length()
+    turned = [int(f"{i:0{bits}b}"[::-1], 2) for i in range(pieces)]
+    shares = 1.0 - np.argsort(turned)[:, np.newaxis] / pieces
+    shares.flags.writeable = False
+    return shares
+
+
+class CountedSpace:
+    """A joint space that counts the configurations it is asked about.
+
+    Args:
+        space: the joints that move, and what they must not touch.
+        should_stop: once true, no line or curve is called free any more: long ones take longer than a cancel may.
+
+    Attributes:
+        checks: how many questions were answered so far.
+        travel_m_per_rad: the most that anything moves per motion of each joint, shape (n,).
+        lower_rad: shape (n,), lower position limits.
+        upper_rad: shape (n,), upper position limits.
+    """
+
+    def __init__(self, space: JointSpace, should_stop: Callable[[], bool] = lambda: False) -> None:
+        self._space = space
+        self._should_stop = should_stop
+        self.checks = 0
+        self.travel_m_per_rad = space.travel_m_per_rad
+        self.lower_rad = space.lower_rad
+        self.upper_rad = space.upper_rad
+
+    def free(self, point: Vector | Sequence[float]) -> bool:
+        """Tell whether nothing touches at a point."""
+        self.checks += 1
+        return self._space.free(point)
+
+    def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
+        """As :meth:`JointSpace.threats`."""
+        self.checks += len(points)
+        return self._space.threats(points, joint_travel, among)
+
+    def touches_any(self, point: Vector, among: Threats) -> bool:
+        """As :meth:`JointSpace.touches_any`."""
+        self.checks += 1
+        return self._space.touches_any(point, among)
+
+    def line_free(self, start: Vector, end: Vector, step_m: float) -> bool:
+        """As :meth:`JointSpace.line_free`."""
+        return not self._should_stop() and line_is_free(self, start, end, step_m)
+
+    def glance(self, start: Vector, end: Vector, step_m: float) -> bool:
+        """Tell whether nothing touches in points of a straight line.
+
+        Args:
+            start: first point, taken to be free.
+            end: last point, looked at as well.
+            step_m: nothing moves further than this from one point to the next [m].
+        """
+        travel_m = float(np.abs(end - start) @ self.travel_m_per_rad)
+        points = start + coarse_first(max(1, int(np.ceil(travel_m / step_m)))) * (end - start)
+        return all(self.free(point) for point in points)
+
+    def curve_free(self, curve: Curve, step_m: float) -> bool:
+        """Tell whether joints stay in range and nothing touches along a curve; its ends are taken to be free.
+
+        Args:
+            curve: the curve.
+            step_m: nothing more is asked between two free points between which about so much is moved [m].
+        """
+        if not curve.stays_within(self.lower_rad, self.upper_rad):
+            return False
+        points = self._evenly(curve, step_m)
+        half = len(points) // 2
+        middles = np.array([half])
+        threats: list[Threats] = [ANYTHING]
+        while half and len(middles):
+            here = points[middles]
+            joint_travel = np.maximum(np.abs(points[middles - half] - here), np.abs(points[middles + half] - here))
+            if np.max(joint_travel @ self.travel_m_per_rad) <= WIDEST_MARGIN_M:
+                threats = self.threats(here, joint_travel, threats)
+                unsure = [i for i, threat in enumerate(threats) if threat != NOTHING]
+                middles, threats = middles[unsure], [threats[i] for i in unsure]
+            touching = (self.touches_any(points[i], threat) for i, threat in zip(middles, threats, strict=True))
+            if self._should_stop() or any(touching):
+                return False
+            half //= 2
+            middles, threats = np.concatenate((middles - half, middles + half)), threats + threats
+        return True
+
+    def _evenly(self, curve: Curve, step_m: float) -> Vector:
+        """Points on the curve, a power of two and one, between which the same is moved, at most a step."""
+        ticks = curve.sample_ticks()
+        moved_m = np.abs(np.diff(curve.at(ticks)[0], axis=0)) @ self.travel_m_per_rad
+        travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
+        pieces = 1 << max(0, int(np.ceil(np.log2(max(travel_m[-1], step_m) / step_m))))
+        return curve.at(np.interp(np.linspace(0.0, travel_m[-1], pieces + 1), travel_m, ticks))[0]
+
 
 # Longer tree edges mean fewer nodes and fewer checks until a path is there; past this they grow again.
 TREE_EDGE_RAD = 1.7
@@ -38,7 +160,7 @@ ou.setLogLevel(ou.LOG_NONE)
 
 @dataclass(frozen=True)
 class Query:
-    """What to search for.
+    """Query of a path search.
 
     Attributes:
         space: where to search.
@@ -156,3 +278,99 @@ def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateT
     for i, value in enumerate(point):
         state[i] = float(value)
     return state
+
+
+Project = Callable[[Vector], Vector | None]
+
+# Its name in plans.
+PROJECTED_SEARCH = "RRTConnect on constraints"
+
+# Steps this long stay near the condition in between, and most descents back to it take two or three steps.
+STEP_RAD = 0.15
+
+# A step that has been brought back to less than this share of its length leads nowhere new.
+LEAST_PROGRESS = 0.2
+
+# Trees that reach out further at once are caught in corners.
+STEPS_AT_ONCE = 20
+
+
+def projected_search(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector | None:
+    """Find a polyline on which the space's condition holds.
+
+    Args:
+        query: what to search for; the condition holds at its start and goals.
+        project: brings a point to one nearby where the condition holds, or gives None.
+        seed: same query and seed, same path.
+        should_stop: asked before each step; a search it ends has no path.
+
+    Returns:
+        Shape (m, n) from the start to one of the goals, or None.
+    """
+    rng = np.random.default_rng(seed)
+    grower = _Grower(query, project, should_stop)
+    tree, other = _Tree([query.start]), _Tree(query.goals)
+    forward = True
+    while not should_stop():
+        drawn = rng.uniform(query.space.lower_rad, query.space.upper_rad)
+        here = grower.grow(tree, tree.nearest(drawn), drawn)
+        there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
+        if np.array_equal(other.points[there], tree.points[here]):
+            halves = [list(tree.to_root(here))[::-1], list(other.to_root(there))[1:]]
+            path = np.array([*halves[0], *halves[1]])
+            return path if forward else path[::-1]
+        tree, other, forward = other, tree, not forward
+    return None
+
+
+class _Tree:
+    """Points, and from which of them each was reached."""
+
+    def __init__(self, roots: Sequence[Vector]) -> None:
+        self.points = list(roots)
+        self._parents = [-1] * len(self.points)
+
+    def nearest(self, point: Vector) -> int:
+        return int(np.argmin(np.sum((np.array(self.points) - point) ** 2, axis=1)))
+
+    def add(self, point: Vector, parent: int) -> int:
+        self.points.append(point)
+        self._parents.append(parent)
+        return len(self.points) - 1
+
+    def to_root(self, index: int) -> Iterator[Vector]:
+        while index >= 0:
+            yield self.points[index]
+            index = self._parents[index]
+
+
+class _Grower:
+    """Takes steps on which nothing touches and the condition holds."""
+
+    def __init__(self, query: Query, project: Project, should_stop: Callable[[], bool]) -> None:
+        self._query = query
+        self._project = project
+        self._should_stop = should_stop
+
+    def grow(self, tree: _Tree, index: int, target: Vector) -> int:
+        """Step from a point of a tree towards a target as far as it goes; the index of the last point."""
+        for _ in range(STEPS_AT_ONCE):
+            point = tree.points[index]
+            reached = None if self._should_stop() else self._step(point, target)
+            if reached is None or np.linalg.norm(target - reached) > np.linalg.norm(target - point):
+                break
+            index = tree.add(reached, index)
+            if reached is target:
+                break
+        return index
+
+    def _step(self, point: Vector, target: Vector) -> Vector | None:
+        space, way = self._query.space, target - point
+        length = float(np.linalg.norm(way))
+        if length <= STEP_RAD and space.line_free(point, target, self._query.step_m):
+            return target
+        step = min(STEP_RAD, 0.5 * length)
+        reached = self._project(point + way * (step / max(length, STEP_RAD)))
+        if reached is None or np.linalg.norm(reached - point) < LEAST_PROGRESS * step:
+            return None
+        return reached if space.line_free(point, reached, self._query.step_m) else None

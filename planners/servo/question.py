@@ -1,4 +1,4 @@
-"""What is asked many times a second while somebody steers the arm, and what is answered: plain data.
+"""Requests of MoveIt Servo for joint velocities, many times a second, and their answers: plain data.
 
 All of it is in the robot's root link and in SI units. This module imports none of the planning libraries.
 """
@@ -36,7 +36,7 @@ class TipTwist:
 
     @property
     def zero(self) -> bool:
-        """Whether nothing is to move."""
+        """True when nothing is to move."""
         return not (any(self.linear_m_s) or any(self.angular_rad_s))
 
 
@@ -48,7 +48,7 @@ class JointVelocities:
 
     @property
     def zero(self) -> bool:
-        """Whether nothing is to move."""
+        """True when nothing is to move."""
         return not any(self.velocity_rad_s.values())
 
 
@@ -65,7 +65,7 @@ ServoCommand = TipTwist | JointVelocities | TipTarget
 
 @dataclass(frozen=True)
 class Anchor:
-    """What the tip is to keep while it is steered, so that nothing drifts that nobody moves.
+    """Pose that the tip keeps in the directions that are not commanded, so that it does not drift.
 
     Attributes:
         pose: where the tip should be.
@@ -80,7 +80,7 @@ class Anchor:
 
 @dataclass(frozen=True)
 class ServoLimits:
-    """How steering is bounded.
+    """Limits of servoing.
 
     Attributes:
         linear_m_s: greatest speed of the tip on its way to a target [m/s].
@@ -103,7 +103,7 @@ class ServoLimits:
 
 @dataclass(frozen=True)
 class ServoQuestion:
-    """How must the joints move now? Answered by :class:`ServoAnswer`.
+    """Question for the joint velocities of this moment; answered by :class:`ServoAnswer`.
 
     Attributes:
         group: the joints that may move.
@@ -128,7 +128,7 @@ class ServoQuestion:
 
 @dataclass(frozen=True)
 class ServoAnswer:
-    """How the joints must move.
+    """Joint velocities of this moment, and the status that goes with them.
 
     Attributes:
         velocity_rad_s: of every joint of the group [rad/s].

@@ -1,30 +1,306 @@
-"""Answers the questions of who steers the arm: the tip's position first, its orientation as far as it goes.
+"""Servoing: from a commanded twist or joint velocity to joint velocities, many times a second.
 
-First the joints are found that give the tip its velocity within all walls; then, among the motions that leave that as
-it is, those that turn it best.
+First the joint velocities are found that give the tip its linear velocity within all limits; then, among those that
+leave it as it is, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planners.checks import check_group, check_start
 from planners.geometry.collision import CollisionModel
-from planners.geometry.forward import ForwardKinematics
-from planners.problem import PlanningFailure
-from planners.servo.checks import check_servo_question
-from planners.servo.least_squares import bounded_least_squares
-from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus, TipTwist
-from planners.servo.report import Outcome, answer_of
-from planners.servo.singularity import Ahead, Regular, regular
-from planners.servo.walls import WATCHED_M, Walls, walls
-from planners.servo.wish import Wish, aimed, loosened, steered
-from robot.model import RobotModel
+from planners.geometry.kinematics import ForwardKinematics
+from planners.geometry.shapes import placement
+from planners.ik.goal_checks import invalid_goal
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import Point, Pose
+from planners.servo.question import (
+    Anchor,
+    JointVelocities,
+    ServoAnswer,
+    ServoLimits,
+    ServoQuestion,
+    ServoStatus,
+    TipTarget,
+    TipTwist,
+)
+from planners.servo.velocity_limits import WATCHED_M, Ahead, Regular, Walls, bounded_least_squares, regular, walls
+from robot.description.model import RobotModel
+
+# The tip's position has so many directions; an arm with fewer joints cannot be steered by its tip.
+POSITION_DIRECTIONS = 3
+
+# Who asks more rarely does not steer.
+MAX_PERIOD_S = 0.1
+
+# A quaternion whose length is further from 1 is none.
+UNIT_TOLERANCE = 1e-3
+
+
+def check_servo_question(robot: RobotModel, question: ServoQuestion) -> PlanningFailure | None:
+    """Names and numbers of a question."""
+    return (
+        check_group(robot, question.group)
+        or next(_link_flaws(robot, question), None)
+        or check_start(robot, question.positions_rad)
+        or next(_command_flaws(robot, question), None)
+    )
+
+
+def _link_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[PlanningFailure]:
+    if question.link not in robot.links:
+        yield PlanningFailure(
+            MoveItErrorCode.INVALID_LINK_NAME,
+            f"there is no link {question.link!r}; there are: {', '.join(robot.links)}",
+            {"link": question.link},
+        )
+    joints = robot.groups[question.group].joints
+    if not isinstance(question.command, JointVelocities) and len(joints) < POSITION_DIRECTIONS:
+        yield PlanningFailure(
+            MoveItErrorCode.INVALID_GROUP_NAME,
+            f"group {question.group!r} has {len(joints)} joints; to steer a tip it takes {POSITION_DIRECTIONS}",
+            {"group": question.group},
+        )
+
+
+def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[PlanningFailure]:
+    command = question.command
+    match command:
+        case JointVelocities():
+            known = robot.groups[question.group].joints
+            for name in command.velocity_rad_s:
+                if name not in known:
+                    yield invalid_goal(f"joint {name!r} is none of group {question.group!r}: {', '.join(known)}")
+            values = list(command.velocity_rad_s.values())
+        case TipTwist():
+            values = [*command.linear_m_s, *command.angular_rad_s]
+        case TipTarget():
+            values = [*command.pose.position_m, *command.pose.orientation]
+            if abs(math.hypot(*command.pose.orientation) - 1.0) > UNIT_TOLERANCE:
+                yield invalid_goal(f"the target's orientation {command.pose.orientation} is no unit quaternion")
+    if not 0.0 < question.period_s <= MAX_PERIOD_S:
+        yield invalid_goal(f"the period must be above 0 and at most {MAX_PERIOD_S} s, not {question.period_s:g}")
+    for value in (*values, *question.velocity_rad_s.values()):
+        if not math.isfinite(value):
+            yield invalid_goal(f"a command must be of finite numbers, not {value}")
+
 
 Vector = NDArray[np.float64]
+
+# An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
+GAIN_PER_S = 4.0
+
+# Further than this from its anchor the tip is not drifting but held off, by a limit or by what is in the way; the
+# anchor then comes along.
+MAX_DRIFT_M = 0.02
+MAX_DRIFT_RAD = 0.35
+
+# While it is held off it is pulled no more than keeps it from sliding away by itself, at 2 cm/s.
+HELD_DRIFT_M = 0.005
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Commanded motion of the tip, along the root link's axes.
+
+    Attributes:
+        linear_m_s: its velocity, shape (3,) [m/s].
+        angular_rad_s: its angular velocity, shape (3,) [rad/s].
+        drift_rad: how far it is turned from its anchor or target [rad].
+        anchor: what to keep from now on; None where there is nothing to keep.
+    """
+
+    linear_m_s: Vector
+    angular_rad_s: Vector
+    drift_rad: float
+    anchor: Anchor | None
+
+
+def steered(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Wish:
+    """The wish of a twist: what it does not move is held where it was.
+
+    Args:
+        command: the twist.
+        tip: where the tip is.
+        anchor: what was kept until now; None at the beginning.
+    """
+    linear, angular = np.array(command.linear_m_s), np.array(command.angular_rad_s)
+    along, about = _direction(linear), _direction(angular)
+    kept = anchor or Anchor(_pose(tip))
+    if command.zero:
+        # It still brakes: what it had been moved along it need not come back for.
+        along, about = np.array(kept.along), np.array(kept.about)
+    # An orientation that cannot be had would keep an arm moving that nobody moves.
+    righting_per_s = 0.0 if command.zero else GAIN_PER_S
+    at = placement(kept.pose)
+    drift = _shortened(_across(at.translation - tip.translation, along), MAX_DRIFT_M)
+    turned = _shortened(_across(pin.log3(at.rotation @ tip.rotation.T), about), MAX_DRIFT_RAD)
+    place = pin.SE3(pin.exp3(turned) @ tip.rotation, tip.translation + drift)
+    return Wish(
+        linear + GAIN_PER_S * drift,
+        angular + righting_per_s * turned,
+        float(np.linalg.norm(turned)),
+        Anchor(_pose(place), _point(along), _point(about)),
+    )
+
+
+def loosened(anchor: Anchor, tip: pin.SE3) -> Anchor:
+    """The anchor of a tip that is held back: to be pulled to its way would keep it from going where it can.
+
+    Args:
+        anchor: what was to be kept.
+        tip: where the tip is.
+    """
+    drift = _shortened(placement(anchor.pose).translation - tip.translation, HELD_DRIFT_M)
+    return Anchor(_pose(pin.SE3(tip.rotation, tip.translation + drift)), anchor.along, anchor.about)
+
+
+def aimed(command: TipTarget, tip: pin.SE3, limits: ServoLimits) -> Wish:
+    """The wish of a target: to be there, not faster than allowed."""
+    target = placement(command.pose)
+    missing_m, missing_rad = target.translation - tip.translation, pin.log3(target.rotation @ tip.rotation.T)
+    return Wish(
+        _shortened(GAIN_PER_S * missing_m, limits.linear_m_s),
+        _shortened(GAIN_PER_S * missing_rad, limits.angular_rad_s),
+        float(np.linalg.norm(missing_rad)),
+        None,
+    )
+
+
+def _direction(vector: Vector) -> Vector:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 0.0 else np.zeros(3)
+
+
+def _across(vector: Vector, direction: Vector) -> Vector:
+    return np.asarray(vector - (vector @ direction) * direction)
+
+
+def _shortened(vector: Vector, longest: float) -> Vector:
+    length = float(np.linalg.norm(vector))
+    return vector if length <= longest else vector * (longest / length)
+
+
+def _pose(place: pin.SE3) -> Pose:
+    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(place).tolist()
+    return Pose((x, y, z), (qx, qy, qz, qw))
+
+
+def _point(vector: Vector) -> Point:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+# Less than this share of the speed that is wanted is no motion.
+HALTED = 0.05
+
+# A turn is told as given up when more than this share of it is.
+GIVEN_UP = 0.1
+
+# An orientation is told as not kept from 3 degrees on.
+NOT_KEPT_RAD = math.radians(3.0)
+
+
+def _nothing() -> Vector:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The commanded velocity and the achieved one.
+
+    Attributes:
+        velocity_rad_s: of the joints that may move, shape (n,) [rad/s].
+        active: which of the walls hold them back.
+        wanted: velocity of the tip [m/s], or of the joints [rad/s].
+        had: likewise.
+        wanted_turn_rad_s: angular velocity of the tip that was wanted, shape (3,) [rad/s].
+        turn_rad_s: that it has.
+        singularity: what a singularity does to it.
+        drift_rad: how far the tip is turned from where it should be [rad].
+        anchor: what to keep.
+    """
+
+    velocity_rad_s: Vector
+    active: NDArray[np.intp]
+    wanted: Vector
+    had: Vector
+    wanted_turn_rad_s: Vector = field(default_factory=_nothing)
+    turn_rad_s: Vector = field(default_factory=_nothing)
+    singularity: ServoStatus = ServoStatus.NO_WARNING
+    drift_rad: float = 0.0
+    anchor: Anchor | None = None
+
+    @property
+    def share(self) -> float:
+        """Achieved share of the commanded speed, in its direction, 0 to 1."""
+        square = float(self.wanted @ self.wanted)
+        return min(max(float(self.had @ self.wanted) / square, 0.0), 1.0) if square > 0.0 else 1.0
+
+
+def answer_of(question: ServoQuestion, names: tuple[str, ...], outcome: Outcome, around: Walls) -> ServoAnswer:
+    """Tell an outcome.
+
+    Args:
+        question: what was asked.
+        names: the joints of the outcome.
+        outcome: what became of it.
+        around: what held it back.
+    """
+    status, said = _held_back(names, outcome, around)
+    said += _given_up(question, outcome, len(names))
+    return ServoAnswer(
+        dict(zip(names, outcome.velocity_rad_s.tolist(), strict=True)),
+        status,
+        "; ".join(said),
+        outcome.share,
+        outcome.anchor,
+    )
+
+
+def _held_back(names: tuple[str, ...], outcome: Outcome, around: Walls) -> tuple[ServoStatus, list[str]]:
+    """Return the reasons for a reduced speed: the gravest as the status, all of them in words."""
+    status, said = ServoStatus.NO_WARNING, []
+    joints, pairs = around.joints(outcome.active), around.near(outcome.active)
+    if joints:
+        status = ServoStatus.JOINT_BOUND
+        said.append(f"{', '.join(names[joint] for joint in joints)} at the limit: the others go on")
+    if outcome.singularity is not ServoStatus.NO_WARNING:
+        status = outcome.singularity
+        said.append(_SINGULARITIES[status])
+    if pairs:
+        halted = outcome.share < HALTED
+        status = ServoStatus.HALT_FOR_COLLISION if halted else ServoStatus.DECELERATE_FOR_COLLISION
+        near = ", ".join(f"{pair.first} and {pair.second} ({1000.0 * pair.distance_m:.0f} mm)" for pair in pairs)
+        said.append(f"near each other: {near}; what brings them nearer is {'held' if halted else 'slowed'}")
+    return status, said
+
+
+_SINGULARITIES = {
+    ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY: "the arm nears a singularity: this direction is slowed",
+    ServoStatus.HALT_FOR_SINGULARITY: "the arm is at a singularity: this direction leads nowhere, others are free",
+    ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY: "the arm leaves a singularity",
+}
+
+
+def _given_up(question: ServoQuestion, outcome: Outcome, joints: int) -> list[str]:
+    """Describe the part of a rotation, or of the orientation, that cannot be achieved."""
+    if isinstance(question.command, TipTwist) and any(question.command.angular_rad_s):
+        asked = float(np.linalg.norm(question.command.angular_rad_s))
+        missing = float(np.linalg.norm(outcome.wanted_turn_rad_s - outcome.turn_rad_s))
+        if missing > GIVEN_UP * asked:
+            return [f"of the turn of {asked:.2f} rad/s, {missing:.2f} rad/s are given up: {joints} joints cannot do it"]
+    if outcome.drift_rad > NOT_KEPT_RAD:
+        return [f"the orientation is {math.degrees(outcome.drift_rad):.0f} degrees off: the position comes first"]
+    return []
+
 
 # Keeps joints from running where it does hardly anything; a hundredth of what an arm's tip moves by [m/rad].
 POSITION_DAMPING = 0.002
@@ -46,7 +322,7 @@ PUSHED_TURN_M = 0.15
 
 @dataclass(frozen=True)
 class Place:
-    """Where the arm is asked about.
+    """State of the arm at which velocities are asked for.
 
     Attributes:
         q: every joint, shape (n,) [rad].
@@ -190,5 +466,5 @@ def _ramped(outcome: Outcome, place: Place) -> Outcome:
 
 
 def _share_of_speed(velocity: Vector, max_velocity: Vector) -> float:
-    """How much of a motion is left when its fastest joint is brought within its limit, all alike."""
+    """Return the common scale that brings a motion's fastest joint within its limit."""
     return 1.0 / max(1.0, float(np.max(np.abs(velocity) / max_velocity)))

@@ -1,4 +1,4 @@
-"""What binary encodings make of a message's arrays: octets instead of base64 text, packed numbers instead of lists.
+"""Arrays of a message in binary encodings: octets instead of base64 text, packed numbers instead of lists.
 
 A type is compiled once into a packing; types without such arrays need none.
 """

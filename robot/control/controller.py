@@ -12,15 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot.control import succession
-from robot.control.acceptance import names_refusal, refusal
+from robot.control.checks import names_refusal, refusal
 from robot.control.guards import DROOP_RAD, Guards, Temperatures
-from robot.control.motion import Motion
+from robot.control.motion import Motion, succeed, succession_refusal
 from robot.control.streaming import Streaming
+from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import MAX_TICK_S
 from robot.hardware.interface import Flags, Measured
-from robot.limits import JointBounds
 from robot.messages import ChangePace, Commanded, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
 from robot.trajectory import Vector
 
@@ -155,7 +154,7 @@ class ArmController:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._forget_course()
         motion = Motion(command, self._names, self.bounds, self.guards.limits)
-        ended = succession.succeed(self._motions, motion)
+        ended = succeed(self._motions, motion)
         self._motions.append(motion)
         self._torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
         return ended
@@ -167,7 +166,7 @@ class ArmController:
         if not 0.0 < command.torque_share <= 1.0:
             return f"torque_share is {command.torque_share}; it must be above 0 and at most 1"
         if command.continues is not None:
-            return succession.refusal(self._motions, command, self._names, self.bounds, self._goal_rad)
+            return succession_refusal(self._motions, command, self._names, self.bounds, self._goal_rad)
         return self._occupied(command.trajectory.joint_names) or refusal(
             command.trajectory, self._names, self.bounds, self._goal_rad
         )

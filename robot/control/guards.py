@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot.faults import Fault, FaultCode
-from robot.guard_limits import GuardLimits
 from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Flags, Measured, StatusFlag, status_names
+from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
 # A joint that pushes without moving is stalled: far behind its goal, near its torque limit or drawing much current,

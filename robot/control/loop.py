@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from robot.channel import Channel, channel_of_child
-from robot.control.config_check import checked
+from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
 from robot.control.supervisor import Supervisor
 from robot.errors import RobotError

@@ -12,8 +12,7 @@ from robot.control.cycle import ControlCycle
 from robot.control.guards import STALE_AFTER_S, Guards, Temperatures
 from robot.errors import NoReply, OrderRefused, StartupError
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import Measured, StatusFlag, Survey, status_names
-from robot.hardware.steps import Steps
+from robot.hardware.interface import Measured, StatusFlag, Steps, Survey, status_names
 from robot.messages import ArmConfig, EmergencyPolicy, MotionEnded
 
 # Between two looks at what ticks bring along: readings, and the end of motions that brake.

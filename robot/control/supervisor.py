@@ -1,4 +1,6 @@
-"""Supervisor of one arm: takes the server's messages, runs orders between the ticks, and watches that the server lives.
+"""Watchdog on the server: the servos have none, so the arm process is theirs.
+
+Supervisor of one arm: takes the server's messages, runs orders between the ticks, and watches that the server lives.
 
 The loop calls :meth:`Supervisor.tick` 100 times a second, :meth:`Supervisor.work` in between, and hands every message
 to :meth:`Supervisor.obey`. Hardware comes and goes; a latched fault and the question whether the arm may be switched on
@@ -16,13 +18,11 @@ from robot.control.controller import RELAXING
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
 from robot.control.pacing import PERIOD_S, Pacer
-from robot.control.repeats import Repeats
-from robot.control.watchdog import Watchdog
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
-from robot.hardware.interface import HardwareInterface
-from robot.hardware.steps import Steps
+from robot.hardware.interface import HardwareInterface, Steps
+from robot.logs import Repeats
 from robot.messages import (
     ArmConfig,
     ArmState,
@@ -40,6 +40,32 @@ from robot.messages import (
     Stop,
     Stream,
 )
+
+
+class Watchdog:
+    """Time since the server was last heard; pure, time passed in.
+
+    Args:
+        timeout_s: silence that counts as its death [s].
+        now_s: monotonic time [s].
+    """
+
+    def __init__(self, timeout_s: float, now_s: float) -> None:
+        self._timeout_s = timeout_s
+        self._heard_s = now_s
+
+    def hear(self, now_s: float) -> None:
+        """Note a message, whatever it says."""
+        self._heard_s = now_s
+
+    def silence_s(self, now_s: float) -> float:
+        """Time since the last message [s]."""
+        return now_s - self._heard_s
+
+    def expired(self, now_s: float) -> bool:
+        """Tell whether the server has been silent for too long."""
+        return self.silence_s(now_s) > self._timeout_s
+
 
 log = logging.getLogger("armbridge.arm")
 

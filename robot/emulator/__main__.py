@@ -7,8 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from robot.emulator import control
-from robot.emulator.options import add_options
-from robot.emulator.process import run
+from robot.emulator.process import add_options, run
 from robot.errors import CalibrationError
 
 

@@ -15,14 +15,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from robot.description.limits import JointBounds
 from robot.emulator.arm import build_servos, weight_of
-from robot.emulator.commands import Emulation
-from robot.emulator.control import answer
+from robot.emulator.control import Emulation, answer
 from robot.emulator.faults import Faults
 from robot.emulator.servo_bus import BAUDRATE, Reply, ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.errors import PortError, PortLost
-from robot.guard_limits import GuardLimits
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
@@ -30,7 +29,7 @@ from robot.hardware.feetech.port import LOCAL_LATENCY_S, QUIET_S
 from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.interface import HardwareInterface
-from robot.limits import JointBounds
+from robot.messages import GuardLimits
 
 # One for whoever rehearses, some for those that did not close theirs.
 MAX_CONTROLLERS = 8

@@ -1,4 +1,7 @@
-"""The emulator's process: the adapter, the servos behind it, and a line of control."""
+"""The emulator's process: the adapter, the servos behind it, and a line of control.
+
+The emulator's command line, for ``python -m robot.emulator`` and ``armbridge emulate`` alike.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,26 @@ import argparse
 import contextlib
 import json
 import os
+import random
 import select
 import signal
 import sys
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
 from types import FrameType
 
+from robot.calibration import Calibration
 from robot.control.pacing import take_priority
 from robot.emulator.adapter import UsbAdapter
-from robot.emulator.commands import Emulation
-from robot.emulator.control import answer
-from robot.emulator.options import build_bus, build_rehearsal
-from robot.emulator.rehearsal import Rehearsal, TimedCommand
+from robot.emulator.arm import build_servos, weight_of
+from robot.emulator.control import MAX_DELAY_S, MAX_HEAT_RATE, MAX_USB_FRAME_MS, MAX_VOLTAGE_V, Emulation, answer
+from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
+from robot.emulator.rehearsal import REHEARSALS, Rehearsal, TimedCommand, read_script
+from robot.emulator.servo import SUPPLY_V, Servo
 from robot.emulator.servo_bus import ServoBus
+from robot.emulator.write_log import WriteLog
 
 # How often the arm moves on while the bus is silent.
 TICK_S = 0.02
@@ -87,7 +97,7 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
     """Run an emulator until it is told to end.
 
     Args:
-        options: of ``robot.emulator.options``.
+        options: of ``robot.emulator.process``.
         control_descriptor: a socket to a controlling process; None for a person at standard input and output.
 
     Raises:
@@ -154,3 +164,142 @@ def _end_on_signals(*, controlled: bool) -> None:
     if controlled:
         for number in (signal.SIGHUP, signal.SIGUSR1):
             signal.signal(number, signal.SIG_IGN)
+
+
+# One joint position each.
+JOINTS = 6
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options to a parser; :func:`build_bus`, :func:`build_rehearsal` and the adapter take what it parses."""
+    for name, meaning in PROBABILITIES.items():
+        parser.add_argument(
+            _option(name), type=_probability, default=0.0, metavar="P", help=f"{meaning} with this probability"
+        )
+    add = parser.add_argument
+    add("--delay-s", type=_number(MAX_DELAY_S), default=DELAY_S, metavar="T", help="how long --delay takes [s]")
+    add("--seed", type=int, default=0, metavar="N", help="seed of these faults (default 0)")
+    add("--usb-frame-ms", type=_number(MAX_USB_FRAME_MS), default=0.0, metavar="T", help="hand replies on so often")
+    add("--stall-behind-missing", action="store_true", help="end a sync read at the first servo that is missing")
+    add("--supply", type=_number(MAX_VOLTAGE_V), default=SUPPLY_V, metavar="V", help="supply [V] (default 5)")
+    add("--heat-rate", type=_number(MAX_HEAT_RATE), default=1.0, metavar="X", help="warm and cool X times faster")
+    add("--overload-latches", action="store_true", help="let only a power cycle clear an overload")
+    add("--powers-up-holding", action="store_true", help="power up with torque on, at the present position")
+    add(
+        "--start",
+        type=_positions,
+        default=[0.0] * JOINTS,
+        metavar="Q1,..,Q6",
+        help="joint positions at power-up in rad, base to gripper; default all 0",
+    )
+    add("--calibration", type=Path, metavar="FILE", help="lerobot calibration of the arm (default: an ideal arm)")
+    add("--write-log", type=Path, metavar="FILE", help="record every write here, one JSON line each")
+    add("--link", type=Path, metavar="PATH", help="make a symbolic link to the terminal here")
+    script = parser.add_mutually_exclusive_group()
+    script.add_argument(
+        "--script",
+        type=Path,
+        metavar="FILE",
+        help='play these live commands from the host\'s first byte on: JSON lines with a time, {"at_s": 1.5, ...}',
+    )
+    script.add_argument(
+        "--rehearse",
+        choices=REHEARSALS,
+        help="play a ready-made script: sweep, a hand moves every joint from stop to stop; push, something pushes a "
+        "joint and lets go; stall, an obstacle is in a joint's way, and later goes",
+    )
+    add("--repeat", action="store_true", help="play the script again and again")
+
+
+def build_bus(options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True) -> ServoBus:
+    """Build the servos that the options ask for.
+
+    Args:
+        options: as parsed.
+        resources: gets what must be closed.
+        now_s: time at which the bus begins [s].
+        wire_time: whether bytes take their time on the wire.
+
+    Raises:
+        CalibrationError: the calibration cannot be used.
+        ValueError: the start pose is not one.
+        OSError: the log cannot be written.
+    """
+    calibration = _calibration(options)
+    servos = build_servos(calibration, options.start)
+    for servo in servos:
+        _temper(servo, options)
+    log = None
+    if options.write_log:
+        log = WriteLog(options.write_log)
+        resources.callback(log.close)
+    return ServoBus(servos, _faults(options), now_s, log, weight_of(calibration, servos), wire_time=wire_time)
+
+
+def build_rehearsal(options: argparse.Namespace, bus: ServoBus) -> Rehearsal:
+    """Build the rehearsal that the options ask for; without them it has no commands.
+
+    Args:
+        options: as parsed.
+        bus: the servos that its commands may name.
+
+    Raises:
+        CalibrationError: the calibration cannot be used.
+        ValueError: the script is not one, or there is none to repeat.
+        OSError: the script cannot be read.
+    """
+    if options.script:
+        return Rehearsal(read_script(options.script, bus), repeats=options.repeat)
+    if options.rehearse:
+        return Rehearsal(REHEARSALS[options.rehearse](_calibration(options)), repeats=options.repeat)
+    if options.repeat:
+        raise ValueError("--repeat needs a script to repeat: --script or --rehearse")
+    return Rehearsal()
+
+
+def _calibration(options: argparse.Namespace) -> Calibration:
+    return Calibration.load(options.calibration) if options.calibration else Calibration.nominal()
+
+
+def _faults(options: argparse.Namespace) -> Faults:
+    chance = random.Random(options.seed)  # noqa: S311 - repeatable faults, no secret
+    probabilities = {name: getattr(options, name) for name in PROBABILITIES}
+    stall = options.stall_behind_missing
+    return Faults(**probabilities, delay_s=options.delay_s, stall_behind_missing=stall, random=chance)
+
+
+def _temper(servo: Servo, options: argparse.Namespace) -> None:
+    """Make a servo one of the kinds that there are, and power it up as such."""
+    servo.voltage_v = options.supply
+    servo.motor.rate = options.heat_rate
+    servo.protection.latches = options.overload_latches
+    servo.powers_up_holding = options.powers_up_holding
+    servo.power_up()
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _probability(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is not a probability from 0 to 1")
+    return value
+
+
+def _number(highest: float) -> Callable[[str], float]:
+    def number(text: str) -> float:
+        value = float(text)
+        if not 0.0 <= value <= highest:
+            raise argparse.ArgumentTypeError(f"{text} is not a number from 0 to {highest:g}")
+        return value
+
+    return number
+
+
+def _positions(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers") from error

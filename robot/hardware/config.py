@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar, TypeAlias
 
 from robot.calibration import Calibration
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from robot.description.limits import JointBounds
 from robot.faults import Fault
 from robot.hardware.clock import LoopClock
 from robot.hardware.config import IdealConfig
-from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Survey
-from robot.hardware.steps import Steps
-from robot.limits import JointBounds
+from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.trajectory import Vector
 
 # A relaxed arm that takes this long to be relaxed behaves as one with servos does to whoever watches it [s].

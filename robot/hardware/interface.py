@@ -1,4 +1,9 @@
-"""The seam between the controller and an arm's actuators, as ros2_control's hardware interface is one.
+"""Sequences that share the hardware with the 100 Hz tick: each step is one transaction, or a wait.
+
+A sequence is a generator. It yields before every transaction, so that nothing holds up a tick or an emergency stop
+for longer than one of them, and the number it yields is how long it wants to wait first [s].
+
+The seam between the controller and an arm's actuators, as ros2_control's hardware interface is one.
 
 Everything that crosses it is in SI units and arrays of shape (joints,), in the order of ``joint_names``; prismatic
 joints are in metres where names say radians. Ticks, registers and packets live below it.
@@ -6,20 +11,40 @@ joints are in metres where names say radians. Ticks, registers and packets live 
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.description.limits import JointBounds
 from robot.faults import Fault
-from robot.hardware.steps import Steps
-from robot.limits import JointBounds
 from robot.trajectory import Vector
+
+Result = TypeVar("Result")
+Steps: TypeAlias = Generator[float, None, Result]
+
+
+def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
+    """Carry out a sequence on hardware that nobody else uses, as the command line does; returns what it returns.
+
+    Args:
+        steps: the sequence; what it raises is raised.
+        wait: waits for so long [s].
+    """
+    while True:
+        try:
+            wait_s = next(steps)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+        wait(wait_s)
+
 
 Flags: TypeAlias = NDArray[np.bool_]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from robot.description.limits import JointBounds
 from robot.hardware.clock import LoopClock
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface
-from robot.limits import JointBounds
 from robot.messages import ArmConfig
 
 

@@ -1,1 +1,1 @@
-"""Access: who a client is, what it may do, and who of them drives the arm."""
+"""Access: authentication and authorization of clients, and control of the arm."""

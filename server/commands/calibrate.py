@@ -7,15 +7,14 @@ import contextlib
 import os
 import time
 
-from robot.calibration import FREE_TURNING_JOINT, SO101_JOINTS, Calibration
-from robot.calibration_files import new_calibration_path, save
+from robot.calibration import FREE_TURNING_JOINT, SO101_JOINTS, Calibration, new_calibration_path, save
+from robot.commissioning.calibrate import Difference, Sweep, calibrate, differences, write_to_servos
+from robot.commissioning.scan import explain_missing, read_telemetry, scan
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, parse_telemetry
-from robot.hardware.steps import run_to_end
-from robot.service.calibrating import Difference, Sweep, calibrate, differences, write_to_servos
-from robot.service.scan import explain_missing, read_telemetry, scan
-from server.commands.arm_options import Subparsers, add_serial, guarded, open_bus
+from robot.hardware.interface import run_to_end
+from server.commands.options import Subparsers, add_serial, guarded, open_bus
 from server.commands.relax import relax_arm
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 

@@ -7,12 +7,10 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from server.commands.arm_options import Subparsers
-from server.commands.setting_options import add_setting_options, read_settings
+from server.commands.options import Subparsers, add_setting_options, read_settings
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 from server.config import Settings
-from server.config_keys import Setting, every_setting
-from server.config_template import template, toml_value
+from server.config_keys import Setting, every_setting, template, toml_value
 from server.errors import ConfigurationError
 
 

@@ -8,13 +8,12 @@ import json
 import textwrap
 
 from robot.calibration import SO101_JOINTS
+from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
+from robot.commissioning.experiments import EXPERIMENTS, Bench, Experiment, ask
+from robot.commissioning.scan import scan
+from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.hardware.feetech.bus import Bus
-from robot.service.bench import Bench
-from robot.service.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
-from robot.service.experiments import EXPERIMENTS, Experiment, ask
-from robot.service.measuring import measure_cycles, measure_reads
-from robot.service.scan import scan
-from server.commands.arm_options import (
+from server.commands.options import (
     Subparsers,
     add_calibration,
     add_serial,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 
 from robot.emulator import control
-from robot.emulator.options import add_options
+from robot.emulator.process import add_options
 from robot.emulator.process import run as run_emulator
 from robot.errors import CalibrationError
-from server.commands.arm_options import Subparsers
+from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 
 SCRIPTS = """\

@@ -1,4 +1,4 @@
-"""``armbridge plan``: the problems of a file, planned without a server."""
+"""``armbridge plan``: the problems of files, planned without a server."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from robot import model
+from robot.description import model
+from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from robot.model import RobotModel
-from server.commands.arm_options import Subparsers
+from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.errors import ConfigurationError
 
@@ -21,15 +21,20 @@ def add_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
     plan = subparsers.add_parser(
         "plan",
-        help="plan the problems of a file, without a server",
-        description="Plan the problems of a file (docs/planning.md) and print a table. Without --all or --id all"
-        " problems but those that the file calls infeasible. A problem whose answer is not as the file expects counts"
+        help="plan the problems of files, without a server",
+        description="Plan the problems of files (docs/planning.md) and print a table. Without --all or --id all"
+        " problems but those that a file calls infeasible. A problem whose answer is not as its file expects counts"
         " as a problem found.",
         epilog=EXIT_CODES,
     )
-    plan.add_argument("problems", type=Path, metavar="PROBLEM.json", help="the file")
+    plan.add_argument("problems", type=Path, nargs="+", metavar="PROBLEM.json", help="the files")
     plan.add_argument("--all", action="store_true", help="plan the infeasible problems as well")
     plan.add_argument("--id", action="append", default=[], metavar="ID", help="plan this problem only; may be repeated")
+    plan.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="plan in the workers of the Dask scheduler at tcp://HOST:PORT or tls://HOST:PORT (needs armbridge[dask])",
+    )
     plan.add_argument("--json", type=Path, metavar="OUT", help="write trajectories and error codes as JSON")
     plan.add_argument("--plot", type=Path, metavar="OUT.png", help="draw positions and velocities (needs matplotlib)")
     plan.add_argument("--urdf", type=Path, metavar="FILE", help="the robot's URDF, instead of the built-in SO-101's")
@@ -51,14 +56,18 @@ def run(options: argparse.Namespace) -> int:
 
     settings = {key: getattr(options, key) for key in _PROBLEM_SETTINGS if getattr(options, key) is not None}
     chosen = plan_command.Options(
-        options.problems, options.all, tuple(options.id), options.json, options.plot, settings
+        options.problems, options.all, tuple(options.id), options.json, options.plot, settings, options.scheduler
     )
     try:
         robot = _robot(options.urdf, options.srdf)
     except (ConfigurationError, DescriptionError) as error:
         Terminal().say(f"armbridge: {error}")
         return ExitCode.USAGE
-    return plan_command.run(chosen, robot, sys.stdout, sys.stderr)
+    try:
+        return plan_command.run(chosen, robot, sys.stdout, sys.stderr)
+    except KeyboardInterrupt:
+        Terminal().say("armbridge: stopped before every problem was planned")
+        return ExitCode.FAILED
 
 
 def _robot(urdf: Path | None, srdf: Path | None) -> RobotModel:

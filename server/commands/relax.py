@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 import contextlib
 
-from robot import model
 from robot.calibration import SO101_JOINTS, Calibration
+from robot.description import model
+from robot.description.limits import JointBounds, within_calibration
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.torque import LOWER_S, relax
-from robot.hardware.steps import run_to_end
-from robot.limits import JointBounds, within_calibration
-from server.commands.arm_options import Subparsers, add_serial, guarded, open_bus
+from robot.hardware.interface import run_to_end
+from server.commands.options import Subparsers, add_serial, guarded, open_bus
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from robot import logs
-from server.commands.arm_options import Subparsers
+from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.errors import ConfigurationError, RecordingError, StartError
 
@@ -55,7 +55,7 @@ def add_parser(subparsers: Subparsers) -> None:
 def run(options: argparse.Namespace) -> int:
     """Carry out the command."""
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.config_reading import load
+    from server.config_loader import load
     from server.recording.replay import ReplayOptions, replay
 
     try:

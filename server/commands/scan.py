@@ -6,11 +6,11 @@ import argparse
 import contextlib
 
 from robot.calibration import SO101_JOINTS
+from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, scan
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.discovery import resolve_port
+from robot.hardware.feetech.port import resolve_port
 from robot.hardware.interface import status_names
-from robot.service.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, scan
-from server.commands.arm_options import Subparsers, add_serial, guarded
+from server.commands.options import Subparsers, add_serial, guarded
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 
 HEADINGS = (

@@ -8,8 +8,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from robot import logs
-from server.commands.arm_options import Subparsers
-from server.commands.setting_options import add_setting_options, read_settings
+from server.commands.options import Subparsers, add_setting_options, read_settings
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.config import Settings
 from server.errors import ConfigurationError, StartError
@@ -44,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 def _serve(settings: Settings, terminal: Terminal) -> ExitCode:
     logs.configure(settings.server.log_level.upper(), settings.server.log_format)
     # The arm's process loads while this one does, which takes half of the time until the server is ready.
-    from robot.arm_process import start_arm_process
+    from robot.arm import start_arm_process
 
     with contextlib.closing(start_arm_process()) as arm_process:
         return _serve_with(settings, arm_process, terminal)

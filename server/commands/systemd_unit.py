@@ -7,7 +7,7 @@ import re
 import sys
 from pathlib import Path
 
-from server.commands.arm_options import Subparsers
+from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 
 # The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; then it may be killed.

@@ -1,1 +1,1 @@
-"""The network side: the listener, and one connection a client."""
+"""Gateway: the listener, and one connection a client."""

@@ -1,110 +1,106 @@
-"""Who a client says it is: the op ``auth``, which may have to be its first."""
+"""Authentication of one client by the op ``auth``, which may have to be its first."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from protocol.operations import Auth, Operation
 from protocol.session import Refusal
-from server.access.access import Access
-from server.access.guard import Guard
-from server.access.roles import called
-from server.gateway.client_status import Tell
-from server.gateway.entrance.wrong_tokens import WrongTokens
-from server.node import Node
+from server.access.authentication import AuthThrottle
+from server.access.authorization import Access, Authorizer
+from server.access.permissions import display_name
+from server.gateway.client_context import ClientContext
 
 log = logging.getLogger("armbridge.gateway")
 
-# An auth with all its fields at their greatest; whoever has not shown a token yet may cost no more.
+# An auth with all its fields at their greatest; a client that has not authenticated may cost no more.
 MAX_FIRST_BYTES = 4096
 
 _NOT_FIRST = "the first message must be auth, with a token of this server"
 
 
 @dataclass(frozen=True)
-class WayIn:
-    """What a client's connection knows of the way in.
+class AuthContext:
+    """Authentication as the connection of a client provides it.
 
     Attributes:
-        access: who may do what.
+        access: authentication and authorization of the server.
         address: IP address of the client, under which its wrong tokens count.
-        wrong_tokens: by address; None where nobody counts them.
-        shut_out: ends the connection, with a reason.
-        let_in: called when a client has shown who it is.
+        throttle: throttle of guesses; None where nobody counts them.
+        disconnect: ends the connection, with a reason.
+        on_authenticated: called when the client has shown a token.
     """
 
     access: Access
     address: str = ""
-    wrong_tokens: WrongTokens | None = None
-    shut_out: Callable[[str], None] = lambda _reason: None
-    let_in: Callable[[], None] = lambda: None
+    throttle: AuthThrottle | None = None
+    disconnect: Callable[[str], None] = lambda _reason: None
+    on_authenticated: Callable[[], None] = lambda: None
 
 
 class ClientAuth:
-    """Hears who a client is, and ends its connection when that is wrong.
+    """Authentication of one client; a wrong token ends its connection.
 
     Args:
-        node: the client.
-        guard: what it may do.
-        way_in: the way in.
-        tell: tells the client something about one of its operations.
+        context: the parts of the client.
+        auth: authentication as its connection provides it.
+        authorizer: check of its operations.
     """
 
-    def __init__(self, node: Node, guard: Guard, way_in: WayIn, tell: Tell) -> None:
-        self._node = node
-        self._guard = guard
-        self._way_in = way_in
-        self._tell = tell
-        self._shut = False
-        self.handlers: Mapping[type[Operation], Callable[..., None]] = {Auth: self._auth}
+    def __init__(self, context: ClientContext, auth: AuthContext, authorizer: Authorizer) -> None:
+        self._client = context
+        self._auth = auth
+        self._authorizer = authorizer
+        self._disconnected = False
 
-    def may_be_heard(self, frame: str | bytes) -> bool:
-        """Whether a frame of a client that is nobody yet is to be read."""
-        if not self._shut and len(frame) > MAX_FIRST_BYTES:
-            self._shut_out(_NOT_FIRST)
-        return not self._shut
+    def check_first_frame(self, frame: str | bytes) -> bool:
+        """Check a frame of a client without identity; return True for one that may be read."""
+        if not self._disconnected and len(frame) > MAX_FIRST_BYTES:
+            self._disconnect(_NOT_FIRST)
+        return not self._disconnected
 
-    def may_be_first(self, items: Sequence[Operation | Refusal]) -> bool:
-        """Whether the first message is one that says who the client is."""
+    def check_first_operation(self, items: Sequence[Operation | Refusal]) -> bool:
+        """Check the operations in the first frame; return True when the first of them is ``auth``."""
         first = items[0] if items else None
         if isinstance(first, Refusal) and first.op == "auth":
-            self._shut_out(first.text)
+            self._disconnect(first.text)
         elif not isinstance(first, Auth):
-            # Without what came: it may be a bare token.
-            self._shut_out(_NOT_FIRST)
-        return not self._shut
+            # Without the text that came: it may be a bare token.
+            self._disconnect(_NOT_FIRST)
+        return not self._disconnected
 
-    def _auth(self, operation: Auth) -> None:
-        access, node = self._way_in.access, self._node
+    def authenticate(self, operation: Auth) -> None:
+        """Give the client the identity of the token that it shows, or disconnect it."""
+        access, node, tell = self._auth.access, self._client.node, self._client.status.tell
         if not access.tokens.any:
-            self._tell("info", operation, "this server has no tokens; nothing changes")
+            tell("info", operation, "this server has no tokens; nothing changes")
             return
-        wrong_tokens, address = self._way_in.wrong_tokens, self._way_in.address
-        wait = None if wrong_tokens is None else wrong_tokens.refusal(address)
+        throttle, address = self._auth.throttle, self._auth.address
+        wait = None if throttle is None else throttle.refusal(address)
         if wait is not None:
-            self._shut_out(wait)
+            self._disconnect(wait)
             return
         identity = access.identify(operation)
         if isinstance(identity, str):
-            if wrong_tokens is not None:
-                wrong_tokens.add(address, operation.token or operation.mac)
-            self._shut_out(f"auth: {identity}")
+            if throttle is not None:
+                throttle.record_failure(address, operation.token or operation.mac)
+            self._disconnect(f"auth: {identity}")
             return
         former, is_new = node.name, identity != node.identity
-        self._guard.become(identity)
-        node.name = called(identity, node.address)
-        self._way_in.let_in()
+        self._authorizer.authenticate(identity)
+        node.name = display_name(identity, node.address)
+        self._auth.on_authenticated()
         role = identity.role.name.lower()
         # The same token may come again and again.
         if is_new:
             log.info("%s is %s, with the role %s", former, node.name, role)
-        self._tell("info", operation, f"this client is {identity.name}, with the role {role}")
+        tell("info", operation, f"this client is {identity.name}, with the role {role}")
 
-    def _shut_out(self, reason: str) -> None:
-        self._shut = True
-        self._node.identity = None
-        self._guard.leave()
-        log.warning("%s: %s; closing", self._node, reason)
-        self._way_in.shut_out(reason)
+    def _disconnect(self, reason: str) -> None:
+        self._disconnected = True
+        self._client.node.identity = None
+        self._authorizer.leave()
+        log.warning("%s: %s; closing", self._client.node, reason)
+        self._auth.disconnect(reason)

@@ -1,73 +1,39 @@
-"""The topics of one client: what it publishes, and what it has subscribed to."""
+"""Topics of one client: its publications and its subscriptions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 
 from protocol.errors import OperationError, ProtocolError
 from protocol.names import qualify
-from protocol.operations import Advertise, Operation, Publish, Subscribe, Unadvertise, Unsubscribe
-from protocol.parcel import Parcel
+from protocol.operations import Advertise, Publish, Subscribe, Unadvertise, Unsubscribe
 from protocol.publication import Publication
-from protocol.session import Session
-from server.gateway.spelling import Spelling
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.gateway.client_context import ClientContext
+from server.graph.topics import Subscriber
 
-# rosbridge_server's lifespan of what is published without latch (rosbridge_library, internal/publishers.py): clients
-# publish right after they have advertised, when nobody has had the time to subscribe.
+# rosbridge_server's lifespan of messages that are published without latch (rosbridge_library, internal/publishers.py):
+# clients publish right after they have advertised, when nobody has had the time to subscribe.
 LIFESPAN_S = 1.0
 
 
 class ClientTopics:
-    """Carries a client's operations on topics out.
+    """Topics of one client.
 
     Args:
-        node: the client.
-        session: its protocol state.
-        graph: where the topics are.
-        spelling: how the client spells messages.
-        clock: monotonic time [s].
-        wake: called when there is something to send.
-        refuse: told of a message that cannot be encoded as the client wants it.
-        send_at_once: sends a message if the socket takes it without waiting, and says whether it has.
+        context: the parts of the client.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        graph: Graph,
-        spelling: Spelling,
-        clock: Callable[[], float],
-        wake: Callable[[], None],
-        refuse: Callable[[str, ProtocolError], None],
-        send_at_once: Callable[[Parcel], bool],
-    ) -> None:
-        self._node = node
-        self._session = session
-        self._graph = graph
-        self._spelling = spelling
-        self._clock = clock
-        self._wake = wake
-        self._refuse = refuse
-        self._send_at_once = send_at_once
+    def __init__(self, context: ClientContext) -> None:
+        self._client = context
+        self._node = context.node
+        self._session = context.session
+        self._graph = context.graph
         self._subscriber = Subscriber(self._deliver)
 
-    @property
-    def handlers(self) -> Mapping[type[Operation], Callable[..., None]]:
-        """What carries which operation out."""
-        return {
-            Advertise: self._advertise,
-            Unadvertise: self._unadvertise,
-            Publish: self._publish,
-            Subscribe: self._subscribe,
-            Unsubscribe: self._unsubscribe,
-        }
-
-    def _advertise(self, operation: Advertise) -> None:
+    def advertise(self, operation: Advertise) -> None:
+        """Advertise a topic."""
         topic = qualify(operation.topic)
-        self._spelling.learn(operation.type, "msg")
+        self._client.translator.detect_dialect(operation.type, "msg")
         self._graph.advertise(self._node, topic, operation.type, latch=operation.latch)
         try:
             self._session.publications.add(operation)
@@ -76,31 +42,34 @@ class ClientTopics:
                 self._graph.unadvertise(self._node, topic)
             raise
 
-    def _unadvertise(self, operation: Unadvertise) -> None:
+    def unadvertise(self, operation: Unadvertise) -> None:
+        """Withdraw an advertisement."""
         topic = qualify(operation.topic)
-        # Who publishes without having advertised is a publisher too, under no id.
+        # A client that publishes without having advertised is a publisher too, under no id.
         implicit = topic not in self._session.publications and self._node in self._graph.publishers(topic)
         if implicit or self._session.publications.remove(operation.topic, operation.id):
             self._graph.unadvertise(self._node, topic)
 
-    def _publish(self, operation: Publish) -> None:
+    def publish(self, operation: Publish) -> None:
+        """Publish a message."""
         topic = qualify(operation.topic)
         message = self._message(topic, operation)
         self._graph.publish(self._node, topic, message, latch=operation.latch, lifespan_s=LIFESPAN_S)
 
-    def turn_away(self, operation: Publish, problem: str) -> None:
-        """Have a message answered that the client may not publish."""
+    def reject(self, operation: Publish, problem: str) -> None:
+        """Have the topic's owner answer a message that the client may not publish."""
         topic = qualify(operation.topic)
         self._graph.turn_away(self._node, topic, self._message(topic, operation), problem)
 
     def _message(self, topic: str, operation: Publish) -> object:
         if self._session.dialect == "ros1":
-            return self._spelling.from_client(self._graph.topic_type(topic), operation.msg)
+            return self._client.translator.from_client(self._graph.topic_type(topic), operation.msg)
         return operation.msg
 
-    def _subscribe(self, operation: Subscribe) -> None:
+    def subscribe(self, operation: Subscribe) -> None:
+        """Subscribe to a topic; messages that were published before the subscription follow at once."""
         topic = qualify(operation.topic)
-        self._spelling.learn(operation.type, "msg")
+        self._client.translator.detect_dialect(operation.type, "msg")
         earlier = self._graph.subscribe(self._node, topic, operation.type, self._subscriber)
         try:
             first = self._session.subscriptions.add(operation)
@@ -111,7 +80,8 @@ class ClientTopics:
         if first:
             self._deliver_earlier(topic, earlier)
 
-    def _unsubscribe(self, operation: Unsubscribe) -> None:
+    def unsubscribe(self, operation: Unsubscribe) -> None:
+        """End a subscription."""
         if self._session.subscriptions.remove(operation.topic, operation.id):
             self._graph.unsubscribe(self._node, qualify(operation.topic))
 
@@ -122,13 +92,13 @@ class ClientTopics:
         for publication in earlier[-1:] if newest_only else earlier:
             self._deliver(publication, wake=False)
         # Not before all are there: of what waits for a throttle, only the last ones are to be sent.
-        self._wake()
+        self._client.wake()
 
     def _deliver(self, publication: Publication, *, wake: bool = True) -> None:
         try:
-            queued = self._session.deliver(publication, self._clock(), self._send_at_once)
+            queued = self._session.deliver(publication, self._client.clock(), self._client.send_at_once)
         except ProtocolError as error:
-            self._refuse("subscribe", error)
+            self._client.status.refuse_error("subscribe", error)
         else:
             if queued and wake:
-                self._wake()
+                self._client.wake()

@@ -1,4 +1,4 @@
-"""One WebSocket: what comes in goes to the client, what the client has to say goes out."""
+"""Connection of one client: hands received messages to it and sends what it queues; and the traffic of all of them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import time
+from typing import NamedTuple, Protocol
 from urllib.parse import parse_qs, urlsplit
 
 from websockets.exceptions import ConnectionClosed
@@ -13,56 +14,86 @@ from websockets.protocol import State
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
-from protocol.parcel import Parcel
-from server.access.access import Access, unlimited
-from server.access.roles import ANYONE, Identity, Role, called
+from protocol.publication import Parcel
+from server.access.authentication import AuthThrottle
+from server.access.authorization import Access, unlimited
+from server.access.permissions import ANYONE, Identity, Role, display_name
 from server.gateway.client import Client
-from server.gateway.client_auth import WayIn
-from server.gateway.entrance.wrong_tokens import WrongTokens
-from server.gateway.traffic import TrafficCounts
-from server.gateway.websocket import TURN_S, WebSocket
-from server.graph import Graph
-from server.node import Node
+from server.gateway.client_auth import AuthContext
+from server.gateway.transport import TURN_S, WebSocket, address_of
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
 
 # RFC 6455 7.4.1: the client broke a rule of ours, such as to read its replies.
 POLICY_VIOLATION = 1008
 
-# How long a client that does not read may take to hear why it is closed.
+# Time for a client that does not read to receive the reason why it is closed.
 CLOSE_TIMEOUT_S = 1.0
 
-# RFC 6455 5.5: what a close frame has room for beside its code.
+# RFC 6455 5.5: size of the reason in a close frame [bytes].
 MAX_REASON_BYTES = 123
 
-# How long a client that has to say who it is may take for that.
+# Time for a client to authenticate.
 AUTH_TIMEOUT_S = 10.0
 
-# Until then; what a client sends right behind its auth, without waiting, is read under this limit as well. All that may
-# connect from one address hold 100 MB so.
+# Size of a message until then; messages that a client sends right behind its auth are read under this limit as well.
+# All clients that may connect from one address hold 100 MB so.
 MAX_UNKNOWN_BYTES = 131_072
 
-# Who may only look has nothing long to say, and a message of ten megabytes holds the server up for a second.
+# Viewers send nothing long, and a message of ten megabytes takes the server a second.
 MAX_VIEW_BYTES = 1_048_576
 
-# Of ``?on_disconnect=``: whether goals end with the connection.
+# Values of ``?on_disconnect=``: True where goals end with the connection.
 _GOALS_END = {"stop": True, "finish": False}
 
 
-class Connection:
-    """The socket of one client.
-
-    Args:
-        websocket: the open connection.
-        graph: what the client takes part in.
-        limits: what the client may cost.
-        takes_goals_along: whether its goals are cancelled when it leaves, unless its URL says otherwise.
-        identity: who the client is; None for one that has yet to say so.
-        access: who may do what; None for everybody everything.
-        wrong_tokens: by address; None where nobody counts them.
+class TrafficCounts(NamedTuple):
+    """Traffic of one connection, or of all of them.
 
     Attributes:
-        address: where the client connects from.
+        received_messages: WebSocket messages received.
+        received_bytes: bytes received, those of the handshake included.
+        sent_messages: WebSocket messages sent; a fragment is one.
+        sent_bytes: bytes of these messages.
+        dropped_messages: messages of topics dropped because the client read too slowly.
+        refused_operations: operations that were not carried out.
+    """
+
+    received_messages: int = 0
+    received_bytes: int = 0
+    sent_messages: int = 0
+    sent_bytes: int = 0
+    dropped_messages: int = 0
+    refused_operations: int = 0
+
+
+class Counted(Protocol):
+    """Connection that counts its traffic."""
+
+    def counts(self) -> TrafficCounts:
+        """Return the traffic until now."""
+
+    @property
+    def queued_bytes(self) -> int:
+        """Bytes that wait for the client to read them."""
+
+
+class Connection:
+    """Connection of one client.
+
+    Args:
+        websocket: the open WebSocket.
+        graph: the graph that the client takes part in.
+        limits: limits of the client.
+        takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
+        identity: identity of the client; None for one that has yet to authenticate.
+        access: authentication and authorization; None for a server without tokens and limits.
+        auth_throttle: throttle of guesses; None where nobody counts them.
+
+    Attributes:
+        address: IP address of the client.
     """
 
     def __init__(
@@ -74,7 +105,7 @@ class Connection:
         takes_goals_along: bool = False,
         identity: Identity | None = ANYONE,
         access: Access | None = None,
-        wrong_tokens: WrongTokens | None = None,
+        auth_throttle: AuthThrottle | None = None,
     ) -> None:
         self._websocket = websocket
         # Made when something has to wait: most clients hardly ever hear so much.
@@ -84,7 +115,7 @@ class Connection:
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
         self._client = Client(
-            called(identity, place),
+            display_name(identity, place),
             graph,
             limits,
             time.monotonic,
@@ -92,7 +123,7 @@ class Connection:
             _dialect(websocket),
             websocket.send_at_once,
             identity,
-            WayIn(access or unlimited(), self.address, wrong_tokens, self._shut_out, self._limit_messages),
+            AuthContext(access or unlimited(), self.address, auth_throttle, self._disconnect, self._limit_messages),
         )
         self._client.node.address = place
         self._max_message_bytes = websocket.protocol.max_message_size
@@ -103,16 +134,16 @@ class Connection:
 
     @property
     def node(self) -> Node:
-        """The client in the graph."""
+        """Node of the client in the graph."""
         return self._client.node
 
     @property
     def queued_bytes(self) -> int:
-        """What waits for the client to read."""
+        """Bytes that wait for the client to read them."""
         return self._client.session.queued_bytes
 
     def counts(self) -> TrafficCounts:
-        """What the client has said and heard until now."""
+        """Return the traffic of the client until now."""
         websocket, client = self._websocket, self._client
         return TrafficCounts(
             received_messages=client.received_messages,
@@ -120,7 +151,7 @@ class Connection:
             sent_messages=websocket.sent_messages,
             sent_bytes=websocket.sent_bytes,
             dropped_messages=client.session.dropped,
-            refused_operations=client.refused_operations,
+            refused_operations=client.status.refused,
         )
 
     async def run(self) -> None:
@@ -128,14 +159,14 @@ class Connection:
         log.info("%s connected", self._client.node)
         waiting = None
         if self._client.node.identity is None:
-            waiting = asyncio.get_running_loop().call_later(AUTH_TIMEOUT_S, self._see_who_it_is)
+            waiting = asyncio.get_running_loop().call_later(AUTH_TIMEOUT_S, self._check_authenticated)
         try:
-            self._websocket.on_message = self._client.receive_frame
+            self._websocket.start_delivery(self._client.receive_frame)
             await self._read()
         finally:
             if waiting is not None:
                 waiting.cancel()
-            self._websocket.on_message = None
+            self._websocket.stop_delivery()
             await self._end_writer()
             self._client.leave()
 
@@ -161,7 +192,7 @@ class Connection:
             log.info("%s left", self._client.node)
 
     async def _write(self, wake: asyncio.Event) -> None:
-        """Send what could not be sent at once."""
+        """Send the messages that the socket did not take at once, as it takes them and as they become due."""
         while self._websocket.state is State.OPEN:
             wake.clear()
             self._flush()
@@ -169,7 +200,7 @@ class Connection:
             await self._until_something_is_due(wake)
 
     def _wake_up(self) -> None:
-        """Send what is due, or have it sent; a client whose replies pile up is closed, for it may never read them."""
+        """Send the messages that are due, or wake the writer; disconnect a client that does not read its replies."""
         session = self._client.session
         if not session.overflowed:
             self._flush()
@@ -177,7 +208,7 @@ class Connection:
                 self._wake_writer()
         elif self._closing is None:
             log.warning("%s: does not read its replies; closing", self._client.node)
-            self._shut_out("replies are not read")
+            self._disconnect("replies are not read")
 
     def _wake_writer(self) -> None:
         if self._wake is None:
@@ -186,7 +217,7 @@ class Connection:
         self._wake.set()
 
     def _limit_messages(self) -> None:
-        """Larger messages end the connection before they are read."""
+        """Set the size of a message beyond which the connection is closed, before the message is read."""
         identity, limit_bytes = self._client.node.identity, self._max_message_bytes
         if identity is None:
             limit_bytes = MAX_UNKNOWN_BYTES
@@ -194,24 +225,24 @@ class Connection:
             limit_bytes = min(MAX_VIEW_BYTES, limit_bytes or MAX_VIEW_BYTES)
         self._websocket.protocol.max_message_size = limit_bytes
 
-    def _see_who_it_is(self) -> None:
+    def _check_authenticated(self) -> None:
         if self._client.node.identity is None and self._closing is None:
             log.warning("%s: has not said who it is within %g s; closing", self._client.node, AUTH_TIMEOUT_S)
-            self._shut_out(f"the op auth is wanted within {AUTH_TIMEOUT_S:g} s")
+            self._disconnect(f"the op auth is wanted within {AUTH_TIMEOUT_S:g} s")
 
-    def _shut_out(self, reason: str) -> None:
+    def _disconnect(self, reason: str) -> None:
         if self._closing is None:
             self._closing = asyncio.create_task(self._close(reason), name=f"close {self._client.node}")
 
     async def _close(self, reason: str) -> None:
-        """Say why, and end the connection even if the client hears nothing."""
+        """Close the connection with a reason, and end it even if the client reads nothing."""
         told = reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
         with contextlib.suppress(TimeoutError, ConnectionClosed):
             await asyncio.wait_for(self._websocket.close(POLICY_VIOLATION, told), CLOSE_TIMEOUT_S)
         self._websocket.transport.abort()
 
     def _flush(self) -> None:
-        """Send what is due, for as long as the socket takes it without waiting."""
+        """Send the messages that are due while the socket takes them without waiting."""
         while self._websocket.takes_more:
             frames = self._client.session.data_to_send(time.monotonic())
             if not frames:
@@ -228,17 +259,52 @@ class Connection:
             await asyncio.wait_for(wake.wait(), due_s - now_s)
 
 
-def address_of(websocket: WebSocket) -> tuple[str, int]:
-    """Address and port of the client; a connection that broke off at once has none any more."""
-    address = websocket.remote_address
-    return (str(address[0]), int(address[1])) if isinstance(address, tuple) else ("unknown", 0)
+class Traffic:
+    """Traffic of all connections, those that have ended included; it is added up when it is asked for.
+
+    Attributes:
+        connections: connections that there have ever been.
+    """
+
+    def __init__(self) -> None:
+        self.connections = 0
+        self._open: set[Counted] = set()
+        self._ended = TrafficCounts()
+
+    @property
+    def clients(self) -> int:
+        """Number of clients that are connected."""
+        return len(self._open)
+
+    def add(self, connection: Counted) -> None:
+        """Add a connection."""
+        self.connections += 1
+        self._open.add(connection)
+
+    def remove(self, connection: Counted) -> None:
+        """Remove a connection that has ended; its traffic stays counted."""
+        self._open.discard(connection)
+        self._ended = _sum([self._ended, connection.counts()])
+
+    def counts(self) -> TrafficCounts:
+        """Return the traffic of all connections, from the first on."""
+        return _sum([self._ended, *(connection.counts() for connection in self._open)])
+
+    def queued_bytes(self) -> tuple[int, int]:
+        """Return the bytes that wait for all clients, and those for the client with the most."""
+        queued = [connection.queued_bytes for connection in self._open]
+        return sum(queued), max(queued, default=0)
 
 
 def _dialect(websocket: WebSocket) -> Dialect:
-    """Which ROS the client asks for in its URL: ``?ros=1`` for ROS 1."""
+    """Return the dialect that the client asks for in its URL: ``?ros=1`` for ROS 1."""
     return "ros1" if _query(websocket).get("ros") == ["1"] else "ros2"
 
 
 def _query(websocket: WebSocket) -> dict[str, list[str]]:
-    """What the client asks for in its URL."""
+    """Return the fields of the query in the client's URL."""
     return parse_qs(urlsplit(websocket.request.path).query if websocket.request else "")
+
+
+def _sum(counts: list[TrafficCounts]) -> TrafficCounts:
+    return TrafficCounts(*map(sum, zip(*counts, strict=True)))

@@ -1,40 +1,42 @@
 """HTTP on the port of rosbridge: the page at ``/``, the robot's files below ``/robot/``, and routes.
 
-One request a connection, answered before there is a WebSocket; requests to upgrade pass, whatever they ask for.
+One request a connection, answered before there is a WebSocket; requests to upgrade pass, whatever path they have. Files
+are read, compressed and named by their content once, and kept while they do not change.
 """
 
 from __future__ import annotations
 
 import asyncio
+import gzip
+import hashlib
 import logging
 import re
+from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from email.utils import formatdate
 from http import HTTPStatus
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TypeAlias
 from urllib.parse import unquote
 
 from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+import server
 from protocol.errors import one_line, shorten
-from robot.model import RobotModel
+from robot.description.model import RobotModel
+from server.access.rate_limits import MAX_REFUSAL_LINES, LogLimiter
 from server.errors import FileTooLargeError, ServiceError
-from server.gateway import page
-from server.gateway.file_cache import FileCache, StoredFile
-from server.gateway.http_answers import Answer, accepts_gzip, names
-from server.gateway.media_types import compressible, media_type
 from server.moveit.robot_files import find_file, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
 
 # Answers a request for one path.
-Route: TypeAlias = Callable[[Request], Awaitable[Answer]]
+Route: TypeAlias = Callable[[Request], Awaitable["Answer"]]
 
 METHODS = ("GET", "HEAD")
-
-# Files that the log is told of; whoever has more of them knows by then.
-MAX_TOLD = 100
 
 # What clients may leave unread in all. The meshes of an arm, to a dozen browsers at a time.
 MAX_UNREAD_BYTES = 256 << 20
@@ -42,27 +44,320 @@ MAX_UNREAD_BYTES = 256 << 20
 ROBOT = "robot"
 DESCRIPTIONS = ("description.urdf", "description.srdf")
 
-# As vite names what it builds with a hash of the content: such a file never changes.
+# Names that vite gives to files with a hash of their content: such a file never changes.
 _HASHED = re.compile(r"assets/[^/]+-[A-Za-z0-9_-]{8}\.[a-z0-9.]+")
 _FOR_EVER = "public, max-age=31536000, immutable"
 
 # Kept by the browser, and asked about at each use: an ETag that still holds costs 300 bytes.
 _ASK_AGAIN = "no-cache"
 
+# Nothing of another host is loaded or asked, nothing runs that is not a file of ours, nobody frames the page: whoever
+# made a person click on a page within a page would move the arm. Textures are made from data and blobs.
+POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' data: blob:",
+        "font-src 'self'",
+        "connect-src 'self' blob:",
+        "manifest-src 'self'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+)
 
-class HttpGate:
-    """Answers what is asked over HTTP.
+_WEIGHT_OF_NOTHING = re.compile(r"q\s*=\s*0(\.0*)?")
+
+# A connection serves one request: websockets closes it after the answer.
+_HEADERS_OF_ALL = {
+    "Connection": "close",
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+}
+
+# Built by `make page` from the sources beside it; in a wheel it is there without them.
+PAGE_DIRECTORY = Path(server.__file__).parent / "page" / "dist"
+
+INDEX = "index.html"
+
+# The page's largest file, its libraries, has one.
+MAX_PAGE_FILE_BYTES = 8 << 20
+
+HOW_TO_BUILD_PAGE = "the page is not built: install Node.js 20.19 or later with npm, and call make page"
+
+NOT_BUILT = f"""<!doctype html>
+<html lang="en">
+<head><meta charset="utf-8"><title>armbridge</title></head>
+<body>
+<h1>armbridge is running</h1>
+<p>Clients of rosbridge connect to this address.</p>
+<p>What is missing is the page for people. Here {HOW_TO_BUILD_PAGE}. Then load this address again.</p>
+</body>
+</html>
+"""
+
+UNKNOWN_TYPE = "application/octet-stream"
+
+_TEXTS = {
+    ".css": "text/css",
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".mjs": "text/javascript",
+    # Browsers show plain text, and save Markdown.
+    ".md": "text/plain",
+    ".txt": "text/plain",
+    ".json": "application/json",
+    ".map": "application/json",
+    ".webmanifest": "application/manifest+json",
+    ".svg": "image/svg+xml",
+    ".urdf": "application/xml",
+    ".srdf": "application/xml",
+    ".xml": "application/xml",
+    ".dae": "model/vnd.collada+xml",
+    ".gltf": "model/gltf+json",
+    ".obj": "model/obj",
+    ".mtl": "model/mtl",
+}
+_BINARIES = {
+    ".ico": "image/x-icon",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".bmp": "image/bmp",
+    ".tif": "image/tiff",
+    ".woff2": "font/woff2",
+    ".wasm": "application/wasm",
+    ".stl": "model/stl",
+    ".glb": "model/gltf-binary",
+}
+
+# What has little to gain by another compression.
+_COMPRESSED = frozenset((".png", ".jpg", ".jpeg", ".woff2"))
+
+# The page has one megabyte, an arm's meshes at their full size have 16, and less again when both forms are asked for.
+CACHE_BYTES = 64 << 20
+
+# Below this size the header outweighs the gain.
+MIN_GZIP_BYTES = 1000
+
+# Twice the time of the lowest level for a tenth less; more gains nothing on scripts and meshes.
+GZIP_LEVEL = 6
+
+# 96 bits tell all files ever served apart.
+ETAG_DIGITS = 24
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFile:
+    """Content of a file, plain or compressed.
+
+    Attributes:
+        octets: the body of the answer.
+        etag: name of the content in this form.
+        gzipped: True for compressed octets.
+    """
+
+    octets: bytes
+    etag: str
+    gzipped: bool
+
+    @classmethod
+    def of(cls, octets: bytes, *, gzipped: bool) -> StoredFile:
+        """Return content, compressed if that is wanted and makes it smaller."""
+        digits = hashlib.sha256(octets).hexdigest()[:ETAG_DIGITS]
+        if gzipped and len(octets) >= MIN_GZIP_BYTES:
+            smaller = gzip.compress(octets, GZIP_LEVEL, mtime=0)
+            if len(smaller) < len(octets):
+                return cls(smaller, f'"{digits}-gzip"', gzipped=True)
+        return cls(octets, f'"{digits}"', gzipped=False)
+
+
+# A change of path, time, size or form is a change of the file.
+_Key = tuple[Path, int, int, bool]
+
+
+class FileCache:
+    """Cache of files; reads them on a thread, one at a time, so that no slow disk and no large file delays the server.
 
     Args:
-        robot: whose files are served.
+        limit_bytes: size of the cache [bytes]; the file that was asked for the longest ago is dropped first.
+    """
+
+    def __init__(self, limit_bytes: int = CACHE_BYTES) -> None:
+        self._limit_bytes = limit_bytes
+        self._kept: OrderedDict[_Key, StoredFile] = OrderedDict()
+        self._kept_bytes = 0
+        self._one_at_a_time = asyncio.Lock()
+
+    async def read(self, find: Callable[[], Path], *, gzipped: bool) -> StoredFile:
+        """Return a file, from the cache or the disk.
+
+        Args:
+            find: returns the path of the file; called on the thread, may raise.
+            gzipped: True for a client that takes gzip.
+
+        Raises:
+            OSError: it cannot be read.
+        """
+        async with self._one_at_a_time:
+            return await asyncio.to_thread(self._read, find, gzipped)
+
+    def _read(self, find: Callable[[], Path], gzipped: bool) -> StoredFile:
+        path = find()
+        state = path.stat()
+        key = (path, state.st_mtime_ns, state.st_size, gzipped)
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        file = StoredFile.of(path.read_bytes(), gzipped=gzipped)
+        self._keep(key, file)
+        return file
+
+    def _keep(self, key: _Key, file: StoredFile) -> None:
+        self._kept[key] = file
+        self._kept_bytes += len(file.octets)
+        while self._kept_bytes > self._limit_bytes:
+            _, dropped = self._kept.popitem(last=False)
+            self._kept_bytes -= len(dropped.octets)
+
+
+def media_type(name: str) -> str:
+    """Return the Content-Type of a file by its suffix; the machine's own table gets ``.js`` wrong on some systems."""
+    suffix = PurePath(name).suffix.lower()
+    text = _TEXTS.get(suffix)
+    return f"{text}; charset=utf-8" if text else _BINARIES.get(suffix, UNKNOWN_TYPE)
+
+
+def compressible(name: str) -> bool:
+    """Return True for a file that gzip makes smaller, by its suffix: texts, and coordinates by the thousand."""
+    return PurePath(name).suffix.lower() not in _COMPRESSED
+
+
+def page_is_built(directory: Path) -> bool:
+    """Return True for a directory with the built page."""
+    return (directory / INDEX).is_file()
+
+
+def find_page_file(directory: Path, name: str) -> Path:
+    """Return the path of a file of the page.
+
+    Args:
+        directory: the built page.
+        name: path below it; empty for the page itself.
+
+    Raises:
+        ServiceError: there is none, or it is outside the directory.
+        FileTooLargeError: it is too large to be one.
+    """
+    nowhere = f"{('/' + name)!r} is no file of the page"
+    try:
+        root = directory.resolve()
+        path = (root / (name or INDEX)).resolve()
+        if not path.is_relative_to(root) or not path.is_file():
+            raise ServiceError(nowhere)
+        size_bytes = path.stat().st_size
+    # A name with a zero byte is no name of a file.
+    except (OSError, ValueError) as error:
+        raise ServiceError(f"{nowhere}: {error}") from error
+    if size_bytes > MAX_PAGE_FILE_BYTES:
+        raise FileTooLargeError(f"{('/' + name)!r} has {size_bytes} bytes, the limit is {MAX_PAGE_FILE_BYTES}")
+    return path
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Answer to a request.
+
+    Attributes:
+        status: of HTTP.
+        body: body of the answer to a GET.
+        headers: headers of this answer alone.
+    """
+
+    status: HTTPStatus
+    body: bytes
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_text(cls, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Answer:
+        """Return an answer with one sentence of text."""
+        about = {"Content-Type": "text/plain; charset=utf-8", "Cache-Control": "no-store"}
+        # A file name may have bytes that are no UTF-8.
+        return cls(status, f"{text}\n".encode(errors="backslashreplace"), {**about, **(headers or {})})
+
+    @classmethod
+    def of_data(cls, status: HTTPStatus, body: bytes, media_type: str) -> Answer:
+        """Return an answer with data that are not to be cached."""
+        return cls(status, body, {"Content-Type": media_type, "Cache-Control": "no-store"})
+
+    @classmethod
+    def of_html(cls, status: HTTPStatus, text: str) -> Answer:
+        """Return an answer with a page of HTML."""
+        return cls(status, text.encode(), {"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store"})
+
+    @classmethod
+    def of_file(
+        cls, file: StoredFile, media_type: str, keeping: str, headers: Mapping[str, str] | None = None
+    ) -> Answer:
+        """Return an answer with a file.
+
+        Args:
+            file: its content.
+            media_type: its Content-Type.
+            keeping: its Cache-Control.
+            headers: further headers.
+        """
+        about = {"Content-Type": media_type, "Cache-Control": keeping, "ETag": file.etag, "Vary": "Accept-Encoding"}
+        if file.gzipped:
+            about["Content-Encoding"] = "gzip"
+        return cls(HTTPStatus.OK, file.octets, {**about, **(headers or {})})
+
+    def response(self, request: Request) -> Response:
+        """Return the response to a request: without a body when its sender has the content, or asks for none."""
+        etag = self.headers.get("ETag")
+        unchanged = etag is not None and _has(request.headers, etag)
+        status = HTTPStatus.NOT_MODIFIED if unchanged else self.status
+        headers = Headers({"Date": formatdate(usegmt=True), **_HEADERS_OF_ALL, **self.headers})
+        if unchanged:
+            del headers["Content-Type"]
+            headers.pop("Content-Encoding", None)
+        else:
+            headers["Content-Length"] = str(len(self.body))
+        return Response(status, status.phrase, headers, b"" if unchanged or request.method == "HEAD" else self.body)
+
+
+def names(headers: Headers, header: str, token: str) -> bool:
+    """Return True for a header of comma-separated words that has a word."""
+    return any(word.strip().lower() == token for line in headers.get_all(header) for word in line.split(","))
+
+
+def accepts_gzip(headers: Headers) -> bool:
+    """Return True for a client that takes a compressed body."""
+    for line in headers.get_all("Accept-Encoding"):
+        for item in line.lower().split(","):
+            coding, _, weight = item.partition(";")
+            if coding.strip() in ("gzip", "*"):
+                return not _WEIGHT_OF_NOTHING.fullmatch(weight.strip())
+    return False
+
+
+class HttpHandler:
+    """Handler of requests over HTTP.
+
+    Args:
+        robot: robot whose files are served; None for no such files.
         page_directory: the built page; it may come, go and change while the server runs.
-        routes: what else is answered, by path without its first slash; they come before the page's files.
+        routes: further handlers, by path without its first slash; they come before the page's files.
     """
 
     def __init__(
         self,
         robot: RobotModel | None = None,
-        page_directory: Path = page.PAGE_DIRECTORY,
+        page_directory: Path = PAGE_DIRECTORY,
         routes: Mapping[str, Route] | None = None,
     ) -> None:
         self._robot = robot
@@ -72,7 +367,7 @@ class HttpGate:
         self._page_files = FileCache()
         self._robot_files = FileCache()
         self._descriptions = _descriptions(robot) if robot else {}
-        self._told: set[str] = set()
+        self._log = LogLimiter(log, MAX_REFUSAL_LINES)
         self._unread_bytes = 0
         self._readers: set[asyncio.Task[None]] = set()
 
@@ -99,7 +394,7 @@ class HttpGate:
         return response
 
     def _count(self, connection: ServerConnection, size_bytes: int) -> None:
-        """Count what is sent as unread until the connection has ended."""
+        """Count a body as unread until the connection has ended."""
 
         def read(reader: asyncio.Task[None]) -> None:
             self._readers.discard(reader)
@@ -117,27 +412,27 @@ class HttpGate:
             return Answer.of_text(HTTPStatus.NOT_FOUND, "this is no path to a file")
         if name in self._routes:
             return await self._routes[name](request)
-        gzipped = accepts_gzip(request.headers) and compressible(name or page.INDEX)
-        room, _, inner = name.partition("/")
+        gzipped = accepts_gzip(request.headers) and compressible(name or INDEX)
+        area, _, inner = name.partition("/")
         try:
-            if room == ROBOT:
+            if area == ROBOT:
                 return await self._robot_file(inner, gzipped)
             return await self._page_file(name, gzipped)
         except FileTooLargeError as error:
-            self._tell_once(_sentence(error))
-            return Answer.of_text(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _sentence(error), _cors(room))
+            self._tell(_sentence(error))
+            return Answer.of_text(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _sentence(error), _cors(area))
         except ServiceError as error:
-            return Answer.of_text(HTTPStatus.NOT_FOUND, _sentence(error), _cors(room))
+            return Answer.of_text(HTTPStatus.NOT_FOUND, _sentence(error), _cors(area))
         except OSError as error:
-            self._tell_once(f"{name!r} cannot be read: {error.strerror}")
-            return Answer.of_text(HTTPStatus.INTERNAL_SERVER_ERROR, f"{name!r} cannot be read", _cors(room))
+            self._tell(f"{name!r} cannot be read: {error.strerror}")
+            return Answer.of_text(HTTPStatus.INTERNAL_SERVER_ERROR, f"{name!r} cannot be read", _cors(area))
 
     async def _page_file(self, name: str, gzipped: bool) -> Answer:
-        if name in ("", page.INDEX) and not page.is_built(self._page_directory):
-            return Answer.of_html(HTTPStatus.NOT_FOUND, page.NOT_BUILT)
-        file = await self._page_files.read(lambda: page.find_page_file(self._page_directory, name), gzipped=gzipped)
+        if name in ("", INDEX) and not page_is_built(self._page_directory):
+            return Answer.of_html(HTTPStatus.NOT_FOUND, NOT_BUILT)
+        file = await self._page_files.read(lambda: find_page_file(self._page_directory, name), gzipped=gzipped)
         keeping = _FOR_EVER if _HASHED.fullmatch(name) else _ASK_AGAIN
-        return Answer.of_file(file, media_type(name or page.INDEX), keeping)
+        return Answer.of_file(file, media_type(name or INDEX), keeping)
 
     async def _robot_file(self, name: str, gzipped: bool) -> Answer:
         text = self._descriptions.get(name)
@@ -151,20 +446,18 @@ class HttpGate:
             file = await self._robot_files.read(lambda: find_file(directory, package, url), gzipped=gzipped)
         return Answer.of_file(file, media_type(name), _ASK_AGAIN, _cors(ROBOT))
 
-    def _tell_once(self, sentence: str) -> None:
-        """Warn of a file; a browser that asks for it again and again tells nothing new."""
-        if sentence not in self._told and len(self._told) < MAX_TOLD:
-            self._told.add(sentence)
-            log.warning("not served: %s", sentence)
+    def _tell(self, sentence: str) -> None:
+        """Warn once of a file that is not served; browsers ask for it again and again."""
+        self._log.write(logging.WARNING, f"not served: {sentence}", ("file", sentence))
 
 
 def _sentence(error: ServiceError) -> str:
-    """What there is to say, without the field of the service that the same files are served by."""
+    """Return the sentence of an error, without the field of the service that serves the same files."""
     return str(error).removeprefix("name: ")
 
 
 def _name(path: str) -> str | None:
-    """The path that is asked for without its first slash, None when it names no file for certain."""
+    """Return the path of a request without its first slash, None for one that cannot be a file."""
     try:
         name = unquote(path.partition("?")[0], errors="strict")
     except ValueError:
@@ -182,6 +475,12 @@ def _descriptions(robot: RobotModel) -> dict[str, bytes]:
     return dict(zip(DESCRIPTIONS, (text.encode() for text in texts), strict=True))
 
 
-def _cors(room: str) -> dict[str, str]:
-    """The robot's files may be read by pages of any origin, as Foxglove's; the page itself is for nobody else."""
-    return {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"} if room == ROBOT else {}
+def _cors(area: str) -> dict[str, str]:
+    """Return the headers that let pages of any origin, such as Foxglove's, read the robot's files and nothing else."""
+    return {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"} if area == ROBOT else {}
+
+
+def _has(headers: Headers, etag: str) -> bool:
+    """Return True for a client that has the content of that name."""
+    held = [item.strip().removeprefix("W/") for line in headers.get_all("If-None-Match") for item in line.split(",")]
+    return etag in held or "*" in held

@@ -1,56 +1,149 @@
-"""The listening socket: makes a connection of every WebSocket client, and lets the others have their page."""
+"""Listening sockets of the server: binds the port on every address, and serves the clients that connect."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import errno
+import functools
 import logging
+import resource
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, cast
 
+from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from protocol.limits import Limits
-from server.access.access import Access, unlimited
+from server.access.authentication import Tokens
+from server.access.authorization import Access, unlimited
+from server.access.settings import AccessSettings
 from server.client_list import ClientList
-from server.gateway.connection import Connection, address_of
-from server.gateway.entrance.descriptors import make_room_for
-from server.gateway.entrance.door import Caller
-from server.gateway.entrance.entrance import Entrance
-from server.gateway.entrance.exposure import check_exposure
-from server.gateway.entrance.listening import listen, resolve
-from server.gateway.entrance.reception import Reception
-from server.gateway.entrance.turnstile import RETRY_AFTER_S, Turnstile
-from server.gateway.http import HttpGate
-from server.gateway.http_answers import Answer, names
-from server.gateway.traffic import Traffic
-from server.gateway.websocket import WebSocket
-from server.graph import Graph
+from server.config import ServerSettings
+from server.errors import StartError
+from server.gateway.admission import AdmissionPolicy, HandshakeRequest, check_exposure
+from server.gateway.connection import Connection, Traffic
+from server.gateway.connection_limits import RETRY_AFTER_S, ConnectionLimiter, ConnectionLimits
+from server.gateway.http import Answer, HttpHandler, names
+from server.gateway.tls import Tls
+from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket, address_of
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
+WEBSOCKETS_LOG = logging.getLogger("websockets.server")
 
 # A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
 # beyond it the socket is closed (1009) before it is read.
 OVERSIZE = 2
 
-# Lines of websockets for each answer over HTTP, as if it were a failure: a page that is loaded is none.
+# websockets counts an answer over HTTP as part of the handshake, and cuts it short when the time is up, without a word.
+# The largest mesh, 20 MB, takes so long at 170 kB/s, over a poor wireless link.
+OPEN_TIMEOUT_S = 120.0
+
+# Browsers close at once; a client that does not must not hold up the end of the server.
+CLOSE_TIMEOUT_S = 0.5
+
+# RFC 8446 needs two round trips; a slow device computes for a second.
+TLS_HANDSHAKE_TIMEOUT_S = 10.0
+TLS_SHUTDOWN_TIMEOUT_S = 1.0
+
+# Lines of websockets' log for each answer over HTTP: it takes every answer for a failed handshake.
 _HTTP_LINES = ("connection rejected", "HTTP response sent")
+
+# Connections that wait to be accepted; a flood of one client's must not keep another's out of the queue.
+BACKLOG = 1024
+
+# Port 0 takes a free one of the first address, which another program may have on the next.
+FREE_PORT_TRIES = 5
+
+# The address is not there on this machine: without IPv6, ``localhost`` is 127.0.0.1 alone.
+_NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
+
+# Besides the clients: planners, the bus, files.
+SPARE = 256
+
+
+@dataclass(frozen=True)
+class KeepaliveSettings:
+    """Pings, which detect a client whose machine is gone without a word.
+
+    Attributes:
+        interval_s: time between two pings [s].
+        timeout_s: time to answer one [s].
+    """
+
+    interval_s: float = 20.0
+    timeout_s: float = 20.0
+
+
+@dataclass(frozen=True)
+class ListenerSettings:
+    """Settings of a listener.
+
+    Attributes:
+        admission: policy of admission; by default every client that addresses this machine is admitted.
+        limits: limits of connections.
+        tls: the server's certificate; None for connections that are not encrypted.
+        keepalive: pings.
+    """
+
+    admission: AdmissionPolicy = field(default_factory=AdmissionPolicy)
+    limits: ConnectionLimits = field(default_factory=ConnectionLimits)
+    tls: Tls | None = None
+    keepalive: KeepaliveSettings = field(default_factory=KeepaliveSettings)
+
+    @classmethod
+    def from_settings(cls, server: ServerSettings, access: AccessSettings, tokens: Tokens) -> ListenerSettings:
+        """Return the settings of a listener that the configuration describes.
+
+        Raises:
+            ConfigurationError: the certificate cannot be used.
+        """
+        limits = ConnectionLimits(server.max_clients, server.max_clients_per_address, server.connections_per_s)
+        pair = server.tls_certificate, server.tls_key
+        tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
+        return cls(
+            AdmissionPolicy.from_settings(access, tokens),
+            limits,
+            tls,
+            KeepaliveSettings(server.ping_interval_s, server.ping_timeout_s),
+        )
+
+
+class _WebSocketsLog(logging.LoggerAdapter[logging.Logger]):
+    """Log of websockets without its debug lines: they contain every address and every message, and so every token."""
+
+    def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - logging's name
+        return level > logging.DEBUG and super().isEnabledFor(level)
+
+
+class Place(NamedTuple):
+    """Address to listen on, as :func:`socket.socket` and ``bind`` take it."""
+
+    family: socket.AddressFamily
+    address: str
+    scope_id: int
 
 
 class Listener:
-    """Accepts clients on one TCP port, whatever path and query they ask for.
+    """Listener on one TCP port of every address of a host; clients may ask for any path and query.
 
     Args:
-        graph: what clients take part in.
-        host: address to listen on.
+        graph: the graph that clients take part in.
+        host: name or address to listen on.
         port: TCP port; 0 takes a free one.
-        http: answers requests that are no WebSocket's.
-        takes_goals_along: whether a client's goals are cancelled when it leaves, unless its URL says otherwise.
-        entrance: who gets in; None lets everybody in who addresses this machine.
-        access: what those may do who are in; None for everything.
-        limits: what one client may cost.
+        http: handler of requests over HTTP.
+        takes_goals_along: True where a client's goals are cancelled when it leaves, unless its URL says otherwise.
+        settings: admission, limits, certificate and keepalive; None for a server without tokens.
+        access: authentication and authorization; None for a server without tokens and limits.
+        limits: limits of one client.
 
     Attributes:
-        door: decides who gets in.
-        traffic: what clients say and hear.
+        admission: policy of admission.
+        traffic: traffic of all clients.
     """
 
     def __init__(
@@ -58,28 +151,31 @@ class Listener:
         graph: Graph,
         host: str,
         port: int,
-        http: HttpGate | None = None,
+        http: HttpHandler | None = None,
         *,
         takes_goals_along: bool = False,
-        entrance: Entrance | None = None,
+        settings: ListenerSettings | None = None,
         access: Access | None = None,
         limits: Limits | None = None,
     ) -> None:
         self._graph = graph
         self._host = host
         self._port = port
-        self._http = http or HttpGate()
-        entrance = entrance or Entrance()
-        self.door = entrance.door
-        self._tls = entrance.tls
-        self._connection_limits = entrance.limits
-        self._pings = entrance.pings
-        self._turnstile = Turnstile(entrance.limits)
+        self._http = http or HttpHandler()
+        settings = settings or ListenerSettings()
+        self.admission = settings.admission
+        self._tls = settings.tls
+        self._connection_limits = settings.limits
+        self._keepalive = settings.keepalive
+        self._limiter = ConnectionLimiter(settings.limits)
         self._limits = limits or Limits()
         self._takes_goals_along = takes_goals_along
         self._access = access or unlimited()
         self._sockets: list[socket.socket] = []
-        self._server: Reception | None = None
+        # One a listening socket.
+        self._servers: list[Server] = []
+        # Each connection from its `connection_made` to its `connection_lost`.
+        self._connections: set[WebSocket] = set()
         self._clients = ClientList(graph)
         self.traffic = Traffic()
 
@@ -90,12 +186,12 @@ class Listener:
 
     @property
     def url(self) -> str:
-        """Where clients of rosbridge connect."""
+        """URL for clients of rosbridge."""
         return f"{'ws' if self._tls is None else 'wss'}://{self._authority}"
 
     @property
     def page_url(self) -> str:
-        """Where browsers find the page."""
+        """URL of the page, for browsers."""
         return f"{'http' if self._tls is None else 'https'}://{self._authority}/"
 
     @property
@@ -103,18 +199,20 @@ class Listener:
         return f"{f'[{self._host}]' if ':' in self._host else self._host}:{self._port}"
 
     def refused_connections(self) -> Mapping[str, int]:
-        """How many were refused, by why: ``limit``, and what the door has said."""
-        return {**self.door.refusals, "limit": self._turnstile.turned_away}
+        """Return the numbers of refused connections and requests by reason: ``limit``, and those of the admission."""
+        return {**self.admission.refusals, "limit": self._limiter.rejected_count}
 
     async def bind(self) -> None:
-        """Take the port; clients that come now wait until :meth:`open`.
+        """Take the port; clients that connect now wait until :meth:`open`.
 
         Raises:
-            ConfigurationError: others can reach the address, and nobody has said that they may.
+            ConfigurationError: others can reach the address without a token, and no setting allows it.
             StartError: the address is in use, not allowed or not ours.
         """
         places = await resolve(self._host, self._port)
-        check_exposure(self._host, (place.address for place in places), self.door.tokens, insecure=self.door.insecure)
+        check_exposure(
+            self._host, (place.address for place in places), self.admission.tokens, insecure=self.admission.insecure
+        )
         self._sockets = listen(places, self._host, self._port)
         self._port = self._sockets[0].getsockname()[1]
 
@@ -122,14 +220,42 @@ class Listener:
         """Begin to serve clients."""
         if not self._sockets:
             raise AssertionError("open before bind")
-        make_room_for(self._connection_limits.max_clients)
+        raise_file_limit(self._connection_limits.max_clients)
         self._clients.open()
-        logging.getLogger("websockets.server").addFilter(tells_of_more_than_http)
-        max_size_bytes = OVERSIZE * self._limits.max_message_bytes
-        self._server = Reception(
-            self._sockets, self._turnstile, self._tls, max_size_bytes, self._answer, self._serve_client, self._pings
+        WEBSOCKETS_LOG.addFilter(tells_of_more_than_http)
+        for listening in self._sockets:
+            self._servers.append(await self._serve_on(listening))
+
+    def _serve_on(self, listening: socket.socket) -> Server:
+        options: dict[str, Any] = {}
+        if self._tls is not None:
+            options = {
+                "ssl": self._tls.context,
+                "ssl_handshake_timeout": TLS_HANDSHAKE_TIMEOUT_S,
+                "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
+            }
+        create_connection = functools.partial(WebSocket, limiter=self._limiter, connections=self._connections)
+        return serve(
+            self._handle_connection,
+            sock=listening,
+            backlog=BACKLOG,
+            # websockets' documentation allows for a wrapper, its annotation does not.
+            create_connection=cast("type[ServerConnection]", create_connection),
+            process_request=self._process_request,
+            server_header=None,
+            # As in rosbridge_server: deflate doubles the cost of every message.
+            compression=None,
+            # Some clients offer a subprotocol and expect it to be passed over.
+            select_subprotocol=lambda _connection, _offered: None,
+            max_size=OVERSIZE * self._limits.max_message_bytes,
+            write_limit=WRITE_LIMIT_BYTES,
+            open_timeout=OPEN_TIMEOUT_S,
+            close_timeout=CLOSE_TIMEOUT_S,
+            ping_interval=self._keepalive.interval_s,
+            ping_timeout=self._keepalive.timeout_s,
+            logger=_WebSocketsLog(WEBSOCKETS_LOG),
+            **options,
         )
-        await self._server.open()
 
     def reload_certificate(self) -> None:
         """Read the certificate again, for connections from now on."""
@@ -140,18 +266,28 @@ class Listener:
 
     async def close(self) -> None:
         """Close every connection and the port."""
-        if self._server is not None:
-            await self._server.close()
+        for server in self._servers:
+            server.close()
+        # `close` starts a task, which has stopped the server from accepting when this turn of the loop is over. Clients
+        # that have not sent their request by then are not waited for.
+        await asyncio.sleep(0)
+        for websocket in [each for each in self._connections if each.state is State.CONNECTING]:
+            websocket.transport.abort()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2 * CLOSE_TIMEOUT_S):
+                for server in self._servers:
+                    await server.wait_closed()
         for each in self._sockets:
             each.close()
 
-    async def _answer(self, websocket: WebSocket, request: Request) -> Response | None:
-        visit = websocket.visit
-        if visit is not None and visit.turned_away is not None:
+    async def _process_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        websocket = cast(WebSocket, connection)
+        rejection = None if websocket.slot is None else websocket.slot.rejection
+        if rejection is not None:
             retry = {"Retry-After": str(RETRY_AFTER_S)}
-            return Answer.of_text(visit.turned_away.status, visit.turned_away.sentence, retry).response(request)
-        admitted = self.door.admit(
-            Caller(
+            return Answer.of_text(rejection.status, rejection.sentence, retry).response(request)
+        admitted = self.admission.check(
+            HandshakeRequest(
                 address_of(websocket)[0],
                 request.path,
                 request.headers,
@@ -164,7 +300,8 @@ class Listener:
         websocket.identity = admitted
         return await self._http.process_request(websocket, request)
 
-    async def _serve_client(self, websocket: WebSocket) -> None:
+    async def _handle_connection(self, server_connection: ServerConnection) -> None:
+        websocket = cast(WebSocket, server_connection)
         connection = Connection(
             websocket,
             self._graph,
@@ -172,7 +309,7 @@ class Listener:
             takes_goals_along=self._takes_goals_along,
             identity=websocket.identity,
             access=self._access,
-            wrong_tokens=self.door.wrong_tokens,
+            auth_throttle=self.admission.auth_throttle,
         )
         self._clients.add(connection.node, connection.address)
         self.traffic.add(connection)
@@ -183,6 +320,122 @@ class Listener:
             self.traffic.remove(connection)
 
 
+async def resolve(host: str, port: int) -> list[Place]:
+    """Resolve the addresses of a host.
+
+    Args:
+        host: a name or an address; empty for every address of this machine.
+        port: TCP port, for the error.
+
+    Raises:
+        StartError: it has none.
+    """
+    try:
+        found = await asyncio.get_running_loop().getaddrinfo(
+            host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )
+    # UnicodeError: a name that no domain can have.
+    except (OSError, UnicodeError) as error:
+        raise StartError(_reason(host, port, error)) from error
+    places = [
+        Place(family, str(address[0]), int(address[3]) if len(address) > 3 else 0) for family, _, _, _, address in found
+    ]
+    return list(dict.fromkeys(places))
+
+
+def listen(places: Sequence[Place], host: str, port: int) -> list[socket.socket]:
+    """Take a port on every address that this machine has.
+
+    Args:
+        places: at least one.
+        host: host that they were resolved from, for the error.
+        port: TCP port; 0 takes a free one, the same on all.
+
+    Raises:
+        StartError: the port is in use, not allowed, or none of the addresses is ours.
+    """
+    for tries_left in reversed(range(FREE_PORT_TRIES)):
+        try:
+            return _listen_on_all(places, port)
+        except OSError as error:
+            if port or error.errno != errno.EADDRINUSE or not tries_left:
+                raise StartError(_reason(host, port, error)) from error
+    raise AssertionError("no try was the last")
+
+
+def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
+    listening: list[socket.socket] = []
+    missing: OSError | None = None
+    for place in places:
+        try:
+            listening.append(_listen_on(place, port, alone=len(places) == 1))
+        except OSError as error:
+            if error.errno not in _NOT_HERE:
+                _close(listening)
+                raise
+            missing = error
+        else:
+            port = listening[0].getsockname()[1]
+    if not listening:
+        raise missing or OSError(errno.EADDRNOTAVAIL, "no address")
+    return listening
+
+
+def _listen_on(place: Place, port: int, *, alone: bool) -> socket.socket:
+    # With the protocol named, asyncio takes what is accepted for TCP, and sends small messages at once.
+    made = socket.socket(place.family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if place.family == socket.AF_INET6:
+            # Beside a socket for IPv4 it must leave that alone; by itself, ``::`` is for both.
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, not alone)
+            made.bind((place.address, port, 0, place.scope_id))
+        else:
+            made.bind((place.address, port))
+        made.listen(BACKLOG)
+        made.setblocking(False)
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+def _close(sockets: Sequence[socket.socket]) -> None:
+    for each in sockets:
+        each.close()
+
+
+def _reason(host: str, port: int, error: OSError | UnicodeError) -> str:
+    where = f"{host}:{port}"
+    if isinstance(error, UnicodeError):
+        return f"cannot listen on {where}: this is no name of a host"
+    if error.errno == errno.EADDRINUSE:
+        return f"port in use: {where} is taken by another program; choose one with --port"
+    return f"cannot listen on {where}: {error.strerror or error}"
+
+
+def raise_file_limit(max_clients: int) -> None:
+    """Raise this process's limit of open files as far as it may, and tell when that is not enough.
+
+    Args:
+        max_clients: connections at a time.
+    """
+    wanted = max_clients + SPARE
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft >= wanted or soft == resource.RLIM_INFINITY:
+        return
+    possible = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (possible, hard))
+    if possible < wanted:
+        log.warning(
+            "the system lets the server open %d files, which is enough for %d clients, not for server.max_clients = %d;"
+            " raise the hard limit (ulimit -Hn, LimitNOFILE=), or lower the setting",
+            possible,
+            max(0, possible - SPARE),
+            max_clients,
+        )
+
+
 def tells_of_more_than_http(record: logging.LogRecord) -> bool:
-    """Whether a line of websockets' log is about more than an answer over HTTP."""
+    """Return True for a line of websockets' log that is about more than an answer over HTTP."""
     return not str(record.msg).startswith(_HTTP_LINES)

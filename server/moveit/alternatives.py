@@ -18,8 +18,8 @@ from planners.problem import (
     StateQuestion,
 )
 from planners.scene import Scene
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 
 # Shares of the way that are looked at, the farthest first: nearer to the goal than the last makes no difference to see.
 SHARES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3)

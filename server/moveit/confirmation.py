@@ -8,8 +8,8 @@ from typing import Any
 
 from planners.problem import MoveItErrorCode
 from server.goal_queue import Answer
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 
 log = logging.getLogger("armbridge.goals")
 

@@ -6,8 +6,8 @@ import time
 from typing import Any, Protocol
 
 from protocol.messages import Stamp
+from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.model import RobotModel
 
 
 class StatedArm(Protocol):

@@ -14,10 +14,10 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from robot.model import RobotModel
-from server.graph import Graph
+from robot.description.model import RobotModel
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.robot_files import package_name, read_file, with_package_urls
-from server.node import Node
 
 log = logging.getLogger("armbridge.description")
 

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from protocol.messages import Stamp
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.goal_queue import Performed
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.current_state import state_message
 from server.moveit.requests.context import Message
 from server.moveit.requests.trajectories import to_message
-from server.node import Node
 
 PATH_TOPIC = "/display_planned_path"
 CONTACTS_TOPIC = "/display_contacts"

@@ -13,8 +13,8 @@ from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm import Arm
+from robot.description.model import RobotModel
 from robot.messages import Outcome
-from robot.model import RobotModel
 from robot.trajectory import Trajectory
 from server.goal_queue import Answer, GoalState, Performed, Progress
 from server.moveit.alternatives import Alternatives

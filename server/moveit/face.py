@@ -8,12 +8,12 @@ from collections.abc import Callable
 from planners.pool import PlannerPool
 from robot.arm import Arm
 from robot.calibration import GRIPPER_JOINT
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import Joint, RobotModel
 from robot.messages import ArmState
-from robot.model import Joint, RobotModel
 from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, QueuedGoal
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.moveit.actions.move_group import MotionActions
 from server.moveit.current_state import CurrentState
 from server.moveit.description import RobotDescription

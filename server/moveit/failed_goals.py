@@ -11,7 +11,7 @@ from pathlib import Path
 from planners.files import problem_file
 from planners.problem import PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.failed_goals")
 

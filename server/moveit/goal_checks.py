@@ -9,11 +9,11 @@ from typing import Any, Protocol
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from server.errors import ServiceError
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.goal_reports import GoalReports
 from server.moveit.goals import GoalTranslator
 from server.moveit.motions import PlannedMotion, Positions
-from server.node import Node
 
 SERVICE = "/check_goals"
 

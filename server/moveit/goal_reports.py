@@ -10,9 +10,9 @@ import numpy as np
 
 from planners.problem import IkAnswer, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
-from robot.trapezoid import rest_to_rest
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from robot.trajectory import rest_to_rest
 from server.moveit.motions import Positions
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import matrix_of

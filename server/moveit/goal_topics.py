@@ -11,10 +11,11 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.errors import MessageError
 from protocol.publication import Publication
-from robot.model import RobotModel
-from server.arm_state import key_values
+from robot.description.model import RobotModel
+from server.arm.topics import key_values
 from server.goal_queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.confirmation import Confirmation
 from server.moveit.goals import GoalTranslator
 from server.moveit.motions import Motion, PlannedMotion
@@ -27,7 +28,6 @@ from server.moveit.suggestions import (
     POSE_TYPE,
     suggestion,
 )
-from server.node import Node
 
 log = logging.getLogger("armbridge.goals")
 

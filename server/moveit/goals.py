@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.moveit.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters

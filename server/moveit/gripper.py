@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from robot.arm import Arm
+from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
-from robot.model import Joint
-from robot.trapezoid import rest_to_rest
+from robot.trajectory import rest_to_rest
 from server.moveit.patience import Allowance, ArmTime
 from server.moveit.playing import BRAKING_TIMEOUT_S
 from server.moveit.readiness import ARM_START_TIMEOUT_S, unusable

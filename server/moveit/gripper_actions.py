@@ -13,12 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
-from robot.model import Joint
-from server.action_goals import Goal, GoalStatus
-from server.graph import Graph
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.gripper import Gripper, GripperCommand, GripperReading
-from server.node import Node
 
 log = logging.getLogger("armbridge.gripper")
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Awaitable, Callable, Mapping
 from typing import TypeAlias
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import ServiceError
 
 # Joint name -> position [rad].

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import ServiceError
 
 log = logging.getLogger("armbridge.named_states")

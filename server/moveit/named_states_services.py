@@ -11,13 +11,13 @@ import time
 from collections.abc import Awaitable, Mapping
 from typing import Any
 
-from robot.model import RobotModel
-from server.calls import ServiceFunction
+from robot.description.model import RobotModel
 from server.errors import ServiceError
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.services import ServiceFunction
+from server.graph.topics import Graph
 from server.moveit.current_state import CurrentState, state_message
 from server.moveit.named_states import NamedStates, Positions
-from server.node import Node
 
 TOPIC = "/named_states"
 

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.messages import ArmState, Mode
-from server.arm_services import ENABLE, RESET_FAULT
+from server.arm.services import ENABLE, RESET_FAULT
 
 # Starting an interpreter, opening the bus, checking six servos and raising torque takes 1.2 s. Where other programs use
 # every core, it has taken more than 15 s.

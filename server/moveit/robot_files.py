@@ -9,7 +9,7 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import FileTooLargeError, ServiceError
 
 # A mesh of a million triangles is 50 MB; a link's has a thousandth of it. Base64 makes it a third more on the wire.
@@ -36,7 +36,7 @@ def with_package_urls(urdf: str, package: str) -> str:
         urdf: the text.
         package: whose files they are said to be.
     """
-    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.model
+    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
     meshes = [mesh for mesh in root.iter("mesh") if not _SCHEME.match(mesh.get("filename", ""))]
     if not meshes:
         return urdf

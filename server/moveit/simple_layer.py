@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable
 
 from planners.pool import PlannerPool
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, Progress, QueuedGoal
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.moveit.confirmation import Confirmation
 from server.moveit.current_state import CurrentState
 from server.moveit.goal_checks import GoalChecks, ShownScene

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
 # The arm may have moved so far since the motion was planned: backlash and droop of a client's measured start,

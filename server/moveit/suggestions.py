@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from protocol.messages import Stamp
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.model import RobotModel
 from robot.trajectory import Vector
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.poses import pose_of
-from server.node import Node
 
 TRANSFORMS_TOPIC = "/tf"
 STATIC_TRANSFORMS_TOPIC = "/tf_static"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from http import HTTPStatus
 
 from robot.messages import Mode
-from server.gateway.http_answers import Answer
+from server.gateway.http import Answer
 from server.operations.parts import ArmPart, Parts, PlannersPart
 
 # While there is no bus, the arm process is heard at each attempt to open it: every 2 s, and opening takes its time.

@@ -8,12 +8,11 @@ import re
 import signal
 from typing import Any
 
-from robot import log_levels
-from robot.log_levels import MAX_CHANGED_LOGGERS
-from robot.logs import OUR_LOGGER, LoggerLevel
+from robot import logs
+from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel
 from server.errors import ServiceError
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.operations")
 
@@ -57,7 +56,7 @@ class LogLevels:
 def toggle_debug() -> None:
     """Log everything, or no longer."""
     debug = logging.getLogger(OUR_LOGGER).level != logging.DEBUG
-    log_levels.change(LoggerLevel(OUR_LOGGER, logging.DEBUG if debug else logging.NOTSET))
+    logs.change(LoggerLevel(OUR_LOGGER, logging.DEBUG if debug else logging.NOTSET))
     log.warning("SIGUSR1: the log's level is %s", "debug now" if debug else "again what the settings say")
 
 
@@ -88,7 +87,7 @@ def _change(name: str, level: int) -> str:
         return f"name: must be {OUR_LOGGER} or a logger below it, as {OUR_LOGGER}.gateway, not {name[:80]!r}"
     if level not in LEVELS:
         return f"level: must be one of {', '.join(map(str, LEVELS))}, not {level}"
-    if not log_levels.change(LoggerLevel(name, level)):
+    if not logs.change(LoggerLevel(name, level)):
         return f"name: the levels of {MAX_CHANGED_LOGGERS} loggers have been changed already, the limit"
     log.warning("the level of %s is %s now", name, LEVELS[level])
     return ""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from websockets.http11 import Request
 
-from server.gateway.http_answers import Answer
+from server.gateway.http import Answer
 from server.operations.distribution import Distribution
 from server.operations.parts import Parts
 

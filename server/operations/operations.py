@@ -6,9 +6,8 @@ from collections.abc import Mapping
 
 from websockets.http11 import Request
 
-from server.gateway.http import Route
-from server.gateway.http_answers import Answer
-from server.graph import Graph
+from server.gateway.http import Answer, Route
+from server.graph.topics import Graph
 from server.operations.health import Health, health_of
 from server.operations.heartbeat import Heartbeat
 from server.operations.log_levels import LogLevels

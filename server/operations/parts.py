@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from robot.messages import ArmHealth, ArmState
-from server.gateway.traffic import Traffic
+from server.gateway.connection import Traffic
 from server.operations.goal_tally import GoalTally
 
 
@@ -31,19 +31,15 @@ class PlannersPart(Protocol):
 
     @property
     def load_failure(self) -> str | None:
-        """Why no process of this machine can plan; None as long as one may."""
+        """Why no process can plan; None as long as one may."""
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Process ids of those on this machine."""
+        """Process ids."""
 
     @property
     def loaded_count(self) -> int:
         """How many have loaded the robot."""
-
-    @property
-    def far_count(self) -> int:
-        """How many there are on other machines."""
 
     @property
     def idle_count(self) -> int:

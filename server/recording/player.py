@@ -7,11 +7,11 @@ import logging
 from collections.abc import AsyncIterator, Iterable, Iterator
 from dataclasses import dataclass
 
-from protocol.codecs import cdr_reader
+from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from server.errors import GraphError
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.recording.mcap_file import Entry
 from server.recording.reader import Recording, Track
 
@@ -89,7 +89,7 @@ class Player:
         if track is None or track.type_name != entry.type_name:
             return
         try:
-            message = cdr_reader.deserialize(self._graph.interfaces.registry, entry.type_name, entry.octets)
+            message = cdr.deserialize(self._graph.interfaces.registry, entry.type_name, entry.octets)
             self._graph.publish(self._node, entry.topic, message)
         except (ProtocolError, GraphError) as error:
             self.tally.unreadable += 1

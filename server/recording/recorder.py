@@ -10,7 +10,7 @@ from pathlib import Path
 
 from protocol.publication import Publication
 from server.errors import StartError
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.recording.file_series import FileSeries
 from server.recording.writer_thread import CLOSE_TIMEOUT_S, Taken, WriterThread
 

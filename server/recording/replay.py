@@ -13,12 +13,11 @@ from pathlib import Path
 import uvloop
 
 from protocol.registry import Registry
-from server.access.access import Access
+from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
-from server.gateway.entrance.entrance import Entrance
-from server.gateway.listener import Listener
-from server.graph import Graph
+from server.gateway.listener import Listener, ListenerSettings
+from server.graph.topics import Graph
 from server.hangup import on_hangup
 from server.recording.player import Player
 from server.recording.reader import Outline, Recording
@@ -76,9 +75,9 @@ class Replay:
         self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
         # Nobody drives an arm here, so nobody has to wait for the lease.
         access = Access(options.access.model_copy(update={"control": "shared"}))
-        entrance = Entrance.of(options.server, options.access, access.tokens)
+        listener_settings = ListenerSettings.from_settings(options.server, options.access, access.tokens)
         place = options.server
-        self._listener = Listener(self._graph, place.host, place.port, entrance=entrance, access=access)
+        self._listener = Listener(self._graph, place.host, place.port, settings=listener_settings, access=access)
         self._recording = Recording(options.path)
         self._player = Player(self._graph, self._recording, options.rate)
 

@@ -8,16 +8,15 @@ from typing import Any
 from protocol.dialect import Dialect
 from protocol.messages import Stamp
 from protocol.registry import Registry
-from server.access.globs import Globs
-from server.actions import Actions
-from server.calls import Call, answer
-from server.graph import Graph
-from server.node import Node
+from server.access.permissions import NameFilter
+from server.graph.actions import Actions
+from server.graph.node import Node
+from server.graph.services import LOCAL_TIMEOUT_S, Call, Services, answer
+from server.graph.topics import Graph
 from server.rosapi.parameters import Parameters
 from server.rosapi.participants import Nodes, Offered, Topics
 from server.rosapi.question import Answer, Answers, Question
 from server.rosapi.types import Types
-from server.services import LOCAL_TIMEOUT_S, Services
 
 NODE = Node("rosapi")
 
@@ -50,7 +49,7 @@ class RosApi:
         actions: Actions,
         registry: Registry,
         wall_clock: Callable[[], float],
-        params: Globs | None = None,
+        params: NameFilter | None = None,
     ) -> None:
         self.parameters = Parameters(params)
         self._services = services

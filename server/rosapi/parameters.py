@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from server.access.globs import Globs
+from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.rosapi.question import Answers, Question
 
@@ -23,8 +23,8 @@ class Parameters:
         globs: which of them clients may use; None for all.
     """
 
-    def __init__(self, globs: Globs | None = None) -> None:
-        self._globs = globs or Globs("access.params_glob")
+    def __init__(self, globs: NameFilter | None = None) -> None:
+        self._globs = globs or NameFilter("access.params_glob")
         self._values: dict[str, str] = {}
         self._size_bytes = 0
         self.answers: Answers = {

@@ -7,11 +7,11 @@ import socket
 from collections.abc import Iterable
 from typing import Any
 
-from server.actions import Actions
-from server.graph import Graph
-from server.node import Node
+from server.graph.actions import Actions
+from server.graph.node import Node
+from server.graph.services import Services
+from server.graph.topics import Graph
 from server.rosapi.question import Answers, Question, of_type
-from server.services import Services
 
 
 class Topics:

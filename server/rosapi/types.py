@@ -10,7 +10,7 @@ from protocol.errors import InterfaceError
 from protocol.interface_text import full_text, typedefs
 from protocol.registry import Registry
 from server.errors import ServiceError
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.rosapi.question import Answers, Question
 
 # Of all texts in one answer: those of 4000 types of average length, or of 380 of the longest. Without a bound, a client

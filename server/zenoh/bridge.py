@@ -6,10 +6,10 @@ import asyncio
 import contextlib
 import logging
 
-from server.access.access import Access
-from server.access.roles import Identity, Role
-from server.graph import Graph
-from server.node import Node
+from server.access.authorization import Access
+from server.access.permissions import Identity, Role
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.zenoh.keys import Tokens
 from server.zenoh.names import Namespace
 from server.zenoh.network import Network
@@ -43,7 +43,7 @@ class Bridge:
         self._settings = settings
         self._max_message_bytes = max_message_bytes
         self._node = Node("zenoh", remote=True, identity=Identity("", Role[settings.role.upper()]))
-        self._guard = access.guard(self._node)
+        self._authorizer = access.authorizer(self._node)
         self._thread = SessionThread(lambda: zenoh.open(config), self._opened)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._sharing: Sharing | None = None
@@ -67,7 +67,7 @@ class Bridge:
             self._running.cancel()
         if not await asyncio.to_thread(self._thread.close):
             log.error("zenoh: the network was not left in time")
-        self._guard.leave()
+        self._authorizer.leave()
         self._graph.remove(self._node)
 
     def _opened(self, session: str) -> None:
@@ -89,6 +89,6 @@ class Bridge:
             tokens,
             self._max_message_bytes,
         )
-        self._sharing = Sharing(network, settings, self._guard)
+        self._sharing = Sharing(network, settings, self._authorizer)
         self._running = asyncio.ensure_future(self._sharing.run())
         log.info("zenoh: in the network as %s %s, domain %d", settings.mode, session, settings.domain_id)

@@ -8,11 +8,10 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
-from protocol.codecs import cdr, cdr_reader
+from protocol.codecs import cdr
 from protocol.errors import MessageError
-from server.calls import Call
 from server.errors import GraphError
-from server.services import LOCAL_TIMEOUT_S
+from server.graph.services import LOCAL_TIMEOUT_S, Call
 from server.zenoh.attachment import Attachment, gid_of
 from server.zenoh.keys import Endpoint, Entity, Kind
 from server.zenoh.names import Patterns
@@ -112,7 +111,7 @@ class CalledService:
     def _finish(self, call: Call, octets: bytes) -> None:
         registry, type_name = self._network.graph.interfaces.registry, f"{self.endpoint.type_name}_Response"
         try:
-            call.succeed(cdr_reader.deserialize(registry, type_name, octets))
+            call.succeed(cdr.deserialize(registry, type_name, octets))
         except MessageError as error:
             call.fail(f"Service {self._name} gave a response that does not fit {self.endpoint.type_name}: {error}")
 

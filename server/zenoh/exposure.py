@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from server.gateway.entrance.addresses import is_loopback
+from server.access.rate_limits import is_loopback
 
 # With certificates on both sides, these let in only those who have one.
 _WITH_CERTIFICATES = ("tls", "quic")

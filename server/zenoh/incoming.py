@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from protocol.codecs import cdr_reader
+from protocol.codecs import cdr
 from protocol.errors import MessageError
-from server.access.guard import Guard
+from server.access.authorization import Authorizer
 from server.errors import GraphError
 from server.zenoh.inbox import Inbox
 from server.zenoh.keys import Endpoint, Entity, Kind
@@ -97,14 +97,16 @@ class IncomingTopics:
     Args:
         network: where from.
         patterns: which ones, as this server calls them.
-        guard: what others may send to parts of this server.
+        authorizer: what others may send to parts of this server.
         loop: the event loop.
     """
 
-    def __init__(self, network: Network, patterns: Patterns, guard: Guard, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, network: Network, patterns: Patterns, authorizer: Authorizer, loop: asyncio.AbstractEventLoop
+    ) -> None:
         self._network = network
         self._patterns = patterns
-        self._guard = guard
+        self._authorizer = authorizer
         self._inbox = Inbox[tuple[IncomingTopic, bytes]](loop, self._publish)
         self._topics: dict[str, IncomingTopic] = {}
         self._entities: tuple[Entity, ...] = ()
@@ -183,7 +185,7 @@ class IncomingTopics:
             return
         network, type_name = self._network, topic.source.endpoint.type_name
         try:
-            message = cdr_reader.deserialize(network.graph.interfaces.registry, type_name, octets)
+            message = cdr.deserialize(network.graph.interfaces.registry, type_name, octets)
             if not self._is_turned_away(topic.name, message):
                 network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
         except (MessageError, GraphError) as error:
@@ -193,7 +195,7 @@ class IncomingTopics:
         """Whether a message asks a part of this server for what others may not ask for; it is answered then."""
         if not self._network.is_own_subscription(name):
             return False
-        refusal = self._guard.publishing(name, message)
+        refusal = self._authorizer.publishing(name, message)
         if refusal is None:
             return False
         self._network.graph.turn_away(self._network.node, name, message, refusal)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from server.access.access import Access
-from server.graph import Graph
+from server.access.authorization import Access
+from server.graph.topics import Graph
 from server.zenoh.settings import ZenohSettings
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import Literal, Protocol, TypeAlias
 from protocol import type_hash
 from protocol.errors import InterfaceError
 from protocol.registry import Registry
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.zenoh.keys import Endpoint, Tokens
 from server.zenoh.names import Namespace
 from server.zenoh.session_thread import SessionThread

@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from protocol.codecs import cdr, cdr_reader
+from protocol.codecs import cdr
 from protocol.errors import MessageError
-from server.access.guard import Guard
-from server.calls import Response
+from server.access.authorization import Authorizer
+from server.graph.services import Response
 from server.zenoh import attachment
 from server.zenoh.attachment import Attachment
 from server.zenoh.keys import Endpoint, Kind
@@ -107,14 +107,16 @@ class OfferedServices:
     Args:
         network: where they are offered.
         patterns: which ones.
-        guard: what others may ask for.
+        authorizer: what others may ask for.
         loop: the event loop.
     """
 
-    def __init__(self, network: Network, patterns: Patterns, guard: Guard, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, network: Network, patterns: Patterns, authorizer: Authorizer, loop: asyncio.AbstractEventLoop
+    ) -> None:
         self._network = network
         self._patterns = patterns
-        self._guard = guard
+        self._authorizer = authorizer
         self._loop = loop
         self._services: dict[str, OfferedService] = {}
         self._lock = threading.Lock()
@@ -159,14 +161,14 @@ class OfferedServices:
                 self._in_flight -= 1
             network.thread.do_call(lambda _session: asked.service.answer(asked, response))
 
-        refusal = self._guard.calling(name)
+        refusal = self._authorizer.calling(name)
         if refusal is not None:
             network.told.warn(refusal)
             respond(Response(ok=False, values=refusal))
             return
         try:
             type_name = f"{asked.service.endpoint.type_name}_Request"
-            request = cdr_reader.deserialize(network.graph.interfaces.registry, type_name, asked.octets)
+            request = cdr.deserialize(network.graph.interfaces.registry, type_name, asked.octets)
         except MessageError as error:
             respond(Response(ok=False, values=f"Service {name}: {error}"))
         else:

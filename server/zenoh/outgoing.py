@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from protocol.codecs import cdr
 from protocol.publication import Publication
-from server.graph import Subscriber
+from server.graph.topics import Subscriber
 from server.zenoh.attachment import Attachment, gid_of
 from server.zenoh.keys import Endpoint, Kind
 from server.zenoh.names import Patterns

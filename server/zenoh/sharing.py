@@ -6,8 +6,7 @@ import asyncio
 import logging
 from typing import TYPE_CHECKING
 
-from server.access import rules
-from server.access.guard import Guard
+from server.access.authorization import Authorizer, rule_of_service, rule_of_topic
 from server.zenoh.called_services import CalledServices
 from server.zenoh.discovery import Discovery
 from server.zenoh.incoming import IncomingTopics
@@ -33,20 +32,20 @@ class Sharing:
     Args:
         network: the session.
         settings: what is shared.
-        guard: what others may do here.
+        authorizer: what others may do here.
     """
 
-    def __init__(self, network: Network, settings: ZenohSettings, guard: Guard) -> None:
+    def __init__(self, network: Network, settings: ZenohSettings, authorizer: Authorizer) -> None:
         loop = asyncio.get_running_loop()
         self._network = network
         # Whoever may command the arm must be able to stop it.
-        self._subscribe = Patterns(settings.subscribe, lambda name: rules.of_topic(name).stops)
-        offer = Patterns(settings.offer, lambda name: rules.of_service(name).stops)
+        self._subscribe = Patterns(settings.subscribe, lambda name: rule_of_topic(name).stops)
+        offer = Patterns(settings.offer, lambda name: rule_of_service(name).stops)
         self._publish, self._call = Patterns(settings.publish), Patterns(settings.call)
         self._discovery = Discovery(network.domain_id, network.session, self._concerns)
         self._outgoing = OutgoingTopics(network, self._publish)
-        self._incoming = IncomingTopics(network, self._subscribe, guard, loop)
-        self._offered = OfferedServices(network, offer, guard, loop)
+        self._incoming = IncomingTopics(network, self._subscribe, authorizer, loop)
+        self._offered = OfferedServices(network, offer, authorizer, loop)
         self._called = CalledServices(network, self._call, loop)
         self._entities: tuple[Entity, ...] = ()
         self._foreign: frozenset[str] = frozenset()

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robot import model
+from robot.description import model
 from tests.helpers.scenario import heard_by
 from tests.helpers.server import RunningServer
 

@@ -67,8 +67,8 @@ def test_once_installed_the_server_finds_its_page(wheel: Path, tmp_path: Path) -
     subprocess.run([uv, "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], check=True, timeout=120)
     program = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
-        "from server.gateway import page\n"
-        "print(page.find_page_file(page.PAGE_DIRECTORY, 'assets/vendor.js').read_text())\n"
+        "from server.gateway import http\n"
+        "print(http.find_page_file(http.PAGE_DIRECTORY, 'assets/vendor.js').read_text())\n"
     )
     found = subprocess.run(
         [sys.executable, "-P", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60

@@ -1,59 +1,140 @@
-"""Every program in examples/ does with the simulated arm what it says."""
+"""Every program in examples/ does with the simulated arm what it says, and ends in order without a server."""
 
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 
+import pytest
 from websockets.sync.client import connect
 
-from tests.examples.conftest import EXAMPLES, RunExample
+from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
 from tests.helpers.blocking import call_on
-from tests.helpers.server import RunningServer
+from tests.helpers.server import RunningServer, free_port
 
 SCREEN_LINES = 100
 
+NAMES = sorted(path.name for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.fixture
+def silent_port() -> Iterator[tuple[socket.socket, int]]:
+    """A port that takes TCP connections and never says a word."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.setblocking(False)
+        yield listener, listener.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def without_server() -> Iterator[tuple[int, dict[str, subprocess.Popen[str]]]]:
+    """All examples at once, as each waits for its connection for seconds, and the port where no server listens."""
+    port = free_port()
+    started = {
+        name: subprocess.Popen(
+            [sys.executable, str(EXAMPLES / name), "--port", str(port)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for name in NAMES
+    }
+    yield port, started
+    for process in started.values():
+        with process:
+            process.kill()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_tells_the_options_and_connects_to_nothing(
+    name: str, run_example: RunExample, silent_port: tuple[socket.socket, int]
+) -> None:
+    listener, port = silent_port
+    done = run_example(name, "--port", str(port), "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "--host HOST" in done.stdout
+    assert "(default: 127.0.0.1)" in done.stdout
+    assert "--port PORT" in done.stdout
+    assert "(default: 9090)" in done.stdout
+    with pytest.raises(BlockingIOError):
+        listener.accept()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_a_server_an_example_ends_with_one_line_and_1(
+    name: str, without_server: tuple[int, dict[str, subprocess.Popen[str]]]
+) -> None:
+    port, started = without_server
+    stdout, stderr = started[name].communicate(timeout=EXAMPLE_TIMEOUT_S)
+    assert stderr == f'no server answers at ws://127.0.0.1:{port}: start one with "make run"\n'
+    assert (started[name].returncode, stdout) == (1, "")
+
+
+def test_a_server_that_says_nothing_is_no_server(
+    run_example: RunExample, silent_port: tuple[socket.socket, int]
+) -> None:
+    # The examples wait for less than 5 s, after which autobahn would log a line of its own.
+    _, port = silent_port
+    done = run_example("named_goal.py", "--host", "localhost", "--port", str(port))
+    assert done.stderr == f'no server answers at ws://localhost:{port}: start one with "make run"\n'
+    assert done.returncode == 1
+
+
+@pytest.mark.parametrize("arguments", [("joint_goal.py", "9090"), ("joint_goal.py", "a=b"), ("pose_goal.py", "left")])
+def test_an_argument_that_is_wrong_is_named_before_connecting(
+    arguments: tuple[str, str], run_example: RunExample
+) -> None:
+    done = run_example(*arguments)
+    assert done.returncode == 2
+    assert repr(arguments[1]) in done.stderr.splitlines()[-1]
+
 
 def test_a_named_goal_is_reached_and_told(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("named_goal.py", "ready", str(server.port))
+    done = run_example("named_goal.py", "ready", "--port", str(server.port))
     assert (done.returncode, done.stdout) == (0, "1 the arm is there\n"), done.stderr
 
 
 def test_a_named_goal_that_does_not_exist_ends_with_1(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("named_goal.py", "raedy", str(server.port))
+    done = run_example("named_goal.py", "raedy", "--port", str(server.port))
     assert done.returncode == 1
     assert done.stdout.startswith("-16 ")
 
 
 def test_joints_are_turned_while_their_way_is_told(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("joint_goal.py", str(server.port), "shoulder_pan=10")
+    done = run_example("joint_goal.py", "--port", str(server.port), "shoulder_pan=10")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "executing" in done.stdout
     assert done.stdout.splitlines()[-1] == "done       100%  the arm is there"
 
 
 def test_a_point_out_of_reach_becomes_the_nearest_one(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("pose_goal.py", "1", "0", "0.2", str(server.port))
+    done = run_example("pose_goal.py", "1", "0", "0.2", "--port", str(server.port))
     assert done.returncode == 0, done.stdout + done.stderr
     refusal, success = done.stdout.splitlines()
     assert "cannot reach" in refusal
     assert success == "the arm is there"
 
 
+def test_a_point_to_the_right_has_a_negative_coordinate(run_example: RunExample, server: RunningServer) -> None:
+    done = run_example("pose_goal.py", "0.25", "-0.1", "0.2", "--port", str(server.port))
+    assert (done.returncode, done.stdout) == (0, "the arm is there\n"), done.stderr
+
+
 def test_a_square_is_drawn_in_the_air(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("square_in_the_air.py", str(server.port))
+    done = run_example("square_in_the_air.py", "--port", str(server.port))
     assert (done.returncode, done.stdout) == (0, "a square of 6 cm, 100% of it\n"), done.stderr
 
 
 def test_a_box_is_picked_up_and_put_down(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("pick_and_place.py", str(server.port))
+    done = run_example("pick_and_place.py", "--port", str(server.port))
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["the box is held", "the box stands in its new place"]
 
 
 def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: RunningServer) -> None:
-    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), str(server.port)]
+    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--port", str(server.port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as wave:
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]
@@ -65,7 +146,7 @@ def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: Runni
 
 
 def test_the_wave_tells_why_it_may_not_move_the_arm(server: RunningServer) -> None:
-    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), str(server.port)]
+    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--port", str(server.port)]
     with connect(server.url) as other, subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as wave:
         assert call_on(other, "/arm/take_control")["success"]
         assert wave.stdout is not None

@@ -7,7 +7,7 @@ from protocol.operations import Operation
 from protocol.registry import Registry
 from protocol.session import Refusal, Session
 from server.gateway.client import Client
-from server.graph import Graph
+from server.graph.topics import Graph
 
 REGISTRY = Registry.load()
 

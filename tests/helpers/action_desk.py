@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from planners.problem import MoveItErrorCode
-from server.action_goals import Goal, Result
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, Progress, QueuedGoal
+from server.graph.actions import Goal, Result
 from server.moveit.motions import Motion
 from tests.helpers.moveit_services import ServiceRig
 from tests.helpers.played_arm import PlayedArm, settle

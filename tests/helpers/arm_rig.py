@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from robot import model
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S, Pacer
 from robot.control.supervisor import Supervisor
+from robot.description import model
+from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import HardwareInterface
-from robot.limits import JointBounds, within_calibration
 from robot.messages import (
     ArmConfig,
     ArmHealth,

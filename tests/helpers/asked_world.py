@@ -6,9 +6,9 @@ from typing import Any
 
 from protocol.dialect import Dialect
 from protocol.registry import Registry
-from server.calls import Response
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph, Subscriber
 from server.rosapi.api import RosApi
 from tests.helpers.clock import FakeClock
 

@@ -1,4 +1,4 @@
-"""A Dask cluster of processes on this machine, started by the commands of docs/cluster.md."""
+"""A Dask cluster of processes on this machine, started by the commands of docs/planning.md."""
 
 from __future__ import annotations
 
@@ -7,65 +7,69 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
+
+from tests.helpers.certificates import Pair
+from tests.helpers.server import free_port
 
 ROOT = Path(__file__).parents[2]
 HOST = "127.0.0.1"
-
-
-def free_port() -> int:
-    with socket.create_server((HOST, 0)) as taken:
-        port: int = taken.getsockname()[1]
-        return port
+START_TIMEOUT_S = 60.0
 
 
 class DaskCluster:
-    """A scheduler and its workers.
+    """A scheduler and its workers; each takes one problem at a time and is not restarted when it dies.
 
     Args:
-        options: of both commands.
-        scheme: of the scheduler's address.
+        workers: how many.
+        certificate: signed by itself, by which all of them know each other; None without TLS.
     """
 
-    def __init__(self, *options: str, scheme: str = "tcp") -> None:
-        self._options = options
-        self.port = free_port()
-        self.address = f"{scheme}://{HOST}:{self.port}"
-        self.scheduler: subprocess.Popen[bytes] | None = None
-        self.workers: list[subprocess.Popen[bytes]] = []
-
-    def start_scheduler(self) -> None:
-        self.scheduler = self._start("scheduler", "--port", str(self.port), "--dashboard-address", f"{HOST}:0")
-
-    def start_worker(self, *options: str) -> None:
-        """One that takes one task at a time and is not restarted when it dies."""
-        self.workers.append(self._start("worker", self.address, "--nthreads", "1", "--no-nanny", *options))
-
-    def kill_worker(self, number: int) -> None:
-        self._end(self.workers.pop(number))
-
-    def kill_scheduler(self) -> None:
-        """Its workers end with it."""
-        if self.scheduler is not None:
-            self._end(self.scheduler)
-        for worker in self.workers:
-            worker.wait(10.0)
-        self.workers.clear()
+    def __init__(self, workers: int, certificate: Pair | None = None) -> None:
+        self._port = free_port()
+        self.address = f"{'tls' if certificate else 'tcp'}://{HOST}:{self._port}"
+        self._certificate = certificate
+        self.scheduler = self._start("scheduler", "--port", str(self._port), "--dashboard-address", f"{HOST}:0")
+        self.workers = [self._start("worker", self.address, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
+        self._wait_until_started()
 
     def close(self) -> None:
         for process in (*self.workers, self.scheduler):
-            if process is not None:
-                self._end(process)
+            self.kill(process)
 
-    def _start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "dask", command, *arguments, "--host", HOST, "--no-dashboard", *self._options],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "error"},
-            stdin=subprocess.DEVNULL,
-        )
-
-    @staticmethod
-    def _end(process: subprocess.Popen[bytes]) -> None:
+    def kill(self, process: subprocess.Popen[bytes]) -> None:
         process.send_signal(signal.SIGKILL)
         process.wait(10.0)
+
+    def _wait_until_started(self) -> None:
+        from distributed import Client
+        from distributed.security import Security
+
+        # Dask's own attempts come further and further apart.
+        deadline_s = time.monotonic() + START_TIMEOUT_S
+        while not self._answers() and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        security = None
+        if self._certificate:
+            file, key = map(str, self._certificate)
+            security = Security(tls_ca_file=file, tls_client_cert=file, tls_client_key=key, require_encryption=True)
+        with Client(self.address, timeout=START_TIMEOUT_S, security=security) as client:
+            if self.workers:
+                client.wait_for_workers(len(self.workers), timeout=START_TIMEOUT_S)
+
+    def _answers(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex((HOST, self._port)) == 0
+
+    def _start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
+        options = ["--host", HOST, "--no-dashboard"]
+        if self._certificate:
+            file, key = map(str, self._certificate)
+            options += ["--tls-ca-file", file, "--tls-cert", file, "--tls-key", key]
+        return subprocess.Popen(
+            [sys.executable, "-m", "dask", command, *arguments, *options],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "critical"},
+            stdin=subprocess.DEVNULL,
+        )

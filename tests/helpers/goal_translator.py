@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from robot import model
+from robot.description import model
 from server.moveit.goals import GoalTranslator
 from server.moveit.named_states import NamedStates, Positions
 from server.moveit.parameters import MoveItParameters

@@ -7,15 +7,15 @@ from collections import deque
 from typing import Any
 
 from protocol.limits import Limits
-from protocol.parcel import Frame
+from protocol.publication import Frame
 from protocol.registry import Registry
-from server.access.access import Access
-from server.access.roles import ANYONE, Identity
+from server.access.authentication import AuthThrottle
+from server.access.authorization import Access
+from server.access.permissions import ANYONE, Identity
 from server.access.settings import AccessSettings
 from server.gateway.client import Client
-from server.gateway.client_auth import WayIn
-from server.gateway.entrance.wrong_tokens import WrongTokens
-from server.graph import Graph
+from server.gateway.client_auth import AuthContext
+from server.graph.topics import Graph
 from server.rosapi.api import RosApi
 from tests.helpers.clock import FakeClock
 
@@ -48,13 +48,11 @@ class InProcess:
     def client(self, name: str) -> Client:
         return self._clients[name] if name in self._clients else self.enter(name, ANYONE)
 
-    def enter(self, name: str, identity: Identity | None, wrong_tokens: WrongTokens | None = None) -> Client:
-        """A client that has come through the door as somebody, or as nobody yet."""
-        way_in = WayIn(
-            self.access, wrong_tokens=wrong_tokens, shut_out=lambda reason: self.closed.update({name: reason})
-        )
+    def enter(self, name: str, identity: Identity | None, throttle: AuthThrottle | None = None) -> Client:
+        """A client that was admitted as somebody, or as nobody yet."""
+        auth = AuthContext(self.access, throttle=throttle, disconnect=lambda reason: self.closed.update({name: reason}))
         self._clients[name] = Client(
-            name, self.graph, self._limits, self.clock, lambda: None, identity=identity, way_in=way_in
+            name, self.graph, self._limits, self.clock, lambda: None, identity=identity, auth=auth
         )
         self._frames[name] = deque()
         return self._clients[name]

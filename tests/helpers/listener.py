@@ -7,10 +7,9 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from protocol.registry import Registry
-from server.gateway.entrance.entrance import Entrance
-from server.gateway.http import HttpGate
-from server.gateway.listener import Listener
-from server.graph import Graph
+from server.gateway.http import HttpHandler
+from server.gateway.listener import Listener, ListenerSettings
+from server.graph.topics import Graph
 
 REGISTRY = Registry.load()
 TIMEOUT_S = 30.0
@@ -25,9 +24,11 @@ UPGRADE = (
 
 
 @asynccontextmanager
-async def listening(entrance: Entrance | None = None, http: HttpGate | None = None) -> AsyncIterator[Listener]:
+async def listening(
+    settings: ListenerSettings | None = None, http: HttpHandler | None = None
+) -> AsyncIterator[Listener]:
     """A listener that serves."""
-    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, http, entrance=entrance)
+    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, http, settings=settings)
     await listener.bind()
     await listener.open()
     try:

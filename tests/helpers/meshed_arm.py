@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from robot import model
+from robot.description import model
 
 # Shown beside the arm: one triangle, 5 cm long.
 TRIANGLE = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.05, 0.0))

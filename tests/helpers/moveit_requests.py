@@ -7,7 +7,7 @@ from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from robot import model
+from robot.description import model
 from server.errors import RefusedError
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.context import RequestContext

@@ -11,10 +11,11 @@ from planners.pipeline import Planner
 from planners.problem import Answer, PlanningFailure, Request
 from planners.scene import EMPTY_SCENE, Scene
 from protocol.registry import Registry
-from robot import model
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
-from server.graph import Graph, Subscriber
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.display import DisplayTopics
 from server.moveit.parameters import MoveItParameters
 from server.moveit.planner_parameters import PlannerParameters
@@ -22,7 +23,6 @@ from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.services.move_group_services import offer_services
-from server.node import Node
 
 ROBOT = model.builtin()
 HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}

@@ -12,8 +12,8 @@ import pytest
 from planners.problem import PlanningFailure
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot import model
-from robot.forward import ForwardPlacements
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server.errors import RefusedError
 from server.moveit.current_state import CurrentState

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot import model
 from robot.arm import Arm
+from robot.description import model
 from robot.messages import ArmState, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 

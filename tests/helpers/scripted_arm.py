@@ -5,7 +5,7 @@ from __future__ import annotations
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST_SYNC_WRITE, INST_WRITE
 
 from robot.calibration import Calibration
-from robot.emulator.wire import Instruction, status_packet
+from robot.emulator.servo_bus import Instruction, status_packet
 
 # Addresses and values of Feetech's memory table V3.6, as bytes: nothing here asks robot.hardware.feetech.registers.
 MODEL, MIN_LIMIT, MAX_LIMIT, VOLTAGE_LIMITS, MAX_TORQUE = 3, 9, 11, 14, 16

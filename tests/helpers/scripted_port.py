@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from robot.emulator.wire import Instruction, InstructionParser
+from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.port import LOCAL_LATENCY_S, QUIET_S
 from tests.helpers.stepped_emulator import SteppedClock

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from robot.hardware.steps import Steps
+from robot.hardware.interface import Steps
 
 Result = TypeVar("Result")
 

@@ -7,9 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from robot import model
-from robot.arm import Arm
-from robot.arm_stream import ArmStream
+from robot.arm import Arm, ArmStream
+from robot.description import model
 from robot.messages import ArmState, Mode, MotionEnded, Outcome, Setpoint
 
 ROBOT = model.builtin()

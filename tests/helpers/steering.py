@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from robot.control.velocity_tracking import VelocityTracking
 
-from planners.geometry.forward import ForwardKinematics
+from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
-from robot.control.velocity_tracking import VelocityTracking
-from robot.limits import JointBounds
-from robot.model import RobotModel
+from robot.description.limits import JointBounds
+from robot.description.model import RobotModel
 from server.moveit.servo.servo_loop import LEAD_S
 
 TIP = "gripper_frame_link"

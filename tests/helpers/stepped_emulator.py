@@ -7,10 +7,9 @@ import json
 from contextlib import ExitStack
 from typing import Any
 
-from robot.emulator.commands import Emulation
-from robot.emulator.control import answer
+from robot.emulator.control import Emulation, answer
 from robot.emulator.in_process import InProcessPort
-from robot.emulator.options import add_options, build_bus
+from robot.emulator.process import add_options, build_bus
 from robot.hardware.clock import LoopClock
 from robot.hardware.feetech.bus import Bus
 

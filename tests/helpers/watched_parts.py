@@ -30,7 +30,6 @@ class WatchedPlanners:
     load_failure: str | None = None
     pids: Sequence[int] = ()
     loaded_count: int = 2
-    far_count: int = 4
     idle_count: int = 1
     waiting_count: int = 3
 

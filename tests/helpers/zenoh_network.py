@@ -19,11 +19,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from protocol.publication import Publication
 from protocol.registry import Registry
-from server.access.access import Access
+from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.calls import Call
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.services import Call
+from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings
 

@@ -11,8 +11,8 @@ from planners.geometry.joint_space import JointSpace
 from planners.ik.constraints import Joints
 from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
-from planners.rates import RateLimits
-from robot import model
+from planners.problem import RateLimits
+from robot.description import model
 from tests.helpers import shared as helpers_shared
 
 

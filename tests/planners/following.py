@@ -9,9 +9,9 @@ import pinocchio as pin
 from hypothesis import strategies as st
 
 from planners.budget import Budget
+from planners.cartesian.following import TipTracker
 from planners.cartesian.planning import plan_cartesian
-from planners.cartesian.tip_tracking import TipTracker
-from planners.geometry.forward import ForwardKinematics
+from planners.geometry.kinematics import ForwardKinematics
 from planners.problem import Arc, CartesianProblem, Line
 from planners.scene import Pose
 from tests.planners.invariants import never

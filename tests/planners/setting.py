@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.geometry.forward import ForwardKinematics
-from planners.problem import Plan, PlanningProblem
-from planners.rates import RateLimits
+from planners.geometry.kinematics import ForwardKinematics
+from planners.problem import Plan, PlanningProblem, RateLimits
 from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import (
     assert_from_rest_to_rest,

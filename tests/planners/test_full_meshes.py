@@ -11,7 +11,7 @@ import pytest
 
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
-from robot import model
+from robot.description import model
 from tests.helpers import shared
 from tests.helpers.full_meshes import Judge
 
@@ -54,7 +54,7 @@ def test_hard_problems_of_the_benchmark_are_solved_and_valid(name: str, problem:
     path = SCENES_OF_BENCHMARK / f"{name}.json"
     fields = json.loads(path.read_text())
     file = problem_file.read(path, model.builtin())
-    (outcome,) = plan_command.plan_all(file, plan_command.chosen(file, Options(path, ids=(problem,))))
+    (outcome,) = plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=(problem,))))
     (answer,) = plan_command.as_json([outcome], file.joint_names)
     (entry,) = (entry for entry in fields["position_problems"] if entry["id"] == problem)
     assert outcome.expected
@@ -66,7 +66,7 @@ def test_a_share_of_the_shared_problems_is_planned_and_valid(name: str) -> None:
     path, fields = fields_of(name)
     entries = {entry["id"]: entry for key in LISTS for entry in fields[key][::SHARE]}
     file = problem_file.read(path, model.builtin())
-    outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options(path, ids=tuple(entries)))))
+    outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=tuple(entries)))))
     wrong = {outcome.asked.id: outcome.code.name for outcome in outcomes if not outcome.expected}
     assert not wrong
     answers = plan_command.as_json(outcomes, file.joint_names)

@@ -15,7 +15,7 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from planners import local_workers, run_delay, worker_process
+from planners import budget, worker_process
 from planners import pool as pool_module
 from planners.pipeline import Planner
 from planners.pool import MAX_WAITING, PlannerPool
@@ -24,14 +24,13 @@ from planners.problem import (
     MoveItErrorCode,
     Plan,
     PlanningFailure,
-    PlanningProblem,
     RecheckQuestion,
     Request,
     StateAnswer,
 )
 from planners.scene import Scene
 from planners.servo.question import JointVelocities, ServoQuestion
-from robot import model
+from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.requests import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 
@@ -209,6 +208,7 @@ async def test_a_robot_that_no_worker_can_load_is_told() -> None:
     await broken_robot.start()
     answer = await broken_robot.ask(EASY)
     await broken_robot.close()
+    assert broken_robot.pids == ()
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.FAILURE
     assert "planning is not available" in answer.message
@@ -217,188 +217,93 @@ async def test_a_robot_that_no_worker_can_load_is_told() -> None:
 async def test_where_workers_have_loaded_requests_wait_for_the_next_that_does(
     both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(local_workers, "RESTART_PAUSE_S", 0.1)
+    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.1)
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
     kill_all(both_idle)
     asking = asyncio.create_task(both_idle.ask(EASY))
     async with asyncio.timeout(60.0):
-        while both_idle._local._failed_starts < local_workers.MAX_FAILED_STARTS:
+        while both_idle._failed_starts < pool_module.MAX_FAILED_STARTS:
             await asyncio.sleep(0.01)
     monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.broken_planner")
     assert isinstance(await asking, Plan)
 
 
-class FarWorker:
-    """A worker that joins from afar; it answers what a test gives it, one after the other."""
+async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
+    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
+    pool = made_of(model.builtin())
+    await pool.start()
+    answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
+    assert isinstance(answer, PlanningFailure)
+    assert "planner processes ended while starting" in answer.message
+    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.worker")
+    async with asyncio.timeout(60.0):
+        while pool.load_failure is not None:
+            await asyncio.sleep(0.01)
+    assert isinstance(await pool.ask(EASY), Plan)
+    await pool.close()
 
-    takes_questions = False
 
-    def __init__(self, *answers: Answer | None) -> None:
-        self.usable = True
-        self.asked: list[Request] = []
-        self.given_up = 0
-        self._answers = list(answers)
+async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool_module, "LOAD_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(pool_module, "MAX_FAILED_STARTS", 1)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    # It lives, but never says that it has loaded anything.
+    monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.echo_child")
+    pool = made_of(model.builtin())
+    await pool.start()
+    async with asyncio.timeout(60.0):
+        while pool.load_failure is None:
+            await asyncio.sleep(0.01)
+    await pool.close()
+    assert pool.pids == ()
+
+
+async def test_a_worker_that_has_the_scene_is_taken_before_one_that_has_not(both_idle: PlannerPool) -> None:
+    first, second = both_idle._idle
+    await both_idle.ask(EASY, Scene(1))
+    assert first.has(Scene(1))
+    assert [worker.pid for worker in both_idle._idle] == [second.pid, first.pid]
+    await both_idle.ask(EASY, Scene(1))
+    assert not second.has(Scene(1))
+
+
+class StarvedWorker:
+    """A worker that does nothing but wait for a core; it gives its answer later than it may, or none."""
+
+    usable = True
+
+    def __init__(self, answer: Answer | None) -> None:
+        self.cancelled = 0
+        self.killed = 0
+        self._answer = answer
 
     def run_delay_s(self) -> float | None:
-        return None
+        return time.monotonic()
 
     def has(self, scene: Scene) -> bool:
         return True
 
     async def ask(self, request: Request, scene: Scene) -> Answer:
-        self.asked.append(request)
-        answer = self._answers.pop(0)
-        if answer is None:
-            await asyncio.sleep(60.0)
-            raise AssertionError("nobody waits so long")
-        self.usable = answer is not OUT_OF_REACH
-        return answer
+        await asyncio.sleep(0.2 if self._answer is not None else 60.0)
+        assert self._answer is not None
+        return self._answer
 
     async def cancel(self) -> None:
-        self.given_up += 1
-
-    kill = cancel
-
-
-OUT_OF_REACH = PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, "out of reach")
-FAR_AWAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "far away")
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def busy(both_idle: PlannerPool) -> AsyncIterator[PlannerPool]:
-    """The pool with its local worker in use for a motion."""
-    planning = asyncio.create_task(both_idle.ask(LONG))
-    await asyncio.sleep(0.05)
-    yield both_idle
-    planning.cancel()
-    await asyncio.wait([planning])
-
-
-async def test_a_local_worker_is_taken_before_one_from_afar(both_idle: PlannerPool) -> None:
-    far = FarWorker()
-    both_idle.add(far)
-    assert both_idle.far_count == 1
-    # A scene that the local workers do not have.
-    assert isinstance(await both_idle.ask(EASY, Scene(1)), Plan)
-    both_idle.remove(far)
-    assert both_idle.far_count == 0
-
-
-async def test_a_worker_from_afar_takes_a_motion_that_would_wait_and_leaves_questions(busy: PlannerPool) -> None:
-    far = FarWorker(FAR_AWAY)
-    busy.add(far)
-    assert isinstance(await busy.ask(STATE), StateAnswer)
-    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is FAR_AWAY
-    busy.remove(far)
-
-
-async def test_a_question_waits_for_a_local_worker() -> None:
-    pool = made_of(model.builtin())
-    far = FarWorker()
-    pool.add(far)
-    asking = asyncio.create_task(pool.ask(STATE))
-    await asyncio.sleep(0.05)
-    assert far.asked == []
-    asking.cancel()
-    await asyncio.wait([asking])
-
-
-async def test_a_worker_that_joins_gets_the_motion_that_waits(busy: PlannerPool) -> None:
-    far = FarWorker(FAR_AWAY)
-    waiting = asyncio.create_task(busy.ask(EASY))
-    await asyncio.sleep(0)
-    busy.add(far)
-    assert await asyncio.wait_for(waiting, 30.0) is FAR_AWAY
-    busy.remove(far)
-
-
-async def test_motions_leave_the_spare_to_questions_when_a_worker_from_afar_is_lost(busy: PlannerPool) -> None:
-    far = FarWorker()
-    busy.add(far)
-    far.usable = False
-    asking = asyncio.create_task(busy.ask(EASY))
-    await asyncio.sleep(0.05)
-    assert not asking.done()
-    assert isinstance(await busy.ask(STATE), StateAnswer)
-    busy.remove(far)
-    asking.cancel()
-    await asyncio.wait([asking])
-
-
-async def test_a_motion_whose_worker_came_out_of_reach_gets_another_for_the_time_that_is_left(
-    busy: PlannerPool,
-) -> None:
-    lost, found = FarWorker(OUT_OF_REACH), FarWorker(FAR_AWAY)
-    for far in (lost, found):
-        busy.add(far)
-    assert await asyncio.wait_for(busy.ask(dataclasses.replace(EASY, allowed_time_s=3.0)), 30.0) is FAR_AWAY
-    (again,) = found.asked
-    assert isinstance(again, PlanningProblem)
-    assert 2.0 < again.allowed_time_s < 3.0
-    for far in (lost, found):
-        busy.remove(far)
-
-
-async def test_a_motion_is_given_to_another_worker_only_once(busy: PlannerPool) -> None:
-    those = [FarWorker(OUT_OF_REACH), FarWorker(OUT_OF_REACH), FarWorker(FAR_AWAY)]
-    for far in those:
-        busy.add(far)
-    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is OUT_OF_REACH
-    assert [len(far.asked) for far in those] == [1, 1, 0]
-    for far in those:
-        busy.remove(far)
-
-
-async def test_a_worker_from_afar_that_overruns_is_stopped_and_used_again(busy: PlannerPool) -> None:
-    far = FarWorker(None, FAR_AWAY)
-    busy.add(far)
-    answer = await busy.ask(dataclasses.replace(EASY, allowed_time_s=0.05))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.TIMED_OUT
-    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is FAR_AWAY
-    assert far.given_up == 1
-    busy.remove(far)
-
-
-async def test_a_worker_that_leaves_while_it_works_answers_and_gets_nothing_more(busy: PlannerPool) -> None:
-    gone, there = FarWorker(None), FarWorker(FAR_AWAY)
-    busy.add(gone)
-    asking = asyncio.create_task(busy.ask(EASY))
-    await asyncio.sleep(0.01)
-    busy.remove(gone)
-    asking.cancel()
-    await asyncio.wait([asking])
-    await asyncio.sleep(0.01)
-    busy.add(there)
-    assert await asyncio.wait_for(busy.ask(EASY), 30.0) is FAR_AWAY
-    assert len(gone.asked) == 1
-    busy.remove(there)
-
-
-async def test_who_waits_for_a_worker_hears_when_there_is_one_and_when_there_is_none(both_idle: PlannerPool) -> None:
-    assert await both_idle.wait_ready(30.0) is None
-    nobody = made_of(model.builtin())
-    assert await nobody.wait_ready(0.01) == "no planner process was ready within 0.01 s"
-
-
-class StarvedWorker(FarWorker):
-    """A worker of this machine that does nothing but wait for a core; it answers later than it may, if at all."""
-
-    takes_questions = True
-
-    def __init__(self, *answers: Answer | None) -> None:
-        super().__init__(*answers)
-        self.killed = 0
-
-    def run_delay_s(self) -> float | None:
-        return time.monotonic()
-
-    async def ask(self, request: Request, scene: Scene) -> Answer:
-        await asyncio.sleep(0.2)
-        return await super().ask(request, scene)
+        self.cancelled += 1
 
     async def kill(self) -> None:
         self.killed += 1
+
+
+def with_worker(worker: StarvedWorker) -> PlannerPool:
+    """A pool that has this worker and no process."""
+    pool = made_of(model.builtin())
+    pool._put_back(worker)
+    return pool
+
+
+LATE = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "late")
 
 
 @pytest.fixture
@@ -416,28 +321,26 @@ SERVO = ServoQuestion("arm", "gripper_frame_link", START, {}, 0.02, JointVelocit
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("request_", [EASY_AT_ONCE, STATE], ids=["a motion", "a question"])
 async def test_a_worker_that_waits_for_a_core_is_waited_for(request_: Request) -> None:
-    pool, starved = made_of(model.builtin()), StarvedWorker(FAR_AWAY)
-    pool.add(starved)
-    assert await pool.ask(request_) is FAR_AWAY
+    assert await with_worker(StarvedWorker(LATE)).ask(request_) is LATE
 
 
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("request_", [RECHECK, SERVO], ids=["a recheck", "steering"])
 async def test_where_an_arm_moves_meanwhile_a_worker_that_waits_for_a_core_is_not_waited_for(request_: Request) -> None:
-    pool, starved = made_of(model.builtin()), StarvedWorker(None)
-    pool.add(starved)
+    starved = StarvedWorker(None)
+    pool = with_worker(starved)
     answer = await asyncio.wait_for(pool.ask(request_), 30.0)
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
     await pool.close()
-    assert (starved.given_up, starved.killed) == (1, 0)
+    assert (starved.cancelled, starved.killed) == (1, 0)
 
 
 @pytest.mark.usefixtures("brief")
 async def test_a_worker_that_waits_for_a_core_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_delay, "MAX_STARVED_S", 0.2)
-    pool, starved = made_of(model.builtin()), StarvedWorker(None)
-    pool.add(starved)
+    monkeypatch.setattr(budget, "MAX_STARVED_S", 0.2)
+    starved = StarvedWorker(None)
+    pool = with_worker(starved)
     answer = await asyncio.wait_for(pool.ask(EASY_AT_ONCE), 30.0)
     assert isinstance(answer, PlanningFailure)
     assert answer.message == "the planner did not answer within 0.05 s and was given up"
@@ -470,7 +373,7 @@ async def on_a_busy_core(both_idle: PlannerPool, busy_core: int) -> AsyncIterato
 
 
 needs_run_delay = pytest.mark.skipif(
-    run_delay.read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
+    budget.read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
 )
 
 # A quarter of a second of work.

@@ -10,7 +10,7 @@ from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
-from robot import model
+from robot.description import model
 from tests.helpers import seven_joint_arm
 from tests.planners.setting import Setting, end_of
 

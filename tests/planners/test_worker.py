@@ -32,7 +32,7 @@ def test_a_worker_starts_without_what_a_plain_goal_does_not_need(loaded_by_a_wor
 @pytest.fixture(scope="module")
 def loaded_by_a_worker() -> list[str]:
     return output_of(
-        "import sys; from planners import worker; from robot import model; worker.Planner(model.builtin());"
+        "import sys; from planners import worker; from robot.description import model; worker.Planner(model.builtin());"
         "print(*sys.modules)"
     )
 
@@ -69,7 +69,7 @@ import asyncio, os
 from planners import worker_process
 from planners.pool import PlannerPool
 from tests.helpers.requests import broken
-from robot import model
+from robot.description import model
 async def serve():
     worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(model.builtin())

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners import worker_process
+from planners.budget import Deadline
 from planners.problem import PlanningFailure, StateAnswer
-from planners.run_delay import Deadline
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.worker_process import (
     MAX_ALLOWED_TIME_S,
@@ -27,8 +27,8 @@ from planners.worker_process import (
     parts,
     timeout_at,
 )
-from robot import model
 from robot.channel import MAX_MESSAGE_BYTES
+from robot.description import model
 from tests.helpers.requests import EASY, LONG, REQUESTS, STATE
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import copy
 import time
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from protocol import messages
 from protocol.errors import MessageError
-from protocol.message_budget import MAX_VALUES, MessageBudget, values_in
-from protocol.messages import Stamp, complete
+from protocol.messages import MAX_VALUES, MessageBudget, Stamp, complete, quick_way, values_in
 from protocol.registry import Registry
 
 REGISTRY = Registry.load()
@@ -60,3 +63,174 @@ def test_what_is_taken_is_gone_until_the_next_message() -> None:
         budget.take(1)
     budget.renew()
     budget.take(1)
+
+
+RECEIVED = Stamp(1700000000, 250)
+MESSAGE_NAMES = [name for name, definition in REGISTRY._table.items() if definition["kind"] == "msg"]
+
+STAMP = {"sec": 1, "nanosec": 2}
+HEADER = {"stamp": STAMP, "frame_id": "base_link"}
+JOINT_STATE = {"header": HEADER, "name": ["a", "b"], "position": [0.5, 1.5], "velocity": [], "effort": []}
+POINT = {"positions": [1.0], "velocities": [], "accelerations": [], "effort": [], "time_from_start": STAMP}
+TRAJECTORY = {"header": HEADER, "joint_names": ["a"], "points": [POINT, POINT]}
+
+odd_values = st.sampled_from(
+    [
+        None,
+        True,
+        0,
+        -1,
+        1.0,
+        0.5,
+        2**31,
+        2**63,
+        2**64,
+        10**400,
+        1e39,
+        float("nan"),
+        "",
+        "now",
+        "AA==",
+        [],
+        [1],
+        [""],
+        {},
+    ]
+)
+
+
+def quick(type_name, value):
+    return quick_way(REGISTRY, type_name)(value)
+
+
+def slow(type_name, value):
+    return messages._message_shape(REGISTRY, type_name).complete(value, RECEIVED)
+
+
+def sample(type_name):
+    """A complete message with one element in every array that may have one."""
+    message = slow(type_name, {})
+    for field in REGISTRY.message(type_name).fields:
+        if field.array is not None and field.array.min_length == 0 and type(message[field.name]) is list:
+            element = {"string": "x", "bool": True}.get(field.base, 1) if field.primitive else slow(field.base, {})
+            message[field.name] = [element]
+    return slow(type_name, message)
+
+
+def places(value):
+    """Every container in a message with every key of it."""
+    members = value.items() if type(value) is dict else enumerate(value)
+    for key, member in members:
+        yield value, key
+        if type(member) in (dict, list):
+            yield from places(member)
+
+
+@pytest.mark.parametrize("name", MESSAGE_NAMES)
+def test_of_every_type_a_complete_message_is_taken_as_it_is_or_left_to_the_slow_way(name):
+    message = sample(name)
+    taken = quick(name, message)
+    assert taken is None or (repr(taken) == repr(message) and taken is not message)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("sensor_msgs/JointState", JOINT_STATE), ("trajectory_msgs/JointTrajectory", TRAJECTORY), ("std_msgs/Empty", {})],
+)
+def test_what_robots_say_most_goes_the_quick_way(name, message):
+    assert quick(name, message) == message
+
+
+@given(st.sampled_from(MESSAGE_NAMES), st.data())
+def test_what_the_quick_way_takes_the_slow_way_completes_to_the_same(name, data):
+    message = copy.deepcopy(sample(name))
+    spots = list(places(message))
+    if spots:
+        container, key = data.draw(st.sampled_from(spots))
+        container[key] = data.draw(odd_values)
+    taken = quick(name, message)
+    if taken is not None:
+        assert repr(taken) == repr(slow(name, message))
+
+
+@given(st.sampled_from(MESSAGE_NAMES), st.data())
+def test_what_is_left_out_is_filled_in_as_on_the_slow_way(name, data):
+    message = copy.deepcopy(sample(name))
+    for _ in range(3):
+        spots = [spot for spot in places(message) if type(spot[0]) is dict]
+        if spots:
+            container, key = data.draw(st.sampled_from(spots))
+            del container[key]
+    taken = quick(name, message)
+    if taken is not None:
+        assert repr(taken) == repr(slow(name, message))
+
+
+@pytest.mark.parametrize("name", ["geometry_msgs/Pose", "moveit_msgs/CollisionObject", "moveit_msgs/RobotTrajectory"])
+def test_a_message_without_a_header_to_stamp_may_leave_out_anything_else(name):
+    message = sample(name)
+    sparse = {
+        key: value
+        for key, value in message.items()
+        if key in ("header", "joint_trajectory", "multi_dof_joint_trajectory")
+    }
+    assert quick(name, sparse) == slow(name, sparse)
+
+
+def test_a_header_without_stamp_is_left_to_the_slow_way_which_knows_the_time():
+    assert quick("std_msgs/Header", {"frame_id": "a"}) is None
+    assert quick("sensor_msgs/JointState", {"name": ["a"]}) is None
+
+
+def test_what_is_filled_in_is_not_shared():
+    first, second = (quick("shape_msgs/SolidPrimitive", {}) for _ in range(2))
+    first["dimensions"].append(1.0)
+    first["polygon"]["points"].append({})
+    assert second == slow("shape_msgs/SolidPrimitive", {})
+
+
+def test_nothing_of_what_came_is_shared():
+    taken = quick("trajectory_msgs/JointTrajectory", TRAJECTORY)
+    mine = {id(container[key]) for container, key in places(TRAJECTORY) if type(container[key]) in (dict, list)}
+    theirs = {id(container[key]) for container, key in places(taken) if type(container[key]) in (dict, list)}
+    assert not mine & theirs
+
+
+def test_integers_that_javascript_writes_for_floats_are_taken_as_floats():
+    assert repr(quick("geometry_msgs/Point", {"x": 1, "y": 0.5, "z": -2})) == "{'x': 1.0, 'y': 0.5, 'z': -2.0}"
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {"sec": 1, "nanosec": 2, "more": 3},
+        {"sec": 1, "more": 3},
+        {"secs": 1, "nsecs": 2},
+        {"sec": 1, "nanosec": -1},
+        {"sec": True, "nanosec": 2},
+        "now",
+        None,
+        [1, 2],
+    ],
+)
+def test_what_is_not_valid_is_left_to_the_slow_way(value):
+    assert quick("builtin_interfaces/Time", value) is None
+
+
+def test_an_array_of_the_wrong_length_is_left_to_the_slow_way():
+    imu = sample("sensor_msgs/Imu")
+    assert quick("sensor_msgs/Imu", imu) is not None
+    imu["orientation_covariance"].pop()
+    assert quick("sensor_msgs/Imu", imu) is None
+    with pytest.raises(MessageError, match="exactly 9 elements"):
+        slow("sensor_msgs/Imu", imu)
+
+
+def test_octets_which_have_two_spellings_are_left_to_the_slow_way():
+    assert quick("sensor_msgs/Image", sample("sensor_msgs/Image")) is None
+    assert quick("std_msgs/UInt8MultiArray", slow("std_msgs/UInt8MultiArray", {}) | {"data": [1, 2]}) is None
+
+
+def test_a_float_beyond_single_precision_is_left_to_the_slow_way():
+    assert quick("geometry_msgs/Point32", {"x": 1e38, "y": 0.0, "z": 0.0}) is not None
+    assert quick("geometry_msgs/Point32", {"x": 1e39, "y": 0.0, "z": 0.0}) is None

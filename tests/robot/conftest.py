@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from robot.control.pacing import take_priority
-from robot.emulator.wire import Instruction, InstructionParser
+from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus
 from tests.helpers.scripted_port import Script
 from tests.helpers.stepped_emulator import SteppedEmulator

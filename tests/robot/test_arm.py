@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
+from robot.description import model
+from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig, ArmHealth, ArmState, ChangePace, Mode, Order, Outcome, Pace
 from robot.trajectory import Trajectory
 from tests.helpers.emulator_control import EmulatorControl
@@ -164,8 +164,8 @@ async def test_an_order_to_a_process_that_hangs_is_answered_in_time(
 async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.5, duration_s=20.0))
     await rig.until(lambda: rig.arm.state.mode is Mode.MOVING)
-    # The hang itself: nothing of the server runs, so no heartbeat leaves. The arm's clock decides how long it lasts, for
-    # on a busy machine it is behind the test's.
+    # The hang itself: nothing of the server runs, so no heartbeat leaves. The arm's clock decides how long it
+    # lasts, for on a busy machine it is behind the test's.
     until_s = rig.arm_clock_s() + SIMULATED_WATCHDOG_S + 0.6
     while rig.arm_clock_s() < until_s:
         time.sleep(0.1)  # noqa: ASYNC251 - it is to block the event loop

@@ -15,11 +15,10 @@ from collections.abc import AsyncIterator
 import pytest
 import pytest_asyncio
 
-from robot import model
-from robot.calibration import Calibration
-from robot.calibration_files import find_calibration
+from robot.calibration import Calibration, find_calibration
+from robot.description import model
+from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig, EmergencyPolicy, Mode, Order, Outcome
 from tests.helpers.arm_place import DURATION_S, JOINT, REACH_RAD, STILL_RAD, WITHIN_RAD, Place
 from tests.helpers.scripted_arm import ScriptedServos

@@ -4,13 +4,14 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
+import numpy as np
 import pytest
 
-from robot import model
-from robot.arm_process import MAX_EARLY_ORDERS, ArmProcess, start_arm_process
+from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
 from robot.calibration import Calibration
+from robot.description import model
 from robot.hardware.config import FeetechConfig
-from robot.messages import ArmConfig, ArmState, Command, CommandDone, Order
+from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint
 from robot.processes import StartedChild
 
 CONFIG = ArmConfig(model.builtin(), FeetechConfig(Calibration.nominal(), "/dev/does-not-exist"))
@@ -89,3 +90,13 @@ async def test_a_process_that_has_died_takes_no_orders(desk: Desk) -> None:
 async def test_a_process_that_was_never_configured_ends_at_once(desk: Desk) -> None:
     await asyncio.wait_for(desk.process.end(60.0), 2.0)
     assert desk.exits == 1
+
+
+async def test_setpoints_go_out_under_the_streams_number_until_it_has_ended() -> None:
+    sent: list[Setpoint] = []
+    ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
+    stream = ArmStream(5, ("shoulder_pan",), ended, sent.append)
+    stream.steer(np.array([0.3]))
+    ended.set_result(MotionEnded(5, Outcome.STOPPED, "stopped"))
+    stream.steer(np.array([0.4]))
+    assert [(each.motion_id, each.velocity_rad_s.tolist()) for each in sent] == [(5, [0.3])]

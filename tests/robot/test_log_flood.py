@@ -3,7 +3,7 @@ from __future__ import annotations
 import logging
 
 from robot import logs
-from robot.log_flood import BURST, LINES_PER_S, FloodFilter, left_out_note
+from robot.logs import BURST, LINES_PER_S, FloodFilter, left_out_note
 
 
 def record(line: int = 7) -> logging.LogRecord:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import subprocess
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 
 from robot import logs
-from robot.logs import JsonFormatter, LoggerLevel, PlainFormatter
+from robot.logs import CALM_S, MAX_CHANGED_LOGGERS, JsonFormatter, LoggerLevel, PlainFormatter, Repeats
 
 ROOT = Path(__file__).parents[2]
 
@@ -111,3 +112,80 @@ def test_what_a_client_has_made_very_long_is_cut_and_its_length_told() -> None:
     for told in (PlainFormatter().format(made), as_json(made)["message"]):
         assert len(told) < logs.MAX_MESSAGE_CHARACTERS + 100
         assert told.endswith("... (5000009 characters)")
+
+
+NAME = "armbridge.test_log_levels"
+
+
+class Child:
+    """Hears what it is sent."""
+
+    def __init__(self) -> None:
+        self.heard: list[object] = []
+
+    def send(self, message: object) -> None:
+        self.heard.append(message)
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_changed_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logs, "_changed", {})
+
+
+def test_a_change_holds_here_and_in_children_from_before_and_after() -> None:
+    before, after = Child(), Child()
+    logs.follow(before)
+    changes = [LoggerLevel(NAME, logging.DEBUG), LoggerLevel(NAME, logging.ERROR)]
+    for each in changes:
+        assert logs.change(each)
+    logs.follow(after)
+    assert logging.getLogger(NAME).level == logging.ERROR
+    assert (before.heard, after.heard) == (changes, changes[1:])
+
+
+def test_a_child_that_nobody_keeps_is_forgotten() -> None:
+    count = len(logs._followers)
+    child = Child()
+    logs.follow(child)
+    del child
+    gc.collect()
+    assert len(logs._followers) <= count
+
+
+def test_not_more_loggers_are_changed_than_there_may_be() -> None:
+    changes = [LoggerLevel(f"{NAME}.l{number}", 0) for number in range(MAX_CHANGED_LOGGERS + 1)]
+    assert [logs.change(each) for each in changes] == [True] * MAX_CHANGED_LOGGERS + [False]
+    assert logs.change(changes[0])
+
+
+def test_the_first_and_then_every_power_of_two_is_told() -> None:
+    repeats = Repeats()
+    assert [count for count in range(1, 70) if repeats.due(0.0)] == [1, 2, 4, 8, 16, 32, 64]
+
+
+def test_what_happened_once_needs_no_note() -> None:
+    repeats = Repeats()
+    repeats.due(0.0)
+    assert repeats.note == ""
+
+
+def test_what_happened_again_is_told_with_its_count() -> None:
+    repeats = Repeats()
+    for _ in range(4):
+        repeats.due(0.0)
+    assert repeats.note == " (4 times so far)"
+
+
+def test_what_was_not_told_is_counted_as_well() -> None:
+    repeats = Repeats()
+    for _ in range(3):
+        repeats.due(0.0)
+    assert repeats.count == 3
+
+
+def test_what_has_been_calm_for_long_is_told_as_the_first_time() -> None:
+    repeats = Repeats()
+    for _ in range(3):
+        repeats.due(0.0)
+    assert repeats.due(CALM_S + 1.0)
+    assert repeats.note == ""

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robot import log_levels, logs, processes
+from robot import logs, processes
 from robot.logs import LoggerLevel
 from robot.processes import Child, StartedChild
 
@@ -127,7 +127,7 @@ async def test_an_error_in_serving_one_message_does_not_make_the_server_deaf(
 
 @pytest.fixture
 def no_changed_levels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_levels, "_changed", {})
+    monkeypatch.setattr(logs, "_changed", {})
 
 
 async def test_a_level_is_changed_in_children_that_run_and_in_those_that_follow(
@@ -135,7 +135,7 @@ async def test_a_level_is_changed_in_children_that_run_and_in_those_that_follow(
 ) -> None:
     received: list[Any] = []
     first = await start_echo(received, asyncio.Event())
-    assert log_levels.change(LoggerLevel("armbridge.echo", logging.DEBUG))
+    assert logs.change(LoggerLevel("armbridge.echo", logging.DEBUG))
     second = await start_echo(received, asyncio.Event())
     for child in (first, second):
         child.send(("log", "armbridge.echo", logging.DEBUG, "said"))

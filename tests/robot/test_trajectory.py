@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.trajectory import Trajectory
+from robot.trajectory import Trajectory, rest_to_rest
 from tests.helpers.trajectories import smooth_move
 
 
@@ -32,3 +34,36 @@ def test_a_single_sample_lasts_no_time() -> None:
     trajectory = Trajectory(("shoulder_pan",), np.zeros(1), zero + 0.3, zero, zero)
     assert trajectory.duration_s == 0.0
     assert trajectory.sample(0.5)[0] == pytest.approx([0.3])
+
+
+POSITION = st.floats(-3.0, 3.0)
+LIMIT = st.floats(0.05, 20.0)
+
+
+@given(POSITION, POSITION, LIMIT, LIMIT)
+def test_a_motion_goes_from_rest_to_rest_within_its_limits(start: float, end: float, speed: float, push: float) -> None:
+    motion = rest_to_rest("jaw", start, end, speed, push)
+    assert motion.positions_rad[-1, 0] == pytest.approx(end)
+    assert motion.velocities_rad_s[0, 0] == motion.velocities_rad_s[-1, 0] == 0.0
+    assert motion.time_s[0] == 0.0
+    assert (np.diff(motion.time_s) > 0.0).all()
+    assert np.abs(motion.velocities_rad_s).max() <= speed * (1 + 1e-9)
+    assert np.abs(motion.accelerations_rad_s2).max() <= push
+
+
+@given(POSITION, POSITION, LIMIT, LIMIT)
+def test_no_motion_within_the_limits_is_shorter(start: float, end: float, speed: float, push: float) -> None:
+    way = abs(end - start)
+    fastest_s = 2.0 * math.sqrt(way / push) if way * push <= speed**2 else way / speed + speed / push
+    assert rest_to_rest("jaw", start, end, speed, push).duration_s == pytest.approx(fastest_s, abs=1e-2, rel=1e-6)
+
+
+def test_between_the_corners_the_speed_is_the_slope_of_the_way() -> None:
+    motion = rest_to_rest("jaw", 1.5, -0.1, 2.5, 10.0)
+    for time_s in np.linspace(0.001, motion.duration_s - 0.001, 200):
+        slope = (motion.sample(time_s + 1e-5)[0] - motion.sample(time_s - 1e-5)[0]) / 2e-5
+        assert slope == pytest.approx(motion.sample(time_s)[1], abs=1e-3)
+
+
+def test_no_way_is_a_motion_without_duration() -> None:
+    assert rest_to_rest("jaw", 0.3, 0.3, 2.5, 10.0).duration_s == 0.0

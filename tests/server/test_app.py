@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from protocol.registry import Registry
+from server.access.settings import SessionSettings
 from server.app import App, open_recorder
 from server.config import RecordingSettings, ServerSettings, Settings
 from server.errors import StartError
-from server.gateway.session_settings import SessionSettings
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.zenoh.settings import ZenohSettings
 
 

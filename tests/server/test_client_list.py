@@ -4,8 +4,8 @@ from typing import Any
 
 from protocol.registry import Registry
 from server.client_list import COUNT_TOPIC, LIST_TOPIC, ClientList
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 
 
 def latest(graph: Graph, topic: str) -> Any:

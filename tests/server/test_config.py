@@ -1,9 +1,80 @@
 from __future__ import annotations
 
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from server.config import ServerSettings, Settings
+from robot.control.checks import CONFIG_RANGES, GUARD_RANGES
+from robot.messages import GuardLimits
+from server.config import ArmSettings, GuardSettings, ServerSettings, Settings
+from server.config_loader import load
+from server.errors import ConfigurationError
+
+
+def test_a_number_from_the_environment_is_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMBRIDGE_PLANNING__WORKERS", "4")
+    assert load(None, {}).planning.workers == 4
+
+
+@pytest.mark.parametrize(
+    ("workers", "words"),
+    [
+        (0, "greater than or equal to 1"),
+        (17, "less than or equal to 16"),
+        ("17", "16"),
+        ("-1", "1"),
+        ("many", "integer"),
+    ],
+)
+def test_a_number_out_of_range_is_refused(workers: int | str, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"planning.workers: .*{words}"):
+        load(None, {"planning": {"workers": workers}})
+
+
+@pytest.mark.parametrize("workers", ["dask://host:8786", "dask+tls://host:8786"])
+def test_a_cluster_is_refused_with_the_command_that_plans_there(workers: str) -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"planning.workers: must be 1 to 16: .*armbridge plan FILE --scheduler"
+    ):
+        load(None, {"planning": {"workers": workers}})
+
+
+def taken(section: type[BaseModel], name: str, value: float) -> bool:
+    try:
+        section.model_validate({name: value})
+    except ValidationError as error:
+        return any("must rise" in each["msg"] for each in error.errors())
+    return True
+
+
+def test_every_limit_of_the_guards_is_a_setting_with_its_default() -> None:
+    assert GuardSettings().limits() == GuardLimits()
+    assert set(GuardSettings.model_fields) == set(vars(GuardLimits())) == set(GUARD_RANGES)
+
+
+RANGES = [
+    *((GuardSettings, name, bounds) for name, bounds in GUARD_RANGES.items()),
+    *((ArmSettings, name, bounds) for name, bounds in CONFIG_RANGES.items() if name != "state_rate_hz"),
+    (ArmSettings, "joint_state_rate_hz", CONFIG_RANGES["state_rate_hz"]),
+]
+
+
+@pytest.mark.parametrize(("section", "name", "bounds"), RANGES, ids=[name for _, name, _ in RANGES])
+def test_the_range_is_that_of_the_arm_process(section: type[BaseModel], name: str, bounds: tuple[float, float]) -> None:
+    assert all(taken(section, name, value) for value in bounds)
+    assert not any(taken(section, name, value) for value in (bounds[0] - 0.001, bounds[1] + 0.001, float("nan")))
+
+
+def test_a_limit_out_of_range_is_refused_with_its_key_and_the_limit() -> None:
+    with pytest.raises(ConfigurationError, match=r"arm.guards.stall_time_s: .*less than or equal to 1.5 \(it is 5"):
+        load(None, {"arm": {"guards": {"stall_time_s": 5.0}}})
+
+
+def test_an_arm_that_may_settle_for_longer_needs_motions_that_may_last_for_longer() -> None:
+    words = r"arm.guards.settle_timeout_s must be below moveit.allowed_goal_duration_margin, 3 s is not below 2 s"
+    with pytest.raises(ConfigurationError, match=words):
+        load(None, {"arm": {"guards": {"settle_timeout_s": 3.0}}})
+    settings = load(None, {"arm": {"guards": {"settle_timeout_s": 3.0}}, "moveit": {"allowed_goal_duration_margin": 4}})
+    assert settings.arm.guards.settle_timeout_s == 3.0
 
 
 def test_the_defaults_are_those_of_the_old_goal_node() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.rosout import MAX_WAITING, TOPIC, Rosout
 
 LOG = logging.getLogger("armbridge.test")

@@ -8,10 +8,13 @@ nothing in a reply says which question it answers. So questions are told apart b
 * A sync read asks for at least 15, and after any disturbance for another number than before.
 
 A late or repeated reply then has the wrong length for the present question and is skipped.
+
+Single reads and verified writes of one servo, as steps that share the bus with the 100 Hz tick.
 """
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from itertools import cycle
@@ -27,7 +30,7 @@ from scservo_sdk import (
     PacketHandler,
 )
 
-from robot.errors import NoReply, PortLost
+from robot.errors import NoReply, PortLost, StartupError
 from robot.hardware.feetech.packets import (
     StatusFrame,
     instruction_packet,
@@ -38,7 +41,7 @@ from robot.hardware.feetech.packets import (
 )
 from robot.hardware.feetech.port import QUIET_S, BusPort, open_port
 from robot.hardware.feetech.registers import LAYOUT, Register, decode, encode
-from robot.hardware.interface import BusCounters
+from robot.hardware.interface import BusCounters, Steps
 
 # How often one servo is asked before it counts as silent: single packets get lost while others draw current.
 ATTEMPTS = 3
@@ -320,3 +323,53 @@ class Bus:
             if self._last_byte_s > limit_s:
                 break
         self._disturbed = False
+
+
+# Single packets get lost while other servos draw current; five in a row mean that nobody is there.
+STEP_ATTEMPTS = 5
+
+
+def read(bus: Bus, servo_id: int, register: Register) -> Steps[int]:
+    """Read one register.
+
+    Raises:
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    for _ in range(STEP_ATTEMPTS):
+        yield 0.0
+        with contextlib.suppress(NoReply):
+            return bus.read(servo_id, register, attempts=1)
+    raise NoReply(servo_id, STEP_ATTEMPTS)
+
+
+def read_block(bus: Bus, servo_id: int, address: int, length: int) -> Steps[StatusFrame]:
+    """Read a block of registers of one servo.
+
+    Raises:
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    for _ in range(STEP_ATTEMPTS):
+        yield 0.0
+        frame = bus.sync_read((servo_id,), address, length).get(servo_id)
+        if frame is not None:
+            return frame
+    raise NoReply(servo_id, STEP_ATTEMPTS)
+
+
+def write_verified(bus: Bus, servo_id: int, register: Register, value: int) -> Steps[None]:
+    """Write a register until it reads back: the reply to a write that worked may be lost as well.
+
+    Raises:
+        StartupError: the servo keeps another value.
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    for _ in range(STEP_ATTEMPTS):
+        yield 0.0
+        with contextlib.suppress(NoReply):
+            bus.write(servo_id, register, value, attempts=1)
+        if (yield from read(bus, servo_id, register)) == value:
+            return
+    raise StartupError(f"servo {servo_id} does not take {value} in register {register.name}")

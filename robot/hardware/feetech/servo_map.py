@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from robot.calibration import Calibration, JointCalibration
-from robot.guard_limits import GuardLimits
+from robot.description.limits import JointBounds
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
-from robot.limits import JointBounds
+from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
 # Goal_Velocity: leaves the servo room to catch up, and caps what a bad goal could do (2.8 rad/s).

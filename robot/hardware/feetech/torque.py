@@ -2,7 +2,7 @@
 
 Torque on with a stale goal register is how gears are stripped: the goal is set to the present position and read back
 before torque comes on, with torque capped and then raised slowly. An arm that is already holding keeps its goals.
-Every function is a sequence of steps (:mod:`robot.hardware.steps`) that may be given up between any two of them.
+Every function is a sequence of steps (:mod:`robot.hardware.interface`) that may be given up between any two of them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from robot.errors import NoReply, StartupError
-from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.bus import STEP_ATTEMPTS, Bus, read, read_block, write_verified
 from robot.hardware.feetech.registers import (
     GOAL_ADDRESS,
     TELEMETRY_ADDRESS,
@@ -22,8 +22,7 @@ from robot.hardware.feetech.registers import (
 )
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.survey import read_control
-from robot.hardware.feetech.transactions import ATTEMPTS, read, read_block, write_verified
-from robot.hardware.steps import Steps
+from robot.hardware.interface import Steps
 
 # Torque must come on with the arm at its goal; more means the arm moved or the goal was not taken.
 TORQUE_ON_WITHIN_TICKS = 30
@@ -164,7 +163,7 @@ def _switch_on(bus: Bus, servos: ServoMap, servo_id: int, limits: TickLimits) ->
 
 def _set_goal(bus: Bus, servos: ServoMap, servo_id: int, goal_ticks: int) -> Steps[None]:
     block = servos.goal_block(servo_id, goal_ticks)
-    for _ in range(ATTEMPTS):
+    for _ in range(STEP_ATTEMPTS):
         yield 0.0
         bus.sync_write(GOAL_ADDRESS, {servo_id: block})
         if (yield from read(bus, servo_id, Register.GOAL_POSITION)) == goal_ticks:

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
-from server.action_goals import Goal, GoalStatus
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.graph.actions import Goal, GoalStatus
 from server.moveit.current_state import state_message
 from server.moveit.motions import Motion
 from server.moveit.requests.error_codes import error_code

@@ -17,19 +17,19 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import Publication
 from robot.arm import Arm
+from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
-from robot.model import Group, RobotModel
 from robot.trajectory import Vector
-from server.action_goals import Goal, GoalStatus
 from server.errors import RefusedError
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
-from server.graph import Graph, Subscriber
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.goal_bridge import goal_status
 from server.moveit.current_state import CurrentState
 from server.moveit.motions import Motion, Positions
 from server.moveit.requests.error_codes import refused
 from server.moveit.requests.trajectories import external_motion, external_trajectory
-from server.node import Node
 
 Message: TypeAlias = Mapping[str, Any]
 

@@ -16,13 +16,14 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from robot.arm import Arm
+from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.model import RobotModel
-from server.action_goals import Goal
 from server.actionlib import ActionlibBridge
 from server.errors import RefusedError
 from server.goal_queue import Answer, GoalQueue
-from server.graph import Graph
+from server.graph.actions import Goal
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import (
     MoveGroupFeedback,
     code_message,
@@ -40,7 +41,6 @@ from server.moveit.requests.planning_context import PlanningContext, PlanningSta
 from server.moveit.requests.planning_problems import sequence_requests
 from server.moveit.requests.trajectories import external_motion, external_trajectory
 from server.moveit.step_planning import plan_steps
-from server.node import Node
 from server.timers import call_later
 
 log = logging.getLogger("armbridge.actions")

@@ -22,7 +22,7 @@ from planners.goals import (
     SingleGoal,
 )
 from planners.scene import Pose
-from robot.model import Joint
+from robot.description.model import Joint
 from server.moveit.requests.context import Message, RequestContext
 from server.moveit.requests.error_codes import invalid
 

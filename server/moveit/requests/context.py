@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import read_pose
 from server.moveit.requests.error_codes import refused, required

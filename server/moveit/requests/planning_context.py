@@ -11,14 +11,14 @@ from typing import Protocol
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from server.graph.node import Node
 from server.moveit.display import DisplayTopics
 from server.moveit.planner_parameters import PlannerParameters
 from server.moveit.requests.context import FrameResolver, Message
 from server.moveit.requests.error_codes import refused
 from server.moveit.requests.planning_problems import ProblemBuilder
-from server.node import Node
 
 # MoveIt's start_state_max_bounds_error: droop takes a measured joint beyond its soft limit, and moving an arm by hand a
 # little further.

@@ -36,7 +36,7 @@ from planners.problem import (
     planner_name,
 )
 from planners.scene import Point, Pose
-from robot.model import Group, RobotModel
+from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.moveit.motions import Positions, Step

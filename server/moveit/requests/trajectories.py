@@ -9,9 +9,9 @@ import numpy as np
 
 from planners.problem import MoveItErrorCode
 from protocol.messages import Stamp
-from robot.control.acceptance import refusal
-from robot.limits import JointBounds
-from robot.model import Group, RobotModel
+from robot.control.checks import refusal
+from robot.description.limits import JointBounds
+from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.moveit.motions import GivenMotion, Positions

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.moveit.requests.error_codes import invalid
 
 Message = Mapping[str, Any]

@@ -7,8 +7,8 @@ from typing import Protocol
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from robot.trajectory import Vector
 from server.moveit.poses import composed, inverse, pose_of
 from server.moveit.scene.collision_objects import IDENTITY, AttachedCollisionObject, CollisionObject

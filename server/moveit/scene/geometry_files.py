@@ -17,14 +17,14 @@ from typing import Any
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
 from server.errors import RefusedError
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
 from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
-from server.node import Node
 
 log = logging.getLogger("armbridge.scene")
 

@@ -11,10 +11,11 @@ from typing import Any
 from planners.scene import Pose
 from protocol.errors import MessageError
 from protocol.publication import Publication
-from robot.model import RobotModel
-from server.calls import Call, answer
+from robot.description.model import RobotModel
 from server.errors import RefusedError
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph, Subscriber
 from server.moveit.current_state import CurrentState, state_message
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import write_pose
@@ -22,7 +23,6 @@ from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, REMOV
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, Positions, SceneState
-from server.node import Node
 from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.scene")

@@ -14,7 +14,7 @@ from typing import Any
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose, Scene
 from planners.scene_checks import MAX_LENGTH_M, MAX_SHAPES
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.moveit.requests.error_codes import invalid, refused, required
 from server.moveit.scene.allowed_collision_matrix import (

@@ -12,9 +12,10 @@ from weakref import WeakKeyDictionary
 from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_checks import check_whole
-from robot.forward import ForwardPlacements
-from robot.model import RobotModel
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from server.errors import RefusedError
+from server.graph.node import Node
 from server.moveit.requests.error_codes import refused
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.frames import LinkTransforms
@@ -26,7 +27,6 @@ from server.moveit.scene.planning_scene import (
     apply_planning_scene,
     apply_world,
 )
-from server.node import Node
 
 log = logging.getLogger("armbridge.scene")
 

@@ -15,15 +15,15 @@ import numpy as np
 
 from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose, Scene
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory, Vector
+from server.graph.node import Node
 from server.moveit.current_state import state_message
 from server.moveit.poses import pose_of
 from server.moveit.requests.context import Message
 from server.moveit.requests.error_codes import deviation_note, failure_code, invalid, required, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.trajectories import to_message
-from server.node import Node
 
 # MoveIt's clients take a path with at least this fraction for complete.
 COMPLETE_FRACTION = 0.99

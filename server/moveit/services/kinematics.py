@@ -10,7 +10,8 @@ from planners.goals import Constraints
 from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp
-from robot.model import RobotModel
+from robot.description.model import RobotModel
+from server.graph.node import Node
 from server.moveit.current_state import state_message
 from server.moveit.poses import pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
@@ -19,7 +20,6 @@ from server.moveit.requests.error_codes import deviation_note, refused, required
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import check_link_count
 from server.moveit.scene.frames import seen_from
-from server.node import Node
 
 log = logging.getLogger("armbridge.moveit")
 

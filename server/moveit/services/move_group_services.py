@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure
-from robot.model import Group, RobotModel
-from server.calls import Call, answer
+from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph
 from server.moveit.current_state import state_message
 from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.planner_parameters import KNOWN_KEYS
@@ -28,7 +29,6 @@ from server.moveit.requests.trajectories import to_message
 from server.moveit.services.cartesian_path import compute_cartesian_path
 from server.moveit.services.kinematics import check_state_validity, compute_fk, compute_ik
 from server.moveit.step_planning import plan_steps
-from server.node import Node
 
 log = logging.getLogger("armbridge.moveit")
 

@@ -26,8 +26,7 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from robot.arm import Arm
-from robot.arm_stream import ArmStream
+from robot.arm import Arm, ArmStream
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.moveit.poses import composed, matrix_of, read_pose

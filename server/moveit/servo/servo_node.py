@@ -16,9 +16,10 @@ from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
-from robot.model import RobotModel
+from robot.description.model import RobotModel
 from server.errors import RefusedError
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.readiness import unusable
 from server.moveit.scene.scene_state import SceneState
@@ -32,7 +33,6 @@ from server.moveit.servo.servo_loop import (
     read_pose_target,
     read_twist,
 )
-from server.node import Node
 
 log = logging.getLogger("armbridge.servo")
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
-from server.gateway.traffic import Traffic
+from server.gateway.connection import Traffic
 from server.operations.parts import ZenohPart
 
 

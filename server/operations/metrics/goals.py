@@ -35,7 +35,6 @@ def planner_metrics(planners: PlannersPart) -> Iterator[Metric]:
     """The planners."""
     for state, count in (("loaded", planners.loaded_count), ("idle", planners.idle_count)):
         yield GaugeMetricFamily(f"armbridge_planners_{state}", f"Planner processes that are {state}.", count)
-    yield GaugeMetricFamily("armbridge_planners_far", "Workers of a cluster that plan.", planners.far_count)
     yield GaugeMetricFamily(
         "armbridge_planners_waiting_requests", "Requests that wait for a planner.", planners.waiting_count
     )

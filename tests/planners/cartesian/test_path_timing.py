@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 import toppra
@@ -5,12 +7,49 @@ import toppra.algorithm
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.cartesian.path_timing import time_along, toppra_profile
-from planners.cartesian.profile import SAMPLE_PERIOD_S, SHORTEST_INTERVAL_S
-from planners.cartesian.spline import SplinePath
-from planners.rates import RateLimits
+from planners.cartesian.path_timing import (
+    SAMPLE_PERIOD_S,
+    SHORTEST_INTERVAL_S,
+    Profile,
+    sampled,
+    time_along,
+    toppra_profile,
+    within_limits,
+)
+from planners.cartesian.tip_curve import SplinePath
+from planners.problem import RateLimits
+from robot.trajectory import Trajectory
 from tests.helpers.examples import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed, fine_samples
+
+POINTS = np.array([[0.0, 0.0], [0.5, 0.2], [1.0, -0.1]])
+
+
+def test_a_profile_takes_the_time_of_its_mean_rates() -> None:
+    profile = Profile(np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0, 0.0]))
+    np.testing.assert_allclose(profile.times_s, [0.0, 1.0, 3.0])
+
+
+def test_samples_begin_and_end_at_rest_in_the_ends_and_are_no_further_apart_than_a_tick() -> None:
+    path = SplinePath(np.array([0.0, 0.6, 1.3]), POINTS)
+    end = float(path.grid[-1])
+    profile = Profile(np.array([0.0, 0.5 * end, end]), np.array([0.0, 1.0, 0.0]))
+    motion = sampled(path, profile, ("a", "b"), POINTS)
+    assert_well_formed(motion)
+    np.testing.assert_array_equal(motion.positions_rad[[0, -1]], POINTS[[0, -1]])
+    assert not motion.velocities_rad_s[[0, -1]].any()
+    assert np.diff(motion.time_s).max() <= SAMPLE_PERIOD_S + 0.002
+
+
+@given(st.floats(0.01, 10.0), st.floats(0.01, 10.0))
+def test_a_motion_is_slowed_down_until_it_keeps_its_limits_between_samples(velocity, acceleration):
+    positions = np.array([[0.0], [0.3], [0.2]])
+    motion = Trajectory(("a",), np.array([0.0, 0.1, 0.2]), positions, np.zeros((3, 1)), np.zeros((3, 1)))
+    limits = RateLimits(np.array([velocity]), np.array([acceleration]))
+    slowed = within_limits(motion, limits)
+    assert_keeps_rates(slowed, limits)
+    assert slowed.duration_s >= motion.duration_s
+
 
 NAMES = ("a", "b", "c")
 LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
@@ -172,7 +211,8 @@ def test_a_bend_that_the_arm_could_not_get_away_from_has_no_timing():
 
 
 def test_numbers_that_are_not_finite_have_no_timing():
-    assert toppra_profile(SplinePath(np.array([0.0, 1.0]), np.array([[0.0] * 3, [np.nan] * 3])), LIMITS) is None
+    line = SplinePath(np.array([0.0, 1.0]), np.array([[0.0] * 3, [1.0] * 3]))
+    assert toppra_profile(line, RateLimits(np.ones(3), np.full(3, np.nan))) is None
 
 
 def test_a_curve_of_many_points_takes_as_long_as_one_of_few():

@@ -3,15 +3,53 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import sys
 import time
 
 import numpy as np
 import pytest
 
+from planners.errors import PlottingError
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import EXIT_EXPECTED, EXIT_UNEXPECTED, EXIT_USAGE, Options
 from planners.problem import MoveItErrorCode
-from robot import model
+from robot.description import model
+from robot.trajectory import Trajectory
+
+MOTION = Trajectory(
+    ("a", "b"), np.array([0.0, 1.0]), np.array([[0.0, 0.0], [1.0, 2.0]]), np.zeros((2, 2)), np.zeros((2, 2))
+)
+PNG = b"\x89PNG"
+
+
+def test_motions_become_a_picture(tmp_path) -> None:
+    plan_command.plot(tmp_path / "a.png", [("one", MOTION), ("two", MOTION)])
+    assert (tmp_path / "a.png").read_bytes().startswith(PNG)
+
+
+def test_more_motions_than_fit_are_left_out(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(plan_command, "MAX_MOTIONS", 1)
+    plan_command.plot(tmp_path / "one.png", [("one", MOTION)])
+    plan_command.plot(tmp_path / "two.png", [("one", MOTION), ("two", MOTION)])
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_nothing_to_draw_is_refused(tmp_path) -> None:
+    with pytest.raises(PlottingError, match="no motion"):
+        plan_command.plot(tmp_path / "a.png", [])
+
+
+def test_a_picture_of_an_unknown_kind_is_refused(tmp_path) -> None:
+    with pytest.raises(PlottingError, match="teapot"):
+        plan_command.plot(tmp_path / "a.teapot", [("one", MOTION)])
+
+
+def test_without_matplotlib_the_error_says_what_to_install(monkeypatch) -> None:
+    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.setattr(sys, "modules", {name: each for name, each in sys.modules.items() if "matplotlib" not in name})
+    with pytest.raises(PlottingError, match="pip install matplotlib"):
+        plan_command.check_available()
+
 
 ROBOT = model.builtin()
 ARM = ROBOT.groups["arm"].joints
@@ -45,9 +83,9 @@ class Run:
         self.lines, self.errors = output.getvalue().splitlines(), errors.getvalue().splitlines()
 
 
-def answers(path, **options):
+def answers(path, more=(), **options):
     out = path.with_name("out.json")
-    run = Run(Options(path, json_path=out, **options))
+    run = Run(Options([path, *more], json_path=out, **options))
     return run, json.loads(out.read_text())
 
 
@@ -110,14 +148,14 @@ def test_the_table_has_a_line_for_each_problem(path) -> None:
 
 
 def test_settings_hold_for_every_problem(path) -> None:
-    options = Options(path, settings={"seed": 9})
+    options = Options([path], settings={"seed": 9})
     chosen = plan_command.chosen(problem_file.read(path, ROBOT), options)
     assert [one.problem.seed for one in chosen] == [9, 9]
 
 
 def test_an_unexpected_answer_is_exit_1(path) -> None:
     path.write_text(path.read_text().replace("-16", "-12"))
-    assert Run(Options(path, every=True)).code == EXIT_UNEXPECTED
+    assert Run(Options([path], every=True)).code == EXIT_UNEXPECTED
 
 
 def test_a_scene_that_cannot_be_used_is_the_answer_to_every_problem(path) -> None:
@@ -129,11 +167,36 @@ def test_a_scene_that_cannot_be_used_is_the_answer_to_every_problem(path) -> Non
     assert all("flat" in answer["message"] for answer in written)
 
 
+def test_problems_of_several_files_are_told_apart_by_their_paths(path) -> None:
+    other = path.with_name("other.json")
+    other.write_text(path.read_text())
+    run, written = answers(path, more=[other], ids=("near", "far"))
+    expected = [(str(file), name) for file in (path, other) for name in ("near", "far")]
+    assert [(answer["file"], answer["problem"]) for answer in written] == expected
+    assert [line.split()[0] for line in run.lines[1:] if line[0] == "/"] == [
+        f"{file}:{name}" for file, name in expected
+    ]
+    assert run.lines[-1] == "4 of 4 answered as their files expect"
+
+
+class TerminalText(io.StringIO):
+    """What goes to a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_on_a_terminal_answers_are_counted_as_they_come(path) -> None:
+    errors = TerminalText()
+    plan_command.run(Options([path]), ROBOT, io.StringIO(), errors)
+    assert [text for text in errors.getvalue().split("\r\x1b[K") if text] == ["1/2", "2/2"]
+
+
 UNUSABLE = {
-    "no such file": (lambda path: Options(path.with_name("none.json")), "cannot be read"),
-    "no such problem": (lambda path: Options(path, ids=("lost",)), "'lost'"),
-    "no such folder": (lambda path: Options(path, json_path=path.parent / "none" / "out.json"), "none"),
-    "no such kind of picture": (lambda path: Options(path, plot_path=path.with_name("a.teapot")), "teapot"),
+    "no such file": (lambda path: Options([path.with_name("none.json")]), "cannot be read"),
+    "no such problem": (lambda path: Options([path, path], ids=("near", "lost")), "'lost'"),
+    "no such folder": (lambda path: Options([path], json_path=path.parent / "none" / "out.json"), "none"),
+    "no such kind of picture": (lambda path: Options([path], plot_path=path.with_name("a.teapot")), "teapot"),
 }
 
 
@@ -147,5 +210,5 @@ def test_what_cannot_be_done_is_one_line_and_exit_2(path, options, words) -> Non
 
 def test_a_plot_is_drawn(path) -> None:
     picture = path.with_name("out.png")
-    Run(Options(path, plot_path=picture))
+    Run(Options([path], plot_path=picture))
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -5,7 +5,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import CONDITION_STEP_M, JointSpace
 from planners.geometry.sweep import ANYTHING, NOTHING
 from planners.scene import Box, Pose, SceneObject
-from robot import model
+from robot.description import model
 from tests.planners.invariants import BLOCKED_LINES
 from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF

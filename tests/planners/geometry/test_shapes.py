@@ -1,18 +1,82 @@
+from __future__ import annotations
+
 from pathlib import Path
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import robot.description
 from planners.errors import ShapeError
 from planners.geometry.collision import CollisionModel
-from planners.geometry.hulls import convex
-from planners.geometry.shapes import link_name, outline, robot_shapes, scaled, urdf_shapes
-from planners.geometry.skeleton import kinematic_urdf
-from robot import model
+from planners.geometry.kinematics import kinematic_urdf
+from planners.geometry.shapes import (
+    MAX_CORNERS,
+    PLATE_M,
+    convex,
+    enclosing,
+    link_name,
+    outline,
+    placement,
+    robot_shapes,
+    scaled,
+    solid,
+    urdf_shapes,
+)
+from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Sphere
+from robot.description import model
+from tests.helpers.examples import examples
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
+
+CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+
+
+def outside_m(hull, points):
+    """How far the farthest of the points is outside of a hull."""
+    corners = np.asarray(hull.points())
+    triangles = [hull.polygons(i) for i in range(hull.num_polygons)]
+    a, b, c = (corners[[triangle[k] for triangle in triangles]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals, a = normals[lengths > 1e-12] / lengths[lengths > 1e-12, None], a[lengths > 1e-12]
+    heights = (normals * a).sum(axis=1)
+    inwards = np.sign(heights - normals @ corners.mean(axis=0))
+    return np.max((points @ normals.T - heights) * inwards)
+
+
+def test_few_corners_stay_as_they_are():
+    hull = enclosing(np.vstack((CUBE, 0.5 * CUBE + 0.2)))
+    assert {tuple(corner) for corner in hull.points()} == {tuple(corner) for corner in CUBE}
+
+
+@examples(20)
+@given(st.integers(0, 1000), st.tuples(*[st.floats(0.01, 1.0)] * 3))
+def test_many_points_are_enclosed_by_few_corners(seed, size_m):
+    points = np.random.default_rng(seed).normal(size=(2000, 3))
+    points = 0.3 + np.array(size_m) * points / np.linalg.norm(points, axis=1)[:, None]
+    hull = enclosing(points)
+    assert len(hull.points()) <= MAX_CORNERS
+    assert outside_m(hull, points) < 1e-9
+    assert hull.computeVolume() < 1.2 * convex(points).computeVolume()
+
+
+@pytest.mark.parametrize("flat", [(1.0, 1.0, 0.0), (1.0, 1.0, 1e-9), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+def test_flat_points_get_a_thin_plate(flat):
+    points = CUBE * flat
+    hull = convex(points)
+    assert outside_m(hull, points) < 0.0
+    assert np.max(np.ptp(hull.points(), axis=0) - np.ptp(points, axis=0)) <= 2.0 * PLATE_M + 1e-12
+
+
+def test_a_corner_with_hundreds_of_neighbours_is_enclosed():
+    angles = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
+    cone = np.vstack((np.stack((np.cos(angles), np.sin(angles), 0.0 * angles), axis=1), [(0.0, 0.0, 1.0)]))
+    with pytest.raises(RuntimeError, match="Too many neighbors"):
+        convex(cone)
+    assert outside_m(enclosing(cone), cone) < 1e-9
 
 
 def shapes_of(arm):
@@ -90,3 +154,38 @@ def test_official_description_collides_only_where_the_hulls_do(shared_data, coll
 def _tetrahedron_stl():
     corners = [(0, 0, 0), (0.3, 0, 0), (0, 0.02, 0), (0, 0, 0.02)]
     return stl([[corners[i] for i in face] for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))])
+
+
+CORNERS = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], dtype=np.int32)
+
+SHAPES = [
+    Box((0.1, 0.1, 0.1)),
+    Sphere(0.1),
+    Cylinder(0.1, 0.2),
+    Cone(0.1, 0.2),
+    Plane((0.0, 0.0, 1.0), 0.0),
+    Mesh(CORNERS, FACES),
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+def test_every_shape_becomes_one_of_coal(shape):
+    geometry, _ = solid(shape, 1.0)
+    assert isinstance(geometry, coal.CollisionGeometry)
+
+
+def test_quaternions_are_brought_to_length_one():
+    turned = placement(Pose((1.0, 2.0, 3.0), (0.0, 0.0, 2.0, 2.0)))
+    np.testing.assert_allclose(turned.rotation @ (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(turned.translation, (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 2.0, -2.0)])
+def test_a_plane_is_solid_below_and_ends_at_its_surface(normal):
+    box, place = solid(Plane(normal, 0.3), 1.0)
+    up = np.array(normal) / np.linalg.norm(normal)
+    for height_m, inside in ((0.299, True), (0.301, False), (-1.0, True)):
+        for beside_m in np.random.default_rng(1).uniform(-1.0, 1.0, (10, 3)):
+            point = height_m * up + beside_m - up * (beside_m @ up)
+            assert np.all(np.abs(place.actInv(point)) <= 0.5 * np.array(2.0 * box.halfSide)) == inside

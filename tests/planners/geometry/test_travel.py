@@ -2,13 +2,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.geometry.broadphase import Broadphase
-from planners.geometry.pairs import Rules, links_of, standing
+from planners.geometry.collision import Rules, links_of, standing
+from planners.geometry.contacts import Broadphase
+from planners.geometry.kinematics import Reach, approach, kinematic_urdf
 from planners.geometry.shapes import outline, robot_shapes
-from planners.geometry.skeleton import kinematic_urdf
-from planners.geometry.travel import Reach, approach
 from planners.scene import EMPTY_SCENE
-from robot import model
+from robot.description import model
 from tests.planners.scenes import around_the_arm
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 

@@ -1,7 +1,12 @@
+from __future__ import annotations
+
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from planners.geometry.kinematics import Placements
 from planners.goals import (
     AxisGoal,
     ConstraintGoal,
@@ -12,9 +17,137 @@ from planners.goals import (
     PositionConstraint,
     PositionGoal,
 )
-from planners.ik.conditions import AxisCondition, TurnCondition
-from planners.ik.constraints import ConditionSet, conditions, rotation, wish
+from planners.ik.constraints import (
+    ROUNDING,
+    AxisCondition,
+    ConditionSet,
+    JointCondition,
+    PointCondition,
+    TurnCondition,
+    conditions,
+    frame_along,
+    outside,
+    rotation,
+    wish,
+)
 from planners.scene import Pose
+from tests.helpers.examples import examples
+
+angles = st.floats(-3.0, 3.0)
+vectors = st.tuples(angles, angles, angles).map(np.array)
+
+
+def placed(turn, position_m=(0.0, 0.0, 0.0)):
+    return pin.SE3(pin.exp3(np.asarray(turn, float)), np.asarray(position_m, float))
+
+
+def point(**changes):
+    fields = {
+        "link": "tip",
+        "offset_m": np.zeros(3),
+        "center_m": np.zeros(3),
+        "axes": np.eye(3),
+        "tolerance_m": 0.1,
+    }
+    return PointCondition(**{**fields, **changes})
+
+
+@given(vectors, st.floats(0.01, 2.0))
+@examples(50)
+def test_what_is_outside_a_ball_leads_back_to_its_surface(vector, radius):
+    rest = outside(vector, radius, 1.0)
+    length = np.linalg.norm(vector)
+    assert np.linalg.norm(vector - rest) == pytest.approx(min(length, radius), abs=2 * ROUNDING)
+    assert rest.any() == (length > radius + ROUNDING)
+
+
+@given(vectors)
+@examples(50)
+def test_what_is_outside_a_box_is_told_for_each_axis(vector):
+    half = np.array([0.1, 1.0, 5.0])
+    rest = outside(vector, half, 1.0)
+    assert np.all(np.abs(vector - rest) <= half + 2 * ROUNDING)
+    assert rest[2] == 0.0
+
+
+def test_point_of_a_link_is_offset_in_the_links_frame():
+    condition = point(offset_m=np.array([0.2, 0.0, 0.0]), center_m=np.array([1.0, 0.0, 0.0]))
+    turned = placed([0.0, 0.0, np.pi / 2], [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(condition.missing(turned), [0.0, -0.2, 0.0], atol=1e-12)
+    np.testing.assert_allclose(condition.beyond(condition.missing(turned)), [0.0, -0.1, 0.0], atol=1e-8)
+
+
+def test_box_region_lies_along_its_own_axes():
+    quarter = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
+    condition = point(axes=quarter, tolerance_m=np.array([0.3, 0.1, 0.1]))
+    assert not condition.beyond(condition.missing(placed([0, 0, 0], [0.0, 0.25, 0.0]))).any()
+    assert condition.beyond(condition.missing(placed([0, 0, 0], [0.25, 0.0, 0.0]))).any()
+
+
+@given(vectors, vectors)
+@examples(50)
+def test_turn_by_what_is_missing_meets_the_orientation(now, wanted):
+    condition = TurnCondition("tip", pin.exp3(wanted), np.full(3, 0.1))
+    placement = placed(now)
+    placement.rotation = placement.rotation @ pin.exp3(condition.missing(placement))
+    np.testing.assert_allclose(placement.rotation, pin.exp3(wanted), atol=1e-6)
+
+
+@given(vectors, vectors)
+@examples(50)
+def test_turn_by_what_is_missing_brings_the_axis_into_its_direction(now, towards):
+    direction = pin.exp3(towards)[:, 0]
+    condition = AxisCondition("tip", np.array([0.0, 0.6, 0.8]), direction, 0.1)
+    placement = placed(now)
+    turned = placement.rotation @ pin.exp3(condition.missing(placement))
+    np.testing.assert_allclose(turned @ condition.axis, direction, atol=1e-6)
+
+
+@pytest.mark.parametrize(("direction", "angle"), [([0.0, 0.0, 1.0], 0.0), ([0.0, 0.0, -1.0], np.pi)])
+def test_axis_that_is_parallel_or_opposite_has_a_finite_way(direction, angle):
+    condition = AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array(direction), 0.1)
+    assert np.linalg.norm(condition.missing(placed([0, 0, 0]))) == pytest.approx(angle)
+
+
+def test_axis_does_not_mind_turns_about_itself():
+    condition = AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), np.array([0.1, 0.1, np.pi]))
+    assert not condition.beyond(condition.missing(placed([0.0, 0.0, 3.0]))).any()
+    assert condition.beyond(condition.missing(placed([0.2, 0.0, 0.0]))).any()
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        point(offset_m=np.array([0.1, 0.0, 0.2]), center_m=np.array([0.3, 0.1, 0.0])),
+        TurnCondition("tip", pin.exp3(np.array([0.3, 0.2, 0.1])), np.full(3, 0.1)),
+        AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), 0.1),
+    ],
+)
+def test_distances_of_many_placements_are_the_lengths_of_what_is_missing(condition):
+    rng = np.random.default_rng(1)
+    places = [placed(rng.uniform(-1.5, 1.5, 3), rng.uniform(-1, 1, 3)) for _ in range(20)]
+    many = Placements(np.array([p.rotation for p in places]), np.array([p.translation for p in places]))
+    lengths = [np.linalg.norm(condition.missing(p)) for p in places]
+    np.testing.assert_allclose(condition.distances(many), lengths, atol=1e-7)
+
+
+def test_joint_is_brought_to_its_position_or_into_its_range():
+    condition = JointCondition("elbow", 0, 1.0, 0.5, 1.1)
+    assert condition.beyond_rad(0.7) == 0.0
+    assert condition.beyond_rad(0.3) == pytest.approx(0.2)
+    assert condition.beyond_rad(1.3) == pytest.approx(-0.2)
+    assert condition.beyond_rad(0.7, share=0.0) == pytest.approx(0.3)
+
+
+@given(vectors)
+@examples(50)
+def test_frame_along_an_axis_is_a_rotation(turn):
+    axis = pin.exp3(turn)[:, 2]
+    frame = frame_along(axis)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(frame[:, 2], axis)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)

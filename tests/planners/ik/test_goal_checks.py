@@ -16,7 +16,7 @@ from planners.goals import (
     PositionGoal,
 )
 from planners.ik.goal_checks import MAX_ALTERNATIVES, check_constraints, check_goal
-from planners.ik.tasks import MAX_POINTS
+from planners.ik.kinematics import MAX_POINTS
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.motions.curve import TICK_S, Curve, standing
-from planners.motions.timing import polyline
-from planners.rates import RateLimits
+from planners.motions.ramps import polyline
+from planners.problem import RateLimits
 from tests.planners.invariants import assert_well_formed
 
 LIMITS = RateLimits(np.array([2.0, 1.2]), np.array([6.0, 3.0]))

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from planners.motions.curve import TICK_S
-from planners.motions.jerk import ahead, averaged, window_ticks
-from planners.motions.timing import from_moving, line, polyline
-from planners.rates import RateLimits
+from planners.motions.curve import TICK_S, averaged, averaging_start, window_ticks
+from planners.motions.ramps import from_moving, line, polyline
+from planners.problem import RateLimits
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
 
 NAMES = ("a", "b")
@@ -44,7 +43,7 @@ def test_an_average_takes_a_window_longer():
 
 def test_a_moving_start_is_met_in_position_and_velocity():
     window = window_ticks(LIMITS)
-    trajectory = averaged(from_moving(ahead(START, MOVING, window), MOVING, GOAL, LIMITS), window, NAMES)
+    trajectory = averaged(from_moving(averaging_start(START, MOVING, window), MOVING, GOAL, LIMITS), window, NAMES)
     np.testing.assert_allclose(trajectory.positions_rad[0], START, atol=1e-12)
     np.testing.assert_allclose(trajectory.velocities_rad_s[0], MOVING, atol=1e-12)
     assert_keeps_rates(trajectory, LIMITS)

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from planners.motions.effort import CountedSpace
-from planners.motions.path import TREES, Query, _ompl_space, search, without_detours
+from planners.motions.path import TREES, CountedSpace, Query, _ompl_space, search, without_detours
 from planners.problem import PLANNER_IDS
 from tests.planners.invariants import BLOCKED_LINES, never
 

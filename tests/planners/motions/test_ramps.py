@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from planners.motions.curve import TICK_S
 from planners.motions.ramps import connect, least_time_s, reduced, whole_ticks
-from planners.rates import RateLimits
+from planners.problem import RateLimits
 from tests.helpers.examples import examples
 
 LIMITS = RateLimits(np.array([3.0, 2.0, 1.5]), np.array([10.0, 5.0, 8.0]))

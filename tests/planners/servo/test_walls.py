@@ -3,7 +3,7 @@ import pytest
 
 from planners.geometry.nearness import NearPair
 from planners.servo.question import ServoLimits
-from planners.servo.walls import APPROACH_PER_S, walls
+from planners.servo.velocity_limits import APPROACH_PER_S, walls
 
 LOWER, UPPER = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
 COLUMNS = np.array([0, 1])

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.codecs.cdr import HEADER, serialize
-from protocol.codecs.cdr_reader import deserialize
+from protocol.codecs.cdr import HEADER, deserialize, serialize
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from tests.helpers.examples import examples

@@ -8,15 +8,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot import model
-from robot.control.acceptance import START_TOLERANCE_RAD
+from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
 from robot.control.guards import DROOP_RAD, STALE_AFTER_S, Guards, Temperatures
+from robot.description import model
+from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
-from robot.guard_limits import GuardLimits
 from robot.hardware.interface import StatusFlag
-from robot.limits import JointBounds
-from robot.messages import ChangePace, Continuation, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
+from robot.messages import (
+    ChangePace,
+    Continuation,
+    Course,
+    Execute,
+    GuardLimits,
+    Mode,
+    MotionEnded,
+    Outcome,
+    Pace,
+    Setpoint,
+    Stream,
+)
 from robot.trajectory import Trajectory
 from tests.helpers.readings import reading
 from tests.helpers.trajectories import smooth_move

@@ -13,8 +13,8 @@ from robot.control.guards import (
     Guards,
 )
 from robot.faults import Fault, FaultCode
-from robot.guard_limits import GuardLimits
 from robot.hardware.interface import Measured, StatusFlag
+from robot.messages import GuardLimits
 from tests.helpers.readings import reading
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")

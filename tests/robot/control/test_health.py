@@ -8,12 +8,11 @@ from robot.control.cycle import ControlCycle
 from robot.control.health import arm_health, arm_state, disconnected
 from robot.control.pacing import Pacer
 from robot.faults import Fault, FaultCode
-from robot.guard_limits import GuardLimits
 from robot.hardware.clock import SimulationClock
 from robot.hardware.config import IdealConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
-from robot.messages import ArmHealth, Mode
+from robot.messages import ArmHealth, GuardLimits, Mode
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ArmRig
 from tests.helpers.stepped_emulator import SteppedEmulator
 

@@ -1,13 +1,202 @@
 from __future__ import annotations
 
-import numpy as np
+import itertools
 
-from robot import model
-from robot.control.motion import SETTLED_TICKS, Motion
-from robot.guard_limits import GuardLimits
-from robot.limits import JointBounds
-from robot.messages import Execute, Outcome
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot.control.motion import BRAKING_SHARE, SETTLED_TICKS, Motion, Playback
+from robot.description import model
+from robot.description.limits import JointBounds
+from robot.messages import Execute, GuardLimits, Outcome
+from robot.trajectory import Trajectory
 from tests.helpers.trajectories import smooth_move
+
+PERIOD_S = 0.01
+MAX_ACCELERATION = np.array([6.0, 5.0])
+MOVES = {"shoulder_pan": (0.0, 1.2), "elbow_flex": (0.5, -0.4)}
+
+
+def play(stop_after_s: float, duration_s: float = 2.0) -> tuple[Playback, np.ndarray]:
+    """Play until nothing moves; the goals of all ticks."""
+    playback = Playback(smooth_move(MOVES, duration_s), MAX_ACCELERATION)
+    goals = [playback.advance(0.0)]
+    for tick in itertools.count(1):
+        if tick * PERIOD_S >= stop_after_s:
+            playback.stop()
+        goals.append(playback.advance(PERIOD_S))
+        if playback.finished:
+            return playback, np.array(goals)
+        assert tick < 1000
+    raise AssertionError
+
+
+def distance_from_line(goals: np.ndarray) -> np.ndarray:
+    start, end = np.array([0.0, 0.5]), np.array([1.2, -0.4])
+    direction = (end - start) / np.linalg.norm(end - start)
+    offset = goals - start
+    return np.linalg.norm(offset - np.outer(offset @ direction, direction), axis=1)
+
+
+def test_played_to_the_end_it_arrives_at_the_end() -> None:
+    playback, goals = play(stop_after_s=99.0)
+    assert playback.completed
+    assert playback.fraction == 1.0
+    assert goals[-1] == pytest.approx([1.2, -0.4])
+
+
+@settings(max_examples=50)
+@given(st.floats(min_value=0.0, max_value=1.95), st.floats(min_value=1.3, max_value=4.0))
+def test_a_stop_stays_on_the_path_and_within_the_acceleration_limits(stop_after_s: float, duration_s: float) -> None:
+    playback, goals = play(stop_after_s, duration_s)
+    assert distance_from_line(goals) == pytest.approx(np.zeros(len(goals)), abs=1e-9)
+    accelerations = np.abs(np.diff(goals, n=2, axis=0)) / PERIOD_S**2
+    # The path's own share and the braking share together, and one tick of discretisation.
+    assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
+    assert playback.remaining_s >= 0.0
+
+
+def test_a_stop_comes_to_rest_before_the_end_of_the_motion() -> None:
+    playback, goals = play(stop_after_s=0.5)
+    assert not playback.completed
+    assert 0.0 < playback.fraction < 0.7
+    assert np.abs(goals[-1] - goals[-2]).max() < 0.002
+
+
+def test_the_first_tick_after_a_stop_is_slower_than_the_last_one_before() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    goals = [playback.advance(PERIOD_S) for _ in range(100)]
+    playback.stop()
+    goals += [playback.advance(PERIOD_S)]
+    before, after = np.abs(goals[-2] - goals[-3]), np.abs(goals[-1] - goals[-2])
+    assert (after < before).all()
+
+
+def test_time_that_does_not_pass_changes_nothing() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    playback.stop()
+    assert playback.advance(0.0) == pytest.approx([0.0, 0.5])
+
+
+@settings(max_examples=50)
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 80)), min_size=1, max_size=8), st.floats(1.3, 4.0))
+def test_at_any_pace_the_arm_stays_on_the_path_and_within_the_acceleration_limits(
+    paces: list[tuple[float, int]], duration_s: float
+) -> None:
+    playback = Playback(smooth_move(MOVES, duration_s), MAX_ACCELERATION)
+    goals = [playback.advance(0.0)]
+    for pace, ticks in paces:
+        playback.pace = pace
+        goals += [playback.advance(PERIOD_S) for _ in range(ticks)]
+    told = np.array(goals)
+    assert distance_from_line(told) == pytest.approx(np.zeros(len(told)), abs=1e-9)
+    accelerations = np.abs(np.diff(told, n=2, axis=0)) / PERIOD_S**2
+    assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
+
+
+def test_at_pace_0_the_arm_waits_on_its_path_and_goes_on_from_there() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    for _ in range(100):
+        playback.advance(PERIOD_S)
+    playback.pace = 0.0
+    waiting = [playback.advance(PERIOD_S) for _ in range(200)]
+    assert waiting[-1] == pytest.approx(waiting[-50])
+    assert not playback.finished
+    assert 0.4 < playback.fraction < 0.8
+    playback.pace = 1.0
+    for _ in range(200):
+        playback.advance(PERIOD_S)
+    assert playback.completed
+
+
+def test_the_way_back_ends_at_rest_where_the_path_began_and_is_not_the_end() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    for _ in range(100):
+        playback.advance(PERIOD_S)
+    playback.pace = -1.0
+    goals = [playback.advance(PERIOD_S) for _ in range(200)]
+    assert goals[-1] == pytest.approx([0.0, 0.5])
+    assert not playback.finished
+    playback.stop()
+    playback.advance(PERIOD_S)
+    assert playback.finished
+    assert not playback.completed
+
+
+def test_a_path_that_begins_in_motion_is_gone_back_without_a_jerk_at_its_start() -> None:
+    whole = smooth_move(MOVES, 2.0)
+    half = slice(80, None)
+    cut = Trajectory(
+        whole.joint_names,
+        whole.time_s[half] - whole.time_s[80],
+        whole.positions_rad[half],
+        whole.velocities_rad_s[half],
+        whole.accelerations_rad_s2[half],
+    )
+    playback = Playback(cut, MAX_ACCELERATION)
+    for _ in range(60):
+        playback.advance(PERIOD_S)
+    playback.pace = -1.0
+    goals = np.array([playback.advance(PERIOD_S) for _ in range(300)])
+    accelerations = np.abs(np.diff(goals, n=2, axis=0)) / PERIOD_S**2
+    assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
+    assert goals[-1] == pytest.approx(cut.positions_rad[0], abs=0.01)
+
+
+def test_a_hot_servo_bounds_every_pace() -> None:
+    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    playback.ceiling, playback.pace = 0.5, 1.0
+    for _ in range(200):
+        playback.advance(PERIOD_S)
+    assert playback.fraction == pytest.approx(0.5, abs=0.02)
+    assert playback.remaining_s == pytest.approx(2.0, abs=0.1)
+
+
+def test_where_the_joints_settle_there_is_no_way_back() -> None:
+    playback, goals = play(stop_after_s=99.0)
+    playback.pace = -1.0
+    assert playback.advance(PERIOD_S) == pytest.approx(goals[-1])
+    assert playback.completed
+
+
+def halfway(moves: dict[str, tuple[float, float]] | None = None) -> Playback:
+    playback = Playback(smooth_move(moves or MOVES, 2.0), MAX_ACCELERATION)
+    for _ in range(100):
+        playback.advance(PERIOD_S)
+    return playback
+
+
+def rest_of(playback: Playback, from_s: float) -> Trajectory:
+    """The same motion from a time on."""
+    motion = playback.trajectory
+    kept = motion.time_s >= from_s - 1e-9
+    arrays = (motion.positions_rad[kept], motion.velocities_rad_s[kept], motion.accelerations_rad_s2[kept])
+    return Trajectory(motion.joint_names, motion.time_s[kept] - from_s, *arrays)
+
+
+def test_another_trajectory_takes_its_place_without_a_jump() -> None:
+    former = halfway()
+    other = rest_of(former, 0.9)
+    assert former.leads_into(other, 0.9)
+    successor = Playback(other, MAX_ACCELERATION)
+    successor.go_on_from(former, 0.9)
+    np.testing.assert_allclose(successor.advance(PERIOD_S), former.advance(PERIOD_S), atol=1e-9)
+
+
+def test_a_trajectory_that_is_elsewhere_now_cannot_take_its_place() -> None:
+    former = halfway()
+    assert not former.leads_into(rest_of(former, 0.9), 0.8)
+    assert not former.leads_into(rest_of(former, 1.2), 1.2)
+    assert not former.leads_into(smooth_move({**MOVES, "elbow_flex": (0.5, 0.6)}, 2.0), 0.0)
+
+
+def test_a_motion_that_brakes_leads_into_no_other() -> None:
+    former = halfway()
+    former.stop()
+    assert not former.leads_into(rest_of(former, 0.9), 0.9)
+
 
 NAMES = ("shoulder_pan", "gripper")
 BOUNDS = JointBounds.of(model.builtin(), NAMES)

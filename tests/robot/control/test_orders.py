@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 
 from robot.faults import Fault, FaultCode
-from robot.guard_limits import GuardLimits
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
-from robot.messages import Mode, Order
+from robot.messages import GuardLimits, Mode, Order
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
 from tests.helpers.stepped_emulator import SteppedEmulator
 

@@ -2,14 +2,83 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from robot import model
-from robot.control.streaming import SETPOINT_LASTS_S, Streaming
-from robot.limits import JointBounds
+from robot.control.streaming import (
+    LEAST_SPEED_RAD_S,
+    SETPOINT_LASTS_S,
+    TIME_TO_FULL_ACCELERATION_S,
+    Streaming,
+    VelocityTracking,
+)
+from robot.description import model
+from robot.description.limits import JointBounds
 from robot.messages import Outcome, Stream
 
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 PERIOD_S = 0.01
+BOUNDS = JointBounds(np.array([-1.0, -0.5]), np.array([1.0, 0.8]), np.array([2.0, 1.2]), np.array([6.0, 3.0]))
+MAX_JERK = BOUNDS.max_acceleration / TIME_TO_FULL_ACCELERATION_S
+
+wishes = st.lists(st.tuples(st.tuples(*[st.floats(-3.0, 3.0)] * 2), st.integers(1, 30)), min_size=1, max_size=8)
+
+
+def follow(steps: list[tuple[tuple[float, float], int]], start: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Positions at every tick, with a rest at the end that is long enough to stop in."""
+    tracking = VelocityTracking(BOUNDS, np.array(start))
+    positions = [tracking.position_rad]
+    for velocity, ticks in [*steps, ((0.0, 0.0), 150)]:
+        tracking.wish(np.array(velocity))
+        positions += [tracking.advance(PERIOD_S) for _ in range(ticks)]
+    assert tracking.at_rest
+    return np.array(positions)
+
+
+@settings(max_examples=100, deadline=None)
+@given(wishes)
+def test_whatever_is_wished_velocity_acceleration_and_jerk_stay_bounded(steps) -> None:
+    positions = follow(steps)
+    velocity, acceleration, jerk = (np.diff(positions, n, axis=0) / PERIOD_S**n for n in (1, 2, 3))
+    assert (np.abs(velocity) <= BOUNDS.max_velocity + 1e-6).all()
+    assert (np.abs(acceleration) <= BOUNDS.max_acceleration + 1e-4).all()
+    assert (np.abs(jerk) <= MAX_JERK + 1e-2).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(wishes)
+def test_whatever_is_wished_no_joint_leaves_its_limits(steps) -> None:
+    positions = follow(steps)
+    assert (positions <= BOUNDS.upper_rad + 1e-6).all()
+    assert (positions >= BOUNDS.lower_rad - 1e-6).all()
+
+
+def test_a_wish_is_met_and_kept() -> None:
+    tracking = VelocityTracking(BOUNDS, np.zeros(2))
+    tracking.wish(np.array([0.5, -0.3]))
+    for _ in range(40):
+        tracking.advance(PERIOD_S)
+    assert tracking.velocity_rad_s == pytest.approx([0.5, -0.3])
+
+
+def test_a_joint_at_its_limit_waits_there_while_the_other_goes_on() -> None:
+    tracking = VelocityTracking(BOUNDS, np.zeros(2))
+    tracking.wish(np.array([0.3, 1.2]))
+    for _ in range(200):
+        tracking.advance(PERIOD_S)
+    assert tracking.position_rad[1] == pytest.approx(0.8)
+    assert tracking.velocity_rad_s == pytest.approx([0.3, 0.0], abs=1e-9)
+
+
+def test_a_joint_that_stands_outside_its_limits_stays_or_comes_inside() -> None:
+    assert follow([((1.0, 0.0), 50)], start=(1.1, 0.0))[:, 0].max() == pytest.approx(1.1)
+    assert follow([((-1.0, 0.0), 50)], start=(1.1, 0.0))[-1, 0] < 1.0
+
+
+def test_a_wish_too_slow_to_see_is_rest() -> None:
+    assert np.abs(follow([((0.9 * LEAST_SPEED_RAD_S, 0.0), 100)])).max() == 0.0
+
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 NOWHERE = np.zeros(6)
 
 

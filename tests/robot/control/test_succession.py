@@ -3,13 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot import model
-from robot.control.motion import Motion
+from robot.control.motion import Motion, succeed, succession_refusal
 from robot.control.streaming import Streaming
-from robot.control.succession import refusal, succeed
-from robot.guard_limits import GuardLimits
-from robot.limits import JointBounds
-from robot.messages import Continuation, Execute, Outcome
+from robot.description import model
+from robot.description.limits import JointBounds
+from robot.messages import Continuation, Execute, GuardLimits, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers.trajectories import smooth_move
 
@@ -37,7 +35,7 @@ def since(from_s: float, **changes: tuple[float, float]) -> Trajectory:
 
 def asked(motions: list[Motion | Streaming], trajectory: Trajectory, number: int = 7, from_s: float = 0.9) -> str:
     command = Execute(8, trajectory, continues=Continuation(number, from_s))
-    return refusal(motions, command, NAMES, BOUNDS, np.array([0.5, -0.25, 0.0]))
+    return succession_refusal(motions, command, NAMES, BOUNDS, np.array([0.5, -0.25, 0.0]))
 
 
 def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends() -> None:

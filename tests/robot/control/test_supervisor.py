@@ -5,6 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from robot.control.pacing import PERIOD_S
+from robot.control.supervisor import Watchdog
 from robot.faults import FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.registers import Register
@@ -12,6 +13,20 @@ from robot.messages import ArmHealth, ArmState, EmergencyPolicy, EndState, Mode,
 from tests.helpers.arm_rig import CALIBRATION, NAMES, ArmRig
 from tests.helpers.stepped_emulator import SteppedEmulator
 from tests.helpers.trajectories import smooth_move
+
+
+def test_silence_is_borne_up_to_its_limit() -> None:
+    watchdog = Watchdog(0.5, 10.0)
+    assert not watchdog.expired(10.5)
+    assert watchdog.expired(10.51)
+    assert watchdog.silence_s(10.51) > 0.5
+
+
+def test_any_message_ends_the_silence() -> None:
+    watchdog = Watchdog(0.5, 10.0)
+    watchdog.hear(11.0)
+    assert not watchdog.expired(11.4)
+
 
 Start = Callable[..., ArmRig]
 PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=1.5)

@@ -5,7 +5,7 @@ import pytest
 from robot.calibration import Calibration
 from robot.emulator.adapter import UsbAdapter
 from robot.emulator.arm import build_servos
-from robot.emulator.commands import FOR_SERVOS, NUMBERS, SWITCHES, VALUES, Emulation
+from robot.emulator.control import FOR_SERVOS, NUMBERS, SWITCHES, VALUES, Emulation
 from robot.emulator.faults import PROBABILITIES, Faults
 from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register, encode

@@ -9,8 +9,7 @@ from robot.calibration import Calibration
 from robot.emulator import control
 from robot.emulator.adapter import UsbAdapter
 from robot.emulator.arm import build_servos
-from robot.emulator.commands import FOR_SERVOS, NUMBERS, SWITCHES, VALUES, Emulation
-from robot.emulator.control import answer
+from robot.emulator.control import FOR_SERVOS, NUMBERS, SWITCHES, VALUES, Emulation, answer
 from robot.emulator.faults import Faults
 from robot.emulator.servo_bus import ServoBus
 from robot.emulator.write_log import WriteLog

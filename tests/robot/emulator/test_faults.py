@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.faults import PROBABILITIES, Faults
-from robot.emulator.wire import status_packet
+from robot.emulator.servo_bus import status_packet
 from robot.hardware.feetech.packets import HEADER, checksum, parse_status_frames
 
 SENT = status_packet(1, 0, bytes(15))

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot.emulator.heat import AMBIENT_C, TIME_CONSTANT_S, Motor
+from robot.emulator.plant import AMBIENT_C, TIME_CONSTANT_S, Motor
 
 
 def run(motor, duration_s, current_a):

@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 
 from robot.emulator.in_process import MAX_COMMAND_BYTES, MAX_CONTROLLERS, CommandedPort, ControlSocket, EmulatedServos
 from robot.errors import NoReply, PortError, PortLost
-from robot.guard_limits import GuardLimits
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
 from robot.hardware.feetech.port import LOCAL_LATENCY_S
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
-from robot.hardware.interface import Measured
-from robot.hardware.steps import run_to_end
+from robot.hardware.interface import Measured, run_to_end
+from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES
 from tests.helpers.examples import examples
 from tests.helpers.server import read_write_log

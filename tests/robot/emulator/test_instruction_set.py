@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 
 from robot.calibration import Calibration
 from robot.emulator.arm import build_servos
-from robot.emulator.instruction_set import execute
-from robot.emulator.wire import Instruction
+from robot.emulator.servo_bus import Instruction, execute
 from robot.hardware.feetech.packets import sync_write_parameters
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
 

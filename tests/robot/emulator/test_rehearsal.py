@@ -14,14 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from robot.calibration import FREE_TURNING_JOINT, MAX_TICK, Calibration
-from robot.calibration_files import save
+from robot.calibration import FREE_TURNING_JOINT, MAX_TICK, Calibration, save
 from robot.emulator.arm import build_servos
-from robot.emulator.commands import Emulation
-from robot.emulator.control import answer, check
+from robot.emulator.control import Emulation, answer, check
 from robot.emulator.faults import Faults
 from robot.emulator.in_process import InProcessPort
-from robot.emulator.options import add_options, build_rehearsal
+from robot.emulator.process import add_options, build_rehearsal
 from robot.emulator.rehearsal import LEAD_S, REHEARSALS, Rehearsal, TimedCommand, push, read_script, stall, sweep
 from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus

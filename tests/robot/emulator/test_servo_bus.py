@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 from robot.calibration import Calibration
 from robot.emulator import servo_bus
 from robot.emulator.arm import build_servos
-from robot.emulator.commands import Emulation
-from robot.emulator.control import answer
+from robot.emulator.control import Emulation, answer
 from robot.emulator.faults import Faults
-from robot.emulator.servo_bus import BAUDRATES, ServoBus
-from robot.emulator.wire import status_packet
+from robot.emulator.servo_bus import BAUDRATES, ServoBus, status_packet
 from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, decode, goal_block
 from robot.hardware.interface import StatusFlag

@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.wire import Instruction, InstructionParser, status_packet
+from robot.emulator.servo_bus import Instruction, InstructionParser, status_packet
 from robot.hardware.feetech.packets import checksum, parse_status_frames
 
 PING, WRITE = 1, 3

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from robot import model
 from robot.calibration import Calibration
+from robot.description import model
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
 
 CALIBRATION = Calibration.nominal()

@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot import model
 from robot.control.pacing import PERIOD_S
+from robot.description import model
+from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.hardware.ideal import RELAX_S, IdealArm
-from robot.hardware.interface import Measured
-from robot.hardware.steps import run_to_end
-from robot.limits import JointBounds
+from robot.hardware.interface import Measured, run_to_end
 from tests.helpers.stepped_emulator import SteppedClock
 
 # A rail, whose positions are metres, and a joint whose range excludes 0.

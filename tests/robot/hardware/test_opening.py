@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
-from robot import model
 from robot.calibration import Calibration
+from robot.description import model
+from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
 from robot.hardware.opening import hardware_source
-from robot.limits import within_calibration
 from robot.messages import ArmConfig
 from tests.helpers.stepped_emulator import SteppedClock
 
@@ -53,7 +53,7 @@ def test_an_unknown_adapter_is_an_error_when_it_is_opened() -> None:
 
 def test_the_ideal_arm_loads_no_serial_library() -> None:
     program = (
-        "import sys; from robot import model; from robot.messages import ArmConfig; "
+        "import sys; from robot.description import model; from robot.messages import ArmConfig; "
         "from robot.hardware.config import IdealConfig; from robot.hardware.clock import MachineClock; "
         "from robot.hardware.opening import hardware_source; "
         "hardware_source(ArmConfig(model.builtin(), IdealConfig()), MachineClock()).open(); "

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from pydantic import ValidationError
 
-from server.access.settings import AccessSettings
-from server.config_reading import load
+from protocol.limits import Limits
+from server.access.settings import AccessSettings, SessionSettings
+from server.config_loader import load
 from server.errors import ConfigurationError
 
 LONG = "correct-horse-battery"
@@ -50,3 +53,18 @@ def test_names_that_would_look_like_something_else_in_a_log_are_refused(name: st
 def test_settings_do_not_show_tokens() -> None:
     settings = AccessSettings(token=LONG, view_tokens={"screen": LONG + "2"})  # type: ignore[arg-type, dict-item]
     assert LONG not in f"{settings!r} {settings.model_dump(mode='json')}"
+
+
+def test_every_limit_of_a_session_is_a_setting_with_its_default() -> None:
+    assert SessionSettings().limits() == Limits()
+    assert set(SessionSettings.model_fields) == {field.name for field in dataclasses.fields(Limits)}
+
+
+def test_a_limit_that_is_set_is_the_session_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMBRIDGE_SERVER__LIMITS__MAX_SUBSCRIPTIONS", "7")
+    assert load(None, {}).server.limits.limits() == Limits(max_subscriptions=7)
+
+
+def test_a_limit_out_of_range_is_refused_with_its_key() -> None:
+    with pytest.raises(ConfigurationError, match=r"server.limits.max_message_bytes: .*65536.*\(it is 10"):
+        load(None, {"server": {"limits": {"max_message_bytes": 10}}})

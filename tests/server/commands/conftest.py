@@ -14,9 +14,10 @@ import pytest
 
 from robot.emulator.servo_bus import BAUDRATE
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.steps import run_to_end
+from robot.hardware.interface import run_to_end
 from server import cli
-from server.commands import arm_options, relax
+from server.commands import options as command_options
+from server.commands import relax
 from server.commands.terminal import Terminal
 from tests.helpers.stepped_emulator import SteppedEmulator
 from tests.robot.conftest import (  # noqa: F401 - fixtures
@@ -54,7 +55,7 @@ def armbridge(emulator: SteppedEmulator, monkeypatch: pytest.MonkeyPatch, capsys
         capsys.readouterr()
         with typed(answers) as answering:
             made = functools.partial(Terminal, answering if descriptor is None else descriptor)
-            monkeypatch.setattr(arm_options, "Terminal", made)
+            monkeypatch.setattr(command_options, "Terminal", made)
             code = cli.main([command, "--serial", "/dev/stepped", *options])
         said = capsys.readouterr()
         return subprocess.CompletedProcess([command], code, said.out, said.err)

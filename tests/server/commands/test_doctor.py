@@ -2,9 +2,8 @@ from __future__ import annotations
 
 import json
 
-from robot.calibration import Calibration
-from robot.calibration_files import save
-from robot.service.experiments import EXPERIMENTS
+from robot.calibration import Calibration, save
+from robot.commissioning.experiments import EXPERIMENTS
 from server import cli
 from server.commands.terminal import ExitCode
 from tests.helpers.server import read_write_log

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from protocol.codecs import png
-from server.access.roles import Identity, Role
+from server.access.authentication import MAX_WRONG, AuthThrottle
+from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.gateway.client_auth import MAX_FIRST_BYTES
-from server.gateway.entrance.wrong_tokens import MAX_WRONG, WrongTokens
 from tests.helpers.in_process import InProcess
 
 ADA, SCREEN = "ada-0123456789abcdef", "screen-0123456789abcdef"
@@ -181,19 +181,19 @@ def test_nor_does_one_that_is_shown_in_a_wrong_way(
 
 @pytest.mark.parametrize(("token", "left"), [("guess-0123456789abcdef", False), (ADA, True)])
 def test_wrong_tokens_are_counted_and_right_ones_not(world: InProcess, token: str, left: bool) -> None:
-    wrong_tokens = WrongTokens(world.clock)
+    throttle = AuthThrottle(world.clock)
     for number in range(MAX_WRONG - 1):
-        wrong_tokens.add("", number)
-    world.enter("y", None, wrong_tokens)
+        throttle.record_failure("", number)
+    world.enter("y", None, throttle)
     world.say("y", op="auth", token=token)
-    assert (wrong_tokens.refusal("") is None) is left
+    assert (throttle.refusal("") is None) is left
 
 
 def test_from_an_address_with_too_many_wrong_ones_a_right_one_is_not_looked_at(world: InProcess) -> None:
-    wrong_tokens = WrongTokens(world.clock)
+    throttle = AuthThrottle(world.clock)
     for number in range(MAX_WRONG):
-        wrong_tokens.add("", number)
-    world.enter("y", None, wrong_tokens)
+        throttle.record_failure("", number)
+    world.enter("y", None, throttle)
     world.say("y", op="auth", token=ADA)
     assert "try again in" in world.closed["y"]
     assert identity(world, "y") is None

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from protocol.limits import Limits
-from server.node import Node
+from server.graph.node import Node
 from tests.helpers.in_process import InProcess
 
 TYPE = "std_srvs/SetBool"

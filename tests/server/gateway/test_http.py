@@ -4,7 +4,9 @@ import asyncio
 import gzip
 import http.client
 import logging
+import os
 import socket
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -19,15 +21,24 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from protocol.registry import Registry
-from robot import model
-from server.errors import ServiceError
+from robot.description import model
+from server.access.rate_limits import MAX_REFUSAL_LINES
+from server.errors import FileTooLargeError, ServiceError
 from server.gateway import http as gate
-from server.gateway import page
-from server.gateway.entrance.reception import OPEN_TIMEOUT_S
-from server.gateway.http import HttpGate
-from server.gateway.http_answers import Answer
-from server.gateway.listener import Listener
-from server.graph import Graph
+from server.gateway.http import (
+    Answer,
+    FileCache,
+    HttpHandler,
+    StoredFile,
+    accepts_gzip,
+    compressible,
+    find_page_file,
+    media_type,
+    names,
+    page_is_built,
+)
+from server.gateway.listener import OPEN_TIMEOUT_S, Listener
+from server.graph.topics import Graph
 from server.moveit import robot_files
 
 REGISTRY = Registry.load()
@@ -89,7 +100,7 @@ async def live(_request: Request) -> Answer:
 @asynccontextmanager
 async def site_of(folders: Path) -> AsyncIterator[Site]:
     robot = replace(model.builtin(), urdf=URDF, mesh_directory=folders / "robot")
-    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, HttpGate(robot, folders / "dist", {"livez": live}))
+    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, HttpHandler(robot, folders / "dist", {"livez": live}))
     await listener.bind()
     await listener.open()
     yield Site(listener.port)
@@ -128,7 +139,7 @@ async def test_a_route_is_asked_before_the_page_and_for_its_own_path_alone(folde
     async def answer(request: Request) -> Answer:
         return Answer.of_data(HTTPStatus.OK, request.path.encode(), "text/x-path")
 
-    gate_with_routes = HttpGate(None, folders / "dist", {"index.html": answer, "healthz": answer})
+    gate_with_routes = HttpHandler(None, folders / "dist", {"index.html": answer, "healthz": answer})
     asked = [Request(path, Headers()) for path in ("/index.html", "/healthz?verbose", "/healthz/x", "/")]
     answers = [await gate_with_routes._answer(request) for request in asked]
     assert [each.body for each in answers[:2]] == [b"/index.html", b"/healthz?verbose"]
@@ -265,10 +276,11 @@ async def test_a_file_that_is_too_large_is_told_once_with_the_limit(
 
 
 async def test_the_log_is_told_of_no_more_files_than_one_reads(caplog: pytest.LogCaptureFixture) -> None:
-    made = HttpGate()
-    for number in range(2 * gate.MAX_TOLD):
-        made._tell_once(f"file {number}")
-    assert len(caplog.records) == gate.MAX_TOLD
+    made = HttpHandler()
+    for number in range(2 * MAX_REFUSAL_LINES):
+        made._tell(f"file {number}")
+    # The last one says that there are more.
+    assert len(caplog.records) == MAX_REFUSAL_LINES + 1
 
 
 async def test_a_file_that_cannot_be_read_is_an_error_of_the_server(
@@ -287,16 +299,16 @@ async def test_without_a_page_it_says_how_to_get_it_and_finds_it_once_it_is_ther
     (folders / "dist").rename(folders / "elsewhere")
     got, body = await site.ask("/")
     assert (got.status, got.headers["Content-Type"]) == (404, "text/html; charset=utf-8")
-    assert page.HOW_TO_GET_IT.encode() in body
+    assert gate.HOW_TO_BUILD_PAGE.encode() in body
     (folders / "elsewhere").rename(folders / "dist")
     assert (await site.ask("/"))[0].status == 200
 
 
 async def test_a_robot_without_files_has_its_description_and_no_robot_nothing() -> None:
-    answer = await HttpGate(model.builtin())._robot_file("description.urdf", gzipped=False)
+    answer = await HttpHandler(model.builtin())._robot_file("description.urdf", gzipped=False)
     assert answer.body == model.builtin().urdf.encode()
     with pytest.raises(ServiceError, match="no robot"):
-        await HttpGate()._robot_file("description.urdf", gzipped=False)
+        await HttpHandler()._robot_file("description.urdf", gzipped=False)
 
 
 @pytest.mark.parametrize("path", ["/", "/robot/description.urdf", "/nothing", "/?ros=1"])
@@ -360,3 +372,197 @@ async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
 def test_the_largest_mesh_has_the_time_it_needs_over_a_poor_wireless_link() -> None:
     poor_link_bytes_s = 200_000
     assert robot_files.MAX_FILE_BYTES / poor_link_bytes_s < OPEN_TIMEOUT_S
+
+
+FILE = StoredFile(b"content", '"name"', gzipped=True)
+
+
+@pytest.mark.parametrize(
+    ("accepted", "takes"),
+    [
+        ("gzip", True),
+        ("br, GZIP;q=0.5", True),
+        ("*", True),
+        ("gzip;q=1.0", True),
+        ("gzip; q=0", False),
+        ("gzip;q=0.000, br", False),
+        ("br, identity", False),
+        ("", False),
+        ("gzippy", False),
+    ],
+)
+def test_who_takes_gzip_says_so(accepted: str, takes: bool) -> None:
+    assert accepts_gzip(Headers({"Accept-Encoding": accepted})) is takes
+
+
+def test_a_header_may_come_in_several_lines() -> None:
+    headers = Headers([("Connection", "keep-alive"), ("Upgrade", "h2c"), ("Upgrade", "foo, WebSocket")])
+    assert names(headers, "Upgrade", "websocket")
+    assert not names(headers, "Upgrade", "socket")
+    assert not accepts_gzip(headers)
+
+
+@pytest.mark.parametrize("held", ['"name"', 'W/"name"', '"a", "name"', "*"])
+def test_content_that_is_there_already_is_not_sent(held: str) -> None:
+    answer = Answer.of_file(FILE, "text/css", "no-cache")
+    sent = answer.response(Request("/", Headers({"If-None-Match": held})))
+    assert (sent.status_code, sent.body) == (HTTPStatus.NOT_MODIFIED, b"")
+    assert sent.headers["ETag"] == '"name"'
+    assert not {"Content-Type", "Content-Encoding", "Content-Length"} & set(sent.headers)
+
+
+def test_other_content_is_sent_with_what_it_is() -> None:
+    sent = Answer.of_file(FILE, "text/css", "no-cache").response(Request("/", Headers({"If-None-Match": '"other"'})))
+    assert (sent.status_code, sent.body, sent.headers["Content-Encoding"]) == (200, b"content", "gzip")
+
+
+def test_a_sentence_has_no_name_to_be_known_by() -> None:
+    answer = Answer.of_text(HTTPStatus.NOT_FOUND, "no \udcff")
+    sent = answer.response(Request("/", Headers({"If-None-Match": "*"})))
+    assert (sent.status_code, sent.body, sent.headers["Cache-Control"]) == (404, b"no \\udcff\n", "no-store")
+    assert answer.response(Request("/", Headers(), "HEAD")).headers["Content-Length"] == "10"
+
+
+def test_what_holds_at_the_moment_is_not_to_be_kept() -> None:
+    sent = Answer.of_data(HTTPStatus.SERVICE_UNAVAILABLE, b"{}", "application/json").response(Request("/", Headers()))
+    assert (sent.status_code, sent.body, sent.headers["Content-Type"]) == (503, b"{}", "application/json")
+    assert sent.headers["Cache-Control"] == "no-store"
+
+
+LONG = b"0123456789" * 1000
+
+
+def test_a_form_is_known_by_its_content() -> None:
+    plain, packed = (StoredFile.of(LONG, gzipped=gzipped) for gzipped in (False, True))
+    assert (plain.octets, gzip.decompress(packed.octets)) == (LONG, LONG)
+    assert packed == StoredFile.of(LONG, gzipped=True)
+    assert len({plain.etag, packed.etag, StoredFile.of(LONG[:-1], gzipped=False).etag}) == 3
+
+
+@pytest.mark.parametrize("octets", [b"short", os.urandom(5000)])
+def test_what_gzip_makes_no_smaller_stays_as_it_is(octets: bytes) -> None:
+    assert StoredFile.of(octets, gzipped=True) == StoredFile.of(octets, gzipped=False)
+
+
+async def test_a_file_is_read_once_until_it_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(LONG)
+    cache, reads = FileCache(), []
+    read_bytes = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda self: reads.append(self) or read_bytes(self))
+    first = await cache.read(lambda: path, gzipped=True)
+    assert await cache.read(lambda: path, gzipped=True) is first
+    assert len(reads) == 1
+    path.write_bytes(LONG + b".")
+    assert (await cache.read(lambda: path, gzipped=False)).octets == LONG + b"."
+
+
+async def test_the_file_that_was_asked_for_the_longest_ago_goes_first(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in "abc"]
+    for path in paths:
+        path.write_bytes(LONG)
+    a, b, c = paths
+    cache = FileCache(2 * len(LONG))
+    kept = {path: await cache.read(lambda path=path: path, gzipped=False) for path in (a, b)}  # type: ignore[misc]
+    assert await cache.read(lambda: a, gzipped=False) is kept[a]
+    await cache.read(lambda: c, gzipped=False)
+    assert await cache.read(lambda: a, gzipped=False) is kept[a]
+    assert await cache.read(lambda: b, gzipped=False) is not kept[b]
+
+
+async def test_a_file_larger_than_all_that_is_kept_is_read_and_not_kept(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(LONG)
+    cache = FileCache(len(LONG) - 1)
+    first = await cache.read(lambda: path, gzipped=False)
+    assert first.octets == LONG
+    assert await cache.read(lambda: path, gzipped=False) is not first
+
+
+async def test_who_finds_and_reads_is_not_the_event_loop_and_one_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(LONG)
+    at_work: list[int] = []
+
+    def find() -> Path:
+        assert threading.current_thread() is not threading.main_thread()
+        at_work.append(1)
+        assert len(at_work) == 1
+        at_work.pop()
+        return path
+
+    cache = FileCache()
+    await asyncio.gather(*(cache.read(find, gzipped=True) for _ in range(5)))
+
+
+async def test_what_cannot_be_found_is_told_to_whoever_asks(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        await FileCache().read(lambda: tmp_path / "none", gzipped=False)
+
+
+def test_all_meshes_of_an_arm_fit_into_what_is_kept() -> None:
+    meshes_of_the_so101_bytes = 16_100_000
+    assert 2 * meshes_of_the_so101_bytes < gate.CACHE_BYTES
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    (tmp_path / "secret").write_text("key")
+    made = tmp_path / "dist"
+    made.mkdir()
+    (made / "index.html").write_text("page")
+    (made / "out").symlink_to(tmp_path / "secret")
+    return made
+
+
+def test_the_page_itself_has_no_name(directory: Path) -> None:
+    assert page_is_built(directory)
+    assert find_page_file(directory, "") == find_page_file(directory, "index.html") == directory / "index.html"
+
+
+@pytest.mark.parametrize("name", ["../secret", "out", ".", "no", "\0", "a" * 999])
+def test_nothing_outside_is_a_file_of_the_page(directory: Path, name: str) -> None:
+    with pytest.raises(ServiceError, match="is no file of the page"):
+        find_page_file(directory, name)
+
+
+def test_what_is_too_large_to_be_one_is_refused_with_the_limit(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate, "MAX_PAGE_FILE_BYTES", 3)
+    with pytest.raises(FileTooLargeError, match="4 bytes, the limit is 3"):
+        find_page_file(directory, "")
+
+
+def test_where_nothing_was_built_there_is_no_page(tmp_path: Path) -> None:
+    assert not page_is_built(tmp_path)
+
+
+def test_whoever_finds_no_page_is_told_how_to_get_it() -> None:
+    assert "npm" in gate.HOW_TO_BUILD_PAGE
+    assert gate.HOW_TO_BUILD_PAGE in gate.NOT_BUILT
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("index.html", "text/html; charset=utf-8"),
+        ("a/b.MJS", "text/javascript; charset=utf-8"),
+        ("style.css", "text/css; charset=utf-8"),
+        ("icon.svg", "image/svg+xml; charset=utf-8"),
+        ("base.stl", "model/stl"),
+        ("base.DAE", "model/vnd.collada+xml; charset=utf-8"),
+        ("texture.png", "image/png"),
+        ("file", "application/octet-stream"),
+        (".html", "application/octet-stream"),
+        ("x.exe", "application/octet-stream"),
+    ],
+)
+def test_a_file_is_what_its_name_ends_in(name: str, kind: str) -> None:
+    assert media_type(name) == kind
+
+
+def test_what_is_compressed_already_is_not_compressed_again() -> None:
+    assert compressible("vendor.js")
+    assert compressible("base.STL")
+    assert not compressible("texture.PNG")

@@ -2,11 +2,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import json
 import logging
+import resource
 import socket
 import time
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,12 +19,27 @@ from websockets.typing import Origin
 
 from protocol.limits import Limits
 from protocol.registry import Registry
+from server.access.authentication import Tokens
+from server.access.settings import AccessSettings
+from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
-from server.gateway.entrance.door import Door
-from server.gateway.entrance.entrance import Entrance
-from server.gateway.listener import Listener, tells_of_more_than_http
-from server.graph import Graph
+from server.gateway import listener as listener_module
+from server.gateway.admission import AdmissionPolicy
+from server.gateway.connection_limits import ConnectionLimits
+from server.gateway.listener import (
+    SPARE,
+    KeepaliveSettings,
+    Listener,
+    ListenerSettings,
+    Place,
+    listen,
+    raise_file_limit,
+    resolve,
+    tells_of_more_than_http,
+)
+from server.graph.topics import Graph
 from server.rosapi.api import RosApi
+from tests.helpers.certificates import make_pair
 from tests.helpers.conformance import cases, play
 
 REGISTRY = Registry.load()
@@ -161,7 +179,9 @@ async def test_a_taken_port_is_told_with_its_number() -> None:
 
 async def test_an_address_that_is_not_ours_is_told() -> None:
     with pytest.raises(StartError, match=r"cannot listen on 192\.0\.2\.1:0"):
-        await Listener(Graph(REGISTRY), "192.0.2.1", 0, entrance=Entrance(Door(insecure=True))).bind()
+        await Listener(
+            Graph(REGISTRY), "192.0.2.1", 0, settings=ListenerSettings(AdmissionPolicy(insecure=True))
+        ).bind()
 
 
 async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_about_it() -> None:
@@ -206,3 +226,151 @@ async def test_closing_ends_every_connection(listener: Listener) -> None:
 def test_pages_that_load_are_no_news(line: str, told: bool) -> None:
     record = logging.LogRecord("websockets.server", logging.INFO, "", 0, line, (200, "OK"), None)
     assert tells_of_more_than_http(record) is told
+
+
+IPV4, IPV6 = Place(socket.AF_INET, "127.0.0.1", 0), Place(socket.AF_INET6, "::1", 0)
+
+
+def has_ipv6() -> bool:
+    try:
+        with socket.socket(socket.AF_INET6) as tried:
+            tried.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
+
+
+async def test_an_address_is_one_place() -> None:
+    assert await resolve("127.0.0.1", 9090) == [IPV4]
+    assert await resolve("::1", 9090) == [IPV6]
+
+
+async def test_a_name_is_all_its_addresses() -> None:
+    assert IPV4 in await resolve("localhost", 9090)
+
+
+async def test_no_name_is_every_address_of_the_machine() -> None:
+    assert "0.0.0.0" in {place.address for place in await resolve("", 9090)}
+
+
+async def test_a_name_that_there_is_not_is_told() -> None:
+    with pytest.raises(StartError, match=r"cannot listen on no\.\.where:9090: this is no name of a host"):
+        await resolve("no..where", 9090)
+    with pytest.raises(StartError, match=r"cannot listen on 127\.0\.0\.256:9090: "):
+        await resolve("127.0.0.256", 9090)
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
+def test_both_families_get_the_same_free_port() -> None:
+    one, two = listen([IPV4, IPV6], "localhost", 0)
+    with one, two:
+        assert one.getsockname()[1] == two.getsockname()[1] > 0
+        for address in ("127.0.0.1", "::1"):
+            socket.create_connection((address, one.getsockname()[1]), timeout=5.0).close()
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
+def test_a_free_port_that_is_taken_in_the_other_family_is_given_up_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    tries: list[int] = []
+    listen_on = listener_module._listen_on
+
+    def listen_on_taken(place: Place, port: int, *, alone: bool) -> socket.socket:
+        tries.append(port)
+        if len(tries) == 2:
+            raise OSError(errno.EADDRINUSE, "taken")
+        return listen_on(place, port, alone=alone)
+
+    monkeypatch.setattr(listener_module, "_listen_on", listen_on_taken)
+    for made in listen([IPV4, IPV6], "localhost", 0):
+        made.close()
+    assert len(tries) == 4
+
+
+def test_a_family_that_the_machine_has_not_is_left_out() -> None:
+    elsewhere = Place(socket.AF_INET, "192.0.2.1", 0)
+    (made,) = listen([elsewhere, IPV4], "both", 0)
+    with made:
+        assert made.getsockname()[0] == "127.0.0.1"
+    with pytest.raises(StartError, match=r"cannot listen on nowhere:0: Cannot assign"):
+        listen([elsewhere], "nowhere", 0)
+
+
+def test_a_taken_port_is_told_and_nothing_stays_open(recwarn: pytest.WarningsRecorder) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(StartError, match=f"port in use: localhost:{port} is taken by another program"):
+            listen([Place(socket.AF_INET, "127.0.0.2", 0), IPV4], "localhost", port)
+    assert not recwarn.list
+
+
+class Limit:
+    """The limit of open files, without changing that of the tests."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, soft: int, hard: int) -> None:
+        self.value = soft, hard
+        monkeypatch.setattr(resource, "getrlimit", lambda _which: self.value)
+        monkeypatch.setattr(resource, "setrlimit", self._set)
+
+    def _set(self, which: int, value: tuple[int, int]) -> None:
+        assert which == resource.RLIMIT_NOFILE
+        self.value = value
+
+
+@pytest.mark.parametrize("hard", [4096, resource.RLIM_INFINITY])
+def test_the_limit_is_raised_as_far_as_is_needed(
+    monkeypatch: pytest.MonkeyPatch, hard: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    limit = Limit(monkeypatch, 1024, hard)
+    raise_file_limit(1000)
+    assert limit.value == (1000 + SPARE, hard)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("soft", [1024, resource.RLIM_INFINITY])
+def test_a_limit_that_is_high_enough_stays(monkeypatch: pytest.MonkeyPatch, soft: int) -> None:
+    limit = Limit(monkeypatch, soft, 4096)
+    raise_file_limit(100)
+    assert limit.value == (soft, 4096)
+
+
+def test_one_that_cannot_be_raised_enough_is_told(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    limit = Limit(monkeypatch, 1024, 2048)
+    raise_file_limit(5000)
+    assert limit.value == (2048, 2048)
+    assert f"enough for {2048 - SPARE} clients, not for server.max_clients = 5000" in caplog.text
+
+
+def listener_settings(server: ServerSettings, access: AccessSettings | None = None) -> ListenerSettings:
+    access = access or AccessSettings()
+    return ListenerSettings.from_settings(server, access, Tokens.from_settings(access))
+
+
+def test_the_limits_are_those_of_the_settings_and_the_defaults_the_same() -> None:
+    server = ServerSettings(max_clients=3, max_clients_per_address=2, connections_per_s=7.0)
+    assert listener_settings(server).limits == ConnectionLimits(3, 2, 7.0)
+    assert listener_settings(ServerSettings()).limits == ListenerSettings().limits == ConnectionLimits()
+
+
+def test_pings_are_those_of_the_settings_and_the_defaults_the_same() -> None:
+    assert listener_settings(ServerSettings(ping_interval_s=3.0, ping_timeout_s=7.0)).keepalive == KeepaliveSettings(
+        3.0, 7.0
+    )
+    assert listener_settings(ServerSettings()).keepalive == ListenerSettings().keepalive
+
+
+def test_without_a_certificate_there_is_no_tls(tmp_path: Path) -> None:
+    assert listener_settings(ServerSettings()).tls is None
+    pair = make_pair(tmp_path)
+    assert listener_settings(ServerSettings(tls_certificate=pair.certificate, tls_key=pair.key)).tls is not None
+
+
+def test_a_certificate_that_cannot_be_used_is_told_at_the_start() -> None:
+    with pytest.raises(ConfigurationError, match=r"server.tls_certificate: nowhere.pem cannot be read"):
+        listener_settings(ServerSettings(tls_certificate=Path("nowhere.pem"), tls_key=Path("nowhere.pem")))
+
+
+def test_the_word_for_an_open_address_reaches_the_door() -> None:
+    assert listener_settings(ServerSettings(), AccessSettings(insecure=True)).admission.insecure
+    assert not listener_settings(ServerSettings()).admission.insecure

@@ -8,9 +8,9 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.confirmation import CONFIRM_TOPIC, MODE_SERVICE, Confirmation
-from server.node import Node
 
 REGISTRY = Registry.load()
 CLIENT = Node("client")

@@ -5,7 +5,7 @@ import pytest
 
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.messages import ArmState, Mode
 from server.moveit.current_state import CurrentState, state_message
 

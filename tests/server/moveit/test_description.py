@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 
 from protocol.registry import Registry
-from robot import model
-from server.calls import Response
-from server.graph import Graph, Subscriber
+from robot.description import model
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph, Subscriber
 from server.moveit.description import (
     FILE_SERVICE,
     SRDF_TOPIC,
     URDF_TOPIC,
     RobotDescription,
 )
-from server.node import Node
 
 REGISTRY = Registry.load()
 ROBOT = model.builtin()

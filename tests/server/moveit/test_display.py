@@ -6,9 +6,9 @@ import pytest
 from protocol.registry import Registry
 from robot.trajectory import Trajectory
 from server.goal_queue import Performed
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.display import CONTACTS_TOPIC, PATH_TOPIC, PIPELINE_TOPIC, DisplayTopics
-from server.node import Node
 from tests.helpers.moveit_requests import HOME, ROBOT
 
 MOTION = Trajectory(("elbow_flex",), np.array([0.0, 1.0]), np.array([[0.0], [0.5]]), np.zeros((2, 1)), np.zeros((2, 1)))

@@ -16,13 +16,13 @@ from planners.goals import JointGoal
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.description import model
+from robot.description.limits import within_calibration
+from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
-from robot.limits import within_calibration
 from robot.messages import ArmConfig, Mode
-from robot.model import RobotModel
 from robot.trajectory import Trajectory
 from server.goal_queue import GoalState, Progress
 from server.moveit.execution import GoalExecutor

@@ -10,10 +10,9 @@ from typing import Any
 from websockets.asyncio.client import connect
 
 from protocol.registry import Registry
-from robot.model import RobotModel, builtin, parse
-from server.arm_guard_settings import GuardSettings
-from server.config import ArmSettings, GoalSettings, Settings
-from server.graph import Graph
+from robot.description.model import RobotModel, builtin, parse
+from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
+from server.graph.topics import Graph
 from server.moveit.face import MoveItFace
 from server.moveit.parameters import MoveItParameters
 from server.moveit.patience import Allowance

@@ -8,7 +8,7 @@ import pytest
 from planners.files import problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box, Pose, Scene, SceneObject
-from robot import model
+from robot.description import model
 from server.moveit.failed_goals import FailedGoals
 from tests.helpers.requests import EASY
 

@@ -10,14 +10,14 @@ from planners.goals import JointGoal
 from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
-from server.calls import Response
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph
 from server.moveit import goal_checks
 from server.moveit.goal_checks import GOAL_TIME_S, MAX_GOALS, NOT_ASKED, SERVICE, GoalChecks, answers_in_time
 from server.moveit.goal_reports import GoalReports
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.scene_state import SceneState
-from server.node import Node
 from tests.helpers.goal_translator import TRANSLATOR
 from tests.helpers.moveit_services import HOME, ROBOT, DirectPool
 

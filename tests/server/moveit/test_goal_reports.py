@@ -6,8 +6,8 @@ import pytest
 
 from planners.problem import Deviation, IkAnswer, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from robot import model
-from robot.forward import ForwardPlacements
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
 from server.moveit.goal_reports import NOT_KNOWN, GoalReports
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, pose_of

@@ -10,13 +10,13 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.confirmation import Confirmation
 from server.moveit.goal_topics import RESULT_TOPIC, STATUS_TOPIC, GoalTopics
 from server.moveit.motions import Motion, PlannedMotion
-from server.node import Node
 from tests.helpers.arm_server import values_of
 from tests.helpers.goal_translator import TRANSLATOR
 

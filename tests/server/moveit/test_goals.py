@@ -11,7 +11,7 @@ from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
 from server.moveit.motions import PlannedMotion
 from tests.helpers.goal_translator import HOME_RAD, ROBOT, TRANSLATOR, translator
 

@@ -7,9 +7,9 @@ import pytest
 
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.description.model import builtin
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
-from robot.model import builtin
 from robot.trajectory import Trajectory
 from server.moveit.gripper import SQUEEZE_PERIOD_S, Gripper, GripperCommand
 from server.moveit.gripper_actions import GRIPPER_ACTION, PARALLEL_ACTION

@@ -5,7 +5,7 @@ from collections.abc import Awaitable, Callable, Mapping
 
 import pytest
 
-from robot import model
+from robot.description import model
 from server.errors import ServiceError
 from server.moveit import named_states
 from server.moveit.named_states import MAX_NAME_LENGTH, NamedStates, Positions

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from robot import model
+from robot.description import model
 from server.errors import ServiceError
 from server.moveit.named_states_file import NamedStatesFile, default_path
 

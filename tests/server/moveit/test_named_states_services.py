@@ -7,17 +7,17 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
-from robot import model
 from robot.arm import Arm
 from robot.calibration import Calibration
+from robot.description import model
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, Mode
-from server.calls import Response
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph, Subscriber
 from server.moveit.current_state import CurrentState
 from server.moveit.named_states import NamedStates
 from server.moveit.named_states_services import TOPIC, NamedStatesServices
-from server.node import Node
 from tests.helpers.goal_translator import keep_nothing
 from tests.helpers.readings import reading
 

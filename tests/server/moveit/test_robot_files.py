@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from robot import model
+from robot.description import model
 from server.errors import FileTooLargeError, ServiceError
 from server.moveit import robot_files
 from server.moveit.robot_files import find_file, package_name, read_file, with_package_urls

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot import model
-from robot.control.acceptance import refusal
-from robot.limits import JointBounds
+from robot.control.checks import refusal
+from robot.description import model
+from robot.description.limits import JointBounds
 from server.moveit.stitching import SAME_RAD, STITCH_SHARE, STITCH_TOLERANCE_RAD, stitched
 from tests.helpers.trajectories import smooth_move
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from robot import model
+from robot.description import model
 from server.moveit.suggestions import suggestion
 
 ROBOT = model.builtin()

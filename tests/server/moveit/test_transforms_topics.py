@@ -7,13 +7,13 @@ import pytest
 
 from planners.scene import Pose
 from protocol.registry import Registry
-from robot import model
-from robot.forward import ForwardPlacements
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.poses import matrix_of
 from server.moveit.transforms_topics import STATIC_TRANSFORMS_TOPIC, TRANSFORMS_TOPIC, TransformsTopics
-from server.node import Node
 
 ROBOT = model.builtin()
 JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)

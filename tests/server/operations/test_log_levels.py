@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
-from robot import log_levels as changed
+from robot import logs as changed
 from robot.logs import OUR_LOGGER
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.operations import log_levels
 from server.operations.log_levels import GET, MAX_ASKED, SET, LogLevels, toggle_debug
 

@@ -18,7 +18,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from protocol.registry import Registry
-from server.graph import Graph
+from server.graph.topics import Graph
 from server.operations.operations import Operations
 from server.operations.service_manager import ServiceManager
 from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of

@@ -8,7 +8,7 @@ import pytest
 
 from robot.faults import FaultCode
 from server.commands.systemd_unit import unit
-from server.gateway.traffic import Traffic
+from server.gateway.connection import Traffic
 from server.operations.distribution import Distribution
 from server.operations.goal_tally import GoalTally
 from server.operations.metrics.exposition import PartsCollector

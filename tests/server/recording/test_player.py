@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.recording.mcap_file import Entry
 from server.recording.player import Player
 from server.recording.reader import Recording, Track

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.codecs.cdr_reader import deserialize
+from protocol.codecs.cdr import deserialize
 from server.errors import StartError
-from server.graph import Graph
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.recording import writer_thread
 from server.recording.mcap_file import Entry
 from server.recording.reader import Recording

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from server.access.globs import Globs
+from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.rosapi import parameters
 from server.rosapi.parameters import MAX_PARAMETER_BYTES, Parameters
@@ -76,7 +76,7 @@ def test_long_names_count_too(kept: Kept) -> None:
 class TestGlobs:
     @pytest.fixture
     def some(self) -> Kept:
-        some = Kept(Globs("access.params_glob", ["/open/*"]))
+        some = Kept(NameFilter("access.params_glob", ["/open/*"]))
         some.keep("/robot_description", '"<robot/>"')
         some.ask("set_param", name="/open/speed", value="1")
         return some

@@ -7,7 +7,7 @@ import pytest
 import zenoh.ext
 
 from server.access.settings import AccessSettings
-from server.graph import Subscriber
+from server.graph.topics import Subscriber
 from tests.helpers.zenoh_network import RosMachine, Site, free_port, until
 
 STRING = "std_msgs/msg/String"
@@ -199,7 +199,7 @@ async def test_while_a_client_controls_the_arm_others_send_no_goals_but_stop_it(
             site.hear("/stop", "std_msgs/msg/Empty", site.part),
         )
         assert site.access.lease.drive(site.client, 0.0) is None
-        site.access.lease.busy = lambda: True
+        site.access.lease.connect(lambda: True)
         with RosMachine(port) as machine:
             await listening(machine, "%stop")
             machine.publish("/moveit_goal_named", STRING, data="ready")

@@ -3,8 +3,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from server.access.access import unlimited
-from server.graph import Graph
+from server.access.authorization import unlimited
+from server.graph.topics import Graph
 from server.zenoh.bridge import Bridge
 from server.zenoh.joining import bridge_of
 from server.zenoh.settings import ZenohSettings
@@ -24,8 +24,8 @@ def test_a_server_that_takes_part_has_one() -> None:
 def test_a_server_that_shares_nothing_does_not_load_zenoh() -> None:
     program = """
 import sys
-from server.access.access import unlimited
-from server.graph import Graph
+from server.access.authorization import unlimited
+from server.graph.topics import Graph
 from server.zenoh.joining import bridge_of
 from server.zenoh.settings import ZenohSettings
 from protocol.registry import Registry

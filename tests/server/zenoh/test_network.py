@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from server.graph import Graph, Subscriber
-from server.node import Node
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.zenoh import network
 from server.zenoh.keys import Endpoint, Tokens
 from server.zenoh.names import Namespace

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from server.config_reading import load
+from server.config_loader import load
 from server.zenoh.session_config import session_config
 from server.zenoh.settings import ZenohSettings
 from tests.helpers.server import ROOT

@@ -1,16 +1,33 @@
 import { expect, test } from "vitest";
 import { emptyState } from "../state/state";
-import { addBox, jointGoal, jointJog, moveGroupGoal, pointGoal, wishedGoal } from "./messages";
+import {
+  addBox,
+  goalConstraints,
+  jointConstraints,
+  jointJog,
+  moveGroupGoal,
+  positionConstraints,
+  readArmState,
+  readControl,
+  readGoal,
+  readIdentity,
+  readJoints,
+  readNamedStates,
+  readPlan,
+  readServos,
+  valuesByJoint,
+  type DiagnosticStatus,
+} from "./messages";
 
 const empty = emptyState("ws://here");
 
-test("without a wish nothing is asked for", () => {
-  expect(wishedGoal(empty)).toBeNull();
+test("without a selection nothing is asked for", () => {
+  expect(goalConstraints(empty)).toBeNull();
 });
 
-test("a wish for joints or a named state is a goal for exactly these joints", () => {
-  const wish = { kind: "named" as const, joints_rad: { elbow_flex: 0.5 } };
-  expect(wishedGoal({ ...empty, wish })).toEqual({
+test("a selection for joints or a named state is a goal for exactly these joints", () => {
+  const selection = { kind: "named" as const, joints_rad: { elbow_flex: 0.5 } };
+  expect(goalConstraints({ ...empty, selection })).toEqual({
     joint_constraints: [
       { joint_name: "elbow_flex", position: 0.5, tolerance_above: 1e-4, tolerance_below: 1e-4, weight: 1 },
     ],
@@ -18,11 +35,11 @@ test("a wish for joints or a named state is a goal for exactly these joints", ()
 });
 
 test("a target that can be reached is asked for as the ghost shows it, any other as a point", () => {
-  const wish = { kind: "target" as const, joints_rad: null };
+  const selection = { kind: "target" as const, joints_rad: null };
   const target = { ...empty.target, position_m: [0.3, 0, 0.2] as [number, number, number], joints_rad: { a: 1 } };
-  expect(wishedGoal({ wish, target: { ...target, reachable: true } })).toEqual(jointGoal({ a: 1 }));
-  expect(wishedGoal({ wish, target: { ...target, reachable: false } })).toEqual(pointGoal([0.3, 0, 0.2], 0.01));
-  expect(wishedGoal({ wish, target: { ...target, reachable: null } })).toEqual(pointGoal([0.3, 0, 0.2], 0.01));
+  expect(goalConstraints({ selection, target: { ...target, reachable: true } })).toEqual(jointConstraints({ a: 1 }));
+  expect(goalConstraints({ selection, target: { ...target, reachable: false } })).toEqual(positionConstraints([0.3, 0, 0.2], 0.01));
+  expect(goalConstraints({ selection, target: { ...target, reachable: null } })).toEqual(positionConstraints([0.3, 0, 0.2], 0.01));
 });
 
 test("the speed goes into the request, and plan_only beside it", () => {
@@ -39,4 +56,69 @@ test("a box and a jog have the fields of their types", () => {
     primitives: [{ type: 1, dimensions: [0.04, 0.05, 0.06] }],
   });
   expect(jointJog({ elbow_flex: -1 })).toMatchObject({ joint_names: ["elbow_flex"], velocities: [-1] });
+});
+
+const stamp = { sec: 12, nanosec: 500_000_000 };
+
+function status(values: Record<string, string>, patch: Partial<DiagnosticStatus> = {}): DiagnosticStatus {
+  const pairs = Object.entries(values).map(([key, value]) => ({ key, value }));
+  return { level: 0, name: "arm", message: "well", hardware_id: "so101", values: pairs, ...patch };
+}
+
+test("joints without a position, and numbers that JSON has no word for, are not numbers", () => {
+  const read = readJoints({ header: { stamp }, name: ["a", "b", "c"], position: [1, null], velocity: [], effort: [] });
+  expect(read).toMatchObject({ names: ["a", "b", "c"], position_rad: [1, Number.NaN, Number.NaN], stamp: 12.5 });
+});
+
+test("values by name leave out what is no number", () => {
+  expect(valuesByJoint(["a", "b", "c"], [1, null])).toEqual({ a: 1 });
+});
+
+test("the arm's state has fault and remedy", () => {
+  const arm = readArmState(status({ mode: "fault", fault: "overload", fault_remedy: "Lift it.", speed_factor: "0.5" }));
+  expect(arm).toMatchObject({ mode: "fault", fault: "overload", fault_remedy: "Lift it.", speed_factor: 0.5 });
+  expect(readArmState(status({})).mode).toBe("disconnected");
+});
+
+test("a refused goal has its code, its sentence and what would work", () => {
+  const suggested = { topic: "/moveit_goal_named", type: "std_msgs/String", msg: { data: "home" } };
+  const values = { state: "done", code: "-16", suggested_goal: JSON.stringify(suggested) };
+  const goal = readGoal(status(values, { hardware_id: "7", message: "no such name" }));
+  expect(goal).toMatchObject({ id: "7", code: -16, message: "no such name", suggestion: suggested });
+});
+
+test("a suggestion that cannot be read is none", () => {
+  expect(readGoal(status({ state: "done", suggested_goal: "{" })).suggestion).toBeNull();
+  expect(readGoal(status({ state: "done", suggested_goal: "[]" })).suggestion).toBeNull();
+});
+
+test("only the servos are listed, by joint", () => {
+  const found = readServos([
+    status({}),
+    status({ temperature_c: "33" }, { name: "arm: elbow_flex", hardware_id: "servo 3" }),
+  ]);
+  expect(found).toEqual([{ name: "elbow_flex", level: 0, message: "well", values: { temperature_c: "33" } }]);
+});
+
+test("a plan has times in seconds, and one without points is none", () => {
+  const point = { positions: [0.1], time_from_start: stamp };
+  const joint_trajectory = { joint_names: ["a"], points: [point] };
+  expect(readPlan({ joint_trajectory })).toEqual({ names: ["a"], points: [{ time_s: 12.5, position_rad: [0.1] }] });
+  expect(readPlan({ joint_trajectory: { joint_names: [], points: [] } })).toBeNull();
+});
+
+test("named states that cannot be read are none", () => {
+  expect(readNamedStates("{")).toEqual({});
+});
+
+test("nobody drives, and nothing is left to wait for, where the server says so", () => {
+  const free = status({ holder: "", address: "", policy: "shared", free_in_s: "" }, { hardware_id: "" });
+  expect(readControl(free)).toEqual({ holder: "", address: "", policy: "shared", free_in_s: null });
+});
+
+test("an identity that cannot be read is none", () => {
+  for (const text of ["{", "null", '{"address": 1, "role": "view"}', '{"address": "a", "role": "king"}']) {
+    expect(readIdentity(text)).toBeNull();
+  }
+  expect(readIdentity('{"address": "a", "role": "view", "name": "x"}')).toEqual({ address: "a", role: "view" });
 });

@@ -1,25 +1,205 @@
-import type { JointValues, Point, State } from "../state/state";
+import {
+  noGoal,
+  type ArmState,
+  type Control,
+  type GoalState,
+  type Identity,
+  type Joints,
+  type JointValues,
+  type LogEntry,
+  type NamedState,
+  type Plan,
+  type Point,
+  type ServoState,
+  type State,
+  type SuggestedGoal,
+} from "../state/state";
 
-/** A header in a frame, with the stamp that means "now" here. */
-function header(frame_id: string): object {
-  return { stamp: { sec: 0, nanosec: 0 }, frame_id };
+// Messages of the server, spelled as in ROS 2: JSON has null for a number that is not finite.
+
+/** builtin_interfaces/Time. */
+export interface Time {
+  sec: number;
+  nanosec: number;
 }
+
+/** std_msgs/String. */
+export interface StringMessage {
+  data: string;
+}
+
+/** sensor_msgs/JointState. */
+export interface JointState {
+  header: { stamp: Time };
+  name: string[];
+  position: (number | null)[];
+  velocity: (number | null)[];
+  effort: (number | null)[];
+}
+
+/** diagnostic_msgs/DiagnosticStatus. */
+export interface DiagnosticStatus {
+  level: number;
+  name: string;
+  message: string;
+  hardware_id: string;
+  values: { key: string; value: string }[];
+}
+
+/** diagnostic_msgs/DiagnosticArray. */
+export interface DiagnosticArray {
+  status: DiagnosticStatus[];
+}
+
+/** moveit_msgs/KinematicSolverInfo. */
+export interface KinematicSolverInfo {
+  joint_names: string[];
+  limits: { joint_name: string; has_position_limits: boolean; min_position: number; max_position: number }[];
+}
+
+/** rcl_interfaces/Log. */
+export interface LogMessage {
+  stamp: Time;
+  level: number;
+  name: string;
+  msg: string;
+}
+
+/** moveit_msgs/MoveItErrorCodes. */
+export interface MoveItErrorCodes {
+  val: number;
+  message: string;
+}
+
+/** moveit_msgs/RobotTrajectory. */
+export interface RobotTrajectory {
+  joint_trajectory: {
+    joint_names: string[];
+    points: { positions: number[]; time_from_start: Time }[];
+  };
+}
+
+/** moveit_msgs/DisplayTrajectory, the field that is shown. */
+export interface DisplayTrajectory {
+  trajectory: RobotTrajectory[];
+}
+
+/** Result of moveit_msgs/action/MoveGroup and, without a trajectory, of ExecuteTrajectory. */
+export interface MotionResult {
+  error_code: MoveItErrorCodes;
+  planned_trajectory?: RobotTrajectory;
+}
+
+/** armbridge_msgs/GoalCheck. */
+export interface GoalCheck {
+  code: number;
+  message: string;
+  reachable: boolean;
+  free: boolean;
+  decided: boolean;
+  position_error_m: number;
+  solution: { name: string[]; position: number[] };
+}
+
+/** geometry_msgs/Pose. */
+export interface Pose {
+  position: { x: number; y: number; z: number };
+  orientation: { x: number; y: number; z: number; w: number };
+}
+
+/** moveit_msgs/CollisionObject. */
+export interface CollisionObject {
+  header: { frame_id: string };
+  id: string;
+  pose: Pose;
+  primitives: { type: number; dimensions: number[]; polygon?: { points: { x: number; y: number; z: number }[] } }[];
+  primitive_poses: Pose[];
+  meshes: { triangles: { vertex_indices: number[] }[]; vertices: { x: number; y: number; z: number }[] }[];
+  mesh_poses: Pose[];
+  planes: { coef: number[] }[];
+  plane_poses: Pose[];
+  operation: number;
+}
+
+/** moveit_msgs/PlanningScene, the fields that are shown. */
+export interface PlanningScene {
+  is_diff: boolean;
+  robot_state: { is_diff: boolean; attached_collision_objects: { link_name: string; object: CollisionObject }[] };
+  world: { collision_objects: CollisionObject[] };
+  object_colors: { id: string; color: { r: number; g: number; b: number; a: number } }[];
+}
+
+/** Response of std_srvs/Trigger. */
+export interface TriggerResponse {
+  success: boolean;
+  message: string;
+}
+
+/** control_msgs/JointTrajectoryControllerState. */
+export interface ControllerState {
+  joint_names: string[];
+  reference: { positions: (number | null)[] };
+}
+
+/** Names of moveit_msgs/MoveItErrorCodes, in MoveIt's spelling. */
+const ERROR_CODE_NAMES: Record<number, string> = {
+  1: "SUCCESS",
+  0: "UNDEFINED",
+  99999: "FAILURE",
+  [-1]: "PLANNING_FAILED",
+  [-2]: "INVALID_MOTION_PLAN",
+  [-3]: "MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE",
+  [-4]: "CONTROL_FAILED",
+  [-5]: "UNABLE_TO_AQUIRE_SENSOR_DATA",
+  [-6]: "TIMED_OUT",
+  [-7]: "PREEMPTED",
+  [-10]: "START_STATE_IN_COLLISION",
+  [-11]: "START_STATE_VIOLATES_PATH_CONSTRAINTS",
+  [-12]: "GOAL_IN_COLLISION",
+  [-13]: "GOAL_VIOLATES_PATH_CONSTRAINTS",
+  [-14]: "GOAL_CONSTRAINTS_VIOLATED",
+  [-15]: "INVALID_GROUP_NAME",
+  [-16]: "INVALID_GOAL_CONSTRAINTS",
+  [-17]: "INVALID_ROBOT_STATE",
+  [-18]: "INVALID_LINK_NAME",
+  [-19]: "INVALID_OBJECT_NAME",
+  [-21]: "FRAME_TRANSFORM_FAILURE",
+  [-22]: "COLLISION_CHECKING_UNAVAILABLE",
+  [-23]: "ROBOT_STATE_STALE",
+  [-24]: "SENSOR_INFO_STALE",
+  [-25]: "COMMUNICATION_FAILURE",
+  [-26]: "START_STATE_INVALID",
+  [-27]: "GOAL_STATE_INVALID",
+  [-28]: "UNRECOGNIZED_GOAL_TYPE",
+  [-29]: "CRASH",
+  [-30]: "ABORT",
+  [-31]: "NO_IK_SOLUTION",
+};
+
+/** moveit_msgs/MoveItErrorCodes.SUCCESS. */
+export const SUCCESS = 1;
+
+/** moveit_msgs/MoveItErrorCodes.PREEMPTED: the goal was stopped, or replaced by another. */
+export const PREEMPTED = -7;
+
+/** Return the name of an error code, as `NO_IK_SOLUTION`; `code -99` for an unknown one. */
+export function errorCodeName(code: number): string {
+  return ERROR_CODE_NAMES[code] ?? `code ${code}`;
+}
+
+/** std_msgs/Header: the root link, which an empty frame means, and a stamp of zero, which means now. */
+const HEADER = { stamp: { sec: 0, nanosec: 0 }, frame_id: "" };
 
 function pose([x, y, z]: Point): object {
   return { position: { x, y, z }, orientation: { x: 0, y: 0, z: 0, w: 1 } };
 }
 
-/** geometry_msgs/PoseStamped in the root link, which an empty frame means. */
-export function poseStamped(position_m: Point): object {
-  return { header: header(""), pose: pose(position_m) };
-}
-
-/** moveit_msgs/Constraints: these joints at these positions. */
-export function jointGoal(joints_rad: JointValues): object {
+/** Build moveit_msgs/Constraints of joint positions. */
+export function jointConstraints(joints_rad: JointValues): object {
   const joint_constraints = Object.entries(joints_rad).map(([joint_name, position]) => ({
     joint_name,
     position,
-    // Room for the rounding on the way; the planner goes to the middle.
+    // Room for rounding errors; the planner goes to the middle.
     tolerance_above: 1e-4,
     tolerance_below: 1e-4,
     weight: 1,
@@ -27,77 +207,219 @@ export function jointGoal(joints_rad: JointValues): object {
   return { joint_constraints };
 }
 
-/** moveit_msgs/Constraints: the tip, which an empty link name means, within a ball. */
-export function pointGoal(position_m: Point, radius_m: number): object {
+/** Build moveit_msgs/Constraints of the tip, which an empty link name means, within a ball. */
+export function positionConstraints(position_m: Point, radius_m: number): object {
   const sphere = { type: 2, dimensions: [radius_m] };
   const constraint_region = { primitives: [sphere], primitive_poses: [pose(position_m)] };
-  return { position_constraints: [{ header: header(""), link_name: "", constraint_region, weight: 1 }] };
+  return { position_constraints: [{ header: HEADER, link_name: "", constraint_region, weight: 1 }] };
 }
 
-/** How near the tip has to come to a point that was asked for [m]; what /moveit_goal_pose takes. */
+/** Tolerance of a point goal [m], as for /moveit_goal_pose. */
 const POINT_TOLERANCE_M = 0.01;
 
-/** moveit_msgs/MotionPlanRequest of constraints; the empty group is the configured one. */
-export function motionRequest(constraints: object, speed: number): object {
-  return {
+/** Build the goal of /move_action; an empty group name means the configured group. */
+export function moveGroupGoal(constraints: object, speed: number, plan_only: boolean): object {
+  const request = {
     group_name: "",
     goal_constraints: [constraints],
     max_velocity_scaling_factor: speed,
     max_acceleration_scaling_factor: speed,
   };
+  return { request, planning_options: { plan_only } };
 }
 
-/** The goal of /move_action. */
-export function moveGroupGoal(constraints: object, speed: number, plan_only: boolean): object {
-  return { request: motionRequest(constraints, speed), planning_options: { plan_only } };
-}
-
-/** What the user wants, as moveit_msgs/Constraints; null when nothing was chosen yet. */
-export function wishedGoal({ wish, target }: Pick<State, "wish" | "target">): object | null {
-  if (wish.kind === "none") return null;
-  if (wish.kind !== "target") return wish.joints_rad && jointGoal(wish.joints_rad);
+/** Build moveit_msgs/Constraints of the selected goal; null when nothing is selected. */
+export function goalConstraints({ selection, target }: Pick<State, "selection" | "target">): object | null {
+  if (selection.kind === "none") return null;
+  if (selection.kind !== "target") return selection.joints_rad && jointConstraints(selection.joints_rad);
   if (!target.position_m) return null;
-  // What the ghost shows is what will be: the configuration, not just any for that point.
-  if (target.reachable && target.joints_rad) return jointGoal(target.joints_rad);
-  return pointGoal(target.position_m, POINT_TOLERANCE_M);
+  // The joint values that the ghost shows, as a point alone may be reached in another configuration.
+  if (target.reachable && target.joints_rad) return jointConstraints(target.joints_rad);
+  return positionConstraints(target.position_m, POINT_TOLERANCE_M);
 }
 
-/** armbridge_msgs/srv/CheckGoals about one point. */
-export function checkPoint(position_m: Point): object {
-  return { poses: [poseStamped(position_m)], joints: [] };
+/** Build the request of armbridge_msgs/srv/CheckGoals for one point. */
+export function checkGoalsRequest(position_m: Point): object {
+  return { poses: [{ header: HEADER, pose: pose(position_m) }], joints: [] };
 }
 
-/** The goal of GripperCommand; an effort of 0 is the most that the gripper may use. */
+/** Build the goal of control_msgs/action/GripperCommand; an effort of 0 means the maximum. */
 export function gripperGoal(position_rad: number): object {
   return { command: { position: position_rad, max_effort: 0 } };
 }
 
-/** moveit_msgs/CollisionObject ADD: a box in the root link. */
+/** Build moveit_msgs/CollisionObject ADD of a box in the root link. */
 export function addBox(id: string, position_m: Point, size_m: Point): object {
   const box = { type: 1, dimensions: [...size_m] };
-  return { header: header(""), id, pose: pose(position_m), primitives: [box], primitive_poses: [pose([0, 0, 0])], operation: 0 };
+  const primitive_poses = [pose([0, 0, 0])];
+  return { header: HEADER, id, pose: pose(position_m), primitives: [box], primitive_poses, operation: 0 };
 }
 
-/** moveit_msgs/CollisionObject MOVE: the thing at another place in the root link, turned as it was. */
+/** Build moveit_msgs/CollisionObject MOVE to a pose in the root link. */
 export function moveObject(id: string, position_m: Point, orientation: [number, number, number, number]): object {
   const [x, y, z] = position_m;
   const [qx, qy, qz, qw] = orientation;
   const moved = { position: { x, y, z }, orientation: { x: qx, y: qy, z: qz, w: qw } };
-  return { header: header(""), id, pose: moved, operation: 3 };
+  return { header: HEADER, id, pose: moved, operation: 3 };
 }
 
-/** moveit_msgs/CollisionObject REMOVE. */
+/** Build moveit_msgs/CollisionObject REMOVE. */
 export function removeObject(id: string): object {
-  return { header: header(""), id, operation: 1 };
+  return { header: HEADER, id, operation: 1 };
 }
 
-/** control_msgs/JointJog: shares of the servo's joint speed, -1 to 1. */
+/** Build control_msgs/JointJog of fractions of the joint speed, -1 to 1. */
 export function jointJog(velocities: JointValues): object {
   return {
-    header: header(""),
+    header: HEADER,
     joint_names: Object.keys(velocities),
     displacements: [],
     velocities: Object.values(velocities),
     duration: 0,
+  };
+}
+
+/** Return a time in seconds. */
+export function toSeconds({ sec, nanosec }: Time): number {
+  return sec + nanosec * 1e-9;
+}
+
+/** Return numbers with NaN for each null. */
+function readNumbers(values: readonly (number | null)[] | undefined): number[] {
+  return (values ?? []).map((value) => (typeof value === "number" ? value : Number.NaN));
+}
+
+/** Read sensor_msgs/JointState; a joint without a position gets NaN. */
+export function readJoints(message: JointState): Joints {
+  const position_rad = readNumbers(message.position);
+  return {
+    names: message.name,
+    position_rad: message.name.map((_, index) => position_rad[index] ?? Number.NaN),
+    velocity: readNumbers(message.velocity),
+    effort: readNumbers(message.effort),
+    stamp: toSeconds(message.header.stamp),
+  };
+}
+
+/** Return values by joint name, without joints that have no finite value. */
+export function valuesByJoint(names: readonly string[], values: readonly (number | null)[]): JointValues {
+  const pairs = names.map((name, index) => [name, values[index]] as const);
+  return Object.fromEntries(pairs.filter((pair): pair is [string, number] => Number.isFinite(pair[1])));
+}
+
+/** Return the values of a diagnostic_msgs/DiagnosticStatus by key. */
+function keyValues(status: DiagnosticStatus): Record<string, string> {
+  return Object.fromEntries(status.values.map(({ key, value }) => [key, value]));
+}
+
+/** Read a message of /arm/state. */
+export function readArmState(status: DiagnosticStatus): ArmState {
+  const values = keyValues(status);
+  const speed_factor = Number(values["speed_factor"] ?? 1);
+  return {
+    mode: values["mode"] ?? "disconnected",
+    message: status.message,
+    fault: values["fault"] ?? "",
+    fault_message: values["fault_message"] ?? "",
+    fault_remedy: values["fault_remedy"] ?? "",
+    fault_joint: values["fault_joint"] ?? "",
+    reason: values["reason"] ?? "",
+    speed_factor: Number.isFinite(speed_factor) ? speed_factor : 1,
+    course: values["course"] ?? "forward",
+  };
+}
+
+/** Read a message of /arm/control. */
+export function readControl(status: DiagnosticStatus): Control {
+  const values = keyValues(status);
+  const free_in_s = values["free_in_s"] || "none";
+  return {
+    holder: status.hardware_id,
+    address: values["address"] ?? "",
+    policy: values["policy"] === "shared" ? "shared" : "lease",
+    free_in_s: Number.isFinite(Number(free_in_s)) ? Math.max(0, Number(free_in_s)) : null,
+  };
+}
+
+/** Read the answer of /arm/who_am_i; null when it is not valid. */
+export function readIdentity(text: string): Identity | null {
+  try {
+    const { address, role } = JSON.parse(text) as Partial<Identity>;
+    const has_role = role === "view" || role === "operate" || role === "admin";
+    return typeof address === "string" && has_role ? { address, role } : null;
+  } catch {
+    return null;
+  }
+}
+
+/** Read a message of /moveit_goal_status. */
+export function readGoal(status: DiagnosticStatus): GoalState {
+  const values = keyValues(status);
+  const code = values["code"] === undefined ? null : Number(values["code"]);
+  const seconds_left = Number(values["seconds_left"]);
+  return {
+    ...noGoal(),
+    id: status.hardware_id,
+    source: status.name,
+    state: values["state"] ?? "",
+    fraction: Number(values["fraction"] ?? 0) || 0,
+    seconds_left: Number.isFinite(seconds_left) ? seconds_left : null,
+    message: status.message,
+    code,
+    suggestion: readSuggestion(values["suggested_goal"]),
+  };
+}
+
+function readSuggestion(text: string | undefined): SuggestedGoal | null {
+  if (text === undefined) return null;
+  try {
+    const goal = JSON.parse(text) as SuggestedGoal;
+    return typeof goal.topic === "string" && typeof goal.type === "string" ? goal : null;
+  } catch {
+    return null;
+  }
+}
+
+/** Read the soft limits of /arm/joint_limits. */
+export function readLimits(message: KinematicSolverInfo): Record<string, [number, number]> {
+  const limited = message.limits.filter((limit) => limit.has_position_limits);
+  return Object.fromEntries(limited.map((limit) => [limit.joint_name, [limit.min_position, limit.max_position]]));
+}
+
+/** Read the JSON of /named_states; an empty record when it is not valid. */
+export function readNamedStates(text: string): Record<string, NamedState> {
+  try {
+    return JSON.parse(text) as Record<string, NamedState>;
+  } catch {
+    return {};
+  }
+}
+
+/** Read a message of /rosout. */
+export function readLogEntry(message: LogMessage): LogEntry {
+  return { stamp: toSeconds(message.stamp), level: message.level, name: message.name, text: message.msg };
+}
+
+/** Read the servos among the statuses of /diagnostics. */
+export function readServos(statuses: readonly DiagnosticStatus[]): ServoState[] {
+  const servos = statuses.filter((status) => status.hardware_id.startsWith("servo "));
+  return servos.map((status) => ({
+    name: status.name.replace(/^.*: /, ""),
+    level: status.level,
+    message: status.message,
+    values: keyValues(status),
+  }));
+}
+
+/** Read moveit_msgs/RobotTrajectory; null when it has no points. */
+export function readPlan(trajectory: RobotTrajectory | undefined): Plan | null {
+  const joint_trajectory = trajectory?.joint_trajectory;
+  if (!joint_trajectory || joint_trajectory.points.length === 0) return null;
+  return {
+    names: joint_trajectory.joint_names,
+    points: joint_trajectory.points.map((point) => ({
+      time_s: toSeconds(point.time_from_start),
+      position_rad: point.positions,
+    })),
   };
 }

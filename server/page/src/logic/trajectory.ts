@@ -1,11 +1,11 @@
-import type { JointValues, Plan } from "../state/state";
+import type { JointValues, Plan, State } from "../state/state";
 
-/** How long a plan takes, in seconds. */
+/** Return the duration of a plan, in seconds. */
 export function duration_s(plan: Plan): number {
   return plan.points.at(-1)?.time_s ?? 0;
 }
 
-/** Where the joints are at a time of a plan, between its points in a straight line; its ends hold beyond it. */
+/** Return the joint values at a time of a plan, interpolated linearly and held beyond its ends. */
 export function samplePlan(plan: Plan, time_s: number): JointValues {
   const next = plan.points.findIndex((point) => point.time_s >= time_s);
   const after = plan.points[next] ?? plan.points.at(-1);
@@ -22,8 +22,30 @@ export function samplePlan(plan: Plan, time_s: number): JointValues {
   return values;
 }
 
-/** Times that are evenly spread over a plan, both ends included, in seconds. */
+/** Return evenly spaced times of a plan, both ends included, in seconds. */
 export function sampleTimes_s(plan: Plan, count: number): number[] {
   const end_s = duration_s(plan);
   return Array.from({ length: count }, (_, index) => (end_s * index) / (count - 1));
+}
+
+/** Pose of the ghost. */
+export interface GhostPose {
+  joints_rad: JointValues;
+  /** Distance of the tool from a target out of reach, in metres; null when it gets there. */
+  off_target_m: number | null;
+}
+
+/** Return the pose of the ghost: that of the plan, else of the selected goal; null without either. */
+export function ghostPose(state: Pick<State, "plan" | "target" | "selection">): GhostPose | null {
+  const { plan, target, selection } = state;
+  if (plan.trajectory !== null) {
+    const time_s = plan.scrub_s ?? duration_s(plan.trajectory);
+    return { joints_rad: samplePlan(plan.trajectory, time_s), off_target_m: null };
+  }
+  if (selection.kind === "target") {
+    if (target.joints_rad === null) return null;
+    return { joints_rad: target.joints_rad, off_target_m: target.reachable === false ? target.distance_m : null };
+  }
+  if (selection.kind === "none" || selection.joints_rad === null) return null;
+  return { joints_rad: selection.joints_rad, off_target_m: null };
 }

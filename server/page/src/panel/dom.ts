@@ -1,5 +1,7 @@
-/** What an element is made with; `data` are data- attributes, `on` its listeners. */
-export interface Making {
+import { parseNumber, type NumberRange } from "../logic/numbers";
+
+/** Attributes, text and event listeners (`on`) of a new element. */
+export interface ElementOptions {
   class?: string;
   id?: string;
   testid?: string;
@@ -12,59 +14,126 @@ export interface Making {
   attributes?: Record<string, string>;
 }
 
-/** Make an element with its children. */
+/** Create an element with its children. */
 export function el<Tag extends keyof HTMLElementTagNameMap>(
   tag: Tag,
-  making: Making = {},
+  options: ElementOptions = {},
   ...children: (Node | string)[]
 ): HTMLElementTagNameMap[Tag] {
   const element = document.createElement(tag);
-  const named = { class: making.class, id: making.id, title: making.title, type: making.type, role: making.role };
-  const attributes = { ...named, "aria-label": making.label, "data-testid": making.testid, ...making.attributes };
+  const named = { class: options.class, id: options.id, title: options.title, type: options.type, role: options.role };
+  const attributes = { ...named, "aria-label": options.label, "data-testid": options.testid, ...options.attributes };
   for (const [name, value] of Object.entries(attributes)) {
     if (value !== undefined) element.setAttribute(name, value);
   }
-  if (making.text !== undefined) element.textContent = making.text;
-  for (const [event, listener] of Object.entries(making.on ?? {})) element.addEventListener(event, listener);
+  if (options.text !== undefined) element.textContent = options.text;
+  for (const [event, listener] of Object.entries(options.on ?? {})) element.addEventListener(event, listener);
   element.append(...children);
   return element;
 }
 
-/** A button that does something. */
+/** Create a button. */
 export function button(text: string, testid: string, press: () => void, title = ""): HTMLButtonElement {
-  const making: Making = { type: "button", testid, text, on: { click: press } };
-  return el("button", title ? { ...making, title } : making);
+  const options: ElementOptions = { type: "button", testid, text, on: { click: press } };
+  return el("button", title ? { ...options, title } : options);
 }
 
-/** Write a text, and touch the page only when it is another. */
-export function write(element: HTMLElement, text: string): void {
+/** Set a text; an unchanged one is left alone, which spares the browser a layout. */
+export function setText(element: HTMLElement, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** A part of the panel that can be folded; whether it is open is kept by the browser. */
+/** Create a collapsible section of the panel; the browser stores its open state. */
 export function section(name: string, title: string, open: boolean, ...children: (Node | string)[]): HTMLDetailsElement {
   const details = el("details", { class: "section", id: `section-${name}`, testid: `section-${name}` });
   details.append(el("summary", { text: title }), ...children);
-  details.open = remembered(`open-${name}`, String(open)) === "true";
-  details.addEventListener("toggle", () => remember(`open-${name}`, String(details.open)));
+  details.open = loadPreference(`open-${name}`, String(open)) === "true";
+  details.addEventListener("toggle", () => storePreference(`open-${name}`, String(details.open)));
   return details;
 }
 
-/** What the browser keeps of an earlier visit, or a default. */
-export function remembered(key: string, otherwise: string): string {
+/** Load a preference from the browser's storage, or its default. */
+export function loadPreference(key: string, fallback: string): string {
   try {
-    return localStorage.getItem(`armbridge-${key}`) ?? otherwise;
+    return localStorage.getItem(`armbridge-${key}`) ?? fallback;
   } catch {
-    // A browser may refuse to keep anything.
-    return otherwise;
+    // A browser may refuse to store anything.
+    return fallback;
   }
 }
 
-/** Let the browser keep something for the next visit. */
-export function remember(key: string, value: string): void {
+/** Store a preference in the browser. */
+export function storePreference(key: string, value: string): void {
   try {
     localStorage.setItem(`armbridge-${key}`, value);
   } catch {
-    // As above: then it is forgotten.
+    // A browser without storage: the preference lasts until the page is loaded again.
   }
+}
+
+/** Input for a number, with a place for its problem. */
+export interface NumberField {
+  input: HTMLInputElement;
+  problem: HTMLElement;
+  /** Show a value, unless the user is typing. */
+  show: (text: string) => void;
+}
+
+/**
+ * Create an input for a number: clamped to its limits, reverted when it is invalid, with a message for either.
+ *
+ * @param testid - test id of the input; that of its message is `<testid>-problem`.
+ * @param range - returns the present limits.
+ * @param take - called with each typed number.
+ */
+export function numberField(
+  testid: string,
+  label: string,
+  range: () => NumberRange,
+  take: (value: number) => void,
+): NumberField {
+  const problem = el("small", { class: "problem", testid: `${testid}-problem`, role: "alert" });
+  const attributes = { inputmode: "decimal", autocomplete: "off", spellcheck: "false" };
+  const input = el("input", { type: "text", class: "number", testid, label, attributes });
+  let shown = "";
+  const commit = (): void => {
+    // After Enter the browser also fires change, with the number that commit has written.
+    if (input.value === shown) return;
+    const { value, message } = parseNumber(input.value, range());
+    setText(problem, message);
+    input.value = value === null ? shown : String(Number(value.toFixed(range().digits)));
+    shown = input.value;
+    if (value !== null) take(value);
+  };
+  input.addEventListener("input", () => setText(problem, ""));
+  input.addEventListener("change", commit);
+  input.addEventListener("keydown", (event) => event.key === "Enter" && commit());
+  const show = (text: string): void => {
+    if (document.activeElement !== input || input.value === shown) {
+      if (input.value !== text) input.value = text;
+      shown = text;
+    }
+  };
+  return { input, problem, show };
+}
+
+/** Limit the rate of calls; the newest value is always delivered. */
+export function throttle<Value>(period_ms: number, listener: (value: Value) => void): (value: Value) => void {
+  let pending: { value: Value } | null = null;
+  let last_ms = -Infinity;
+  let timer: ReturnType<typeof setTimeout> | null = null;
+  const run = (): void => {
+    timer = null;
+    if (!pending) return;
+    const { value } = pending;
+    pending = null;
+    last_ms = performance.now();
+    listener(value);
+  };
+  return (value) => {
+    pending = { value };
+    const due_ms = last_ms + period_ms - performance.now();
+    if (due_ms <= 0) run();
+    else timer ??= setTimeout(run, due_ms);
+  };
 }

@@ -1,16 +1,39 @@
-import { isJogKey, jogVelocities, keyWords } from "../logic/jog-keys";
-import { armJoints } from "../logic/joint-names";
-import { hindrance } from "../logic/rights";
+import { armJoints } from "../logic/joints";
+import { denialReason } from "../logic/permissions";
+import type { JointValues } from "../state/state";
+import { permissionFieldset, type PanelContext } from "./context";
 import { el, section } from "./dom";
-import { gated } from "./gate";
-import type { Page } from "./page";
 
-/** The server brakes the arm 250 ms after the last command; four commands in that time survive a lost one [ms]. */
+/** Keys of the joints in their order: a digit raises the joint, the key below it lowers it. */
+const UP = ["Digit1", "Digit2", "Digit3", "Digit4", "Digit5", "Digit6", "Digit7"];
+const DOWN = ["KeyQ", "KeyW", "KeyE", "KeyR", "KeyT", "KeyY", "KeyU"];
+
+/** Return the names of a joint's keys. */
+export function keyNames(index: number): string {
+  return `${UP[index]?.slice(-1) ?? "–"} / ${DOWN[index]?.slice(-1) ?? "–"}`;
+}
+
+/** Return true for a key of one of so many joints. */
+export function isJogKey(code: string, joints: number): boolean {
+  return [UP, DOWN].some((keys) => keys.slice(0, joints).includes(code));
+}
+
+/** Return the velocities of the held keys, as fractions of the joint speed; both keys of a joint cancel out. */
+export function jogVelocities(held: ReadonlySet<string>, joints: readonly string[], share: number): JointValues {
+  const pairs = joints.map((name, index) => {
+    const up = held.has(UP[index] ?? "") ? share : 0;
+    const down = held.has(DOWN[index] ?? "") ? share : 0;
+    return [name, up - down] as const;
+  });
+  return Object.fromEntries(pairs.filter(([, velocity]) => velocity !== 0));
+}
+
+/** Period of jog commands [ms]: the server stops 250 ms after the last one, and four in that time survive a loss. */
 const REPEAT_MS = 60;
 
-/** Keys that turn joints while they are held; off until somebody switches them on. */
-export function jog(page: Page): HTMLElement {
-  const { store } = page;
+/** Create the section of the keyboard jog, which is off until the user switches it on. */
+export function jogSection(context: PanelContext): HTMLElement {
+  const { store } = context;
   const on = el("input", { type: "checkbox", testid: "jog" });
   const attributes = { min: "0.1", max: "1", step: "0.1" };
   const share = el("input", { type: "range", testid: "jog-speed", label: "speed of the keys", attributes });
@@ -20,38 +43,40 @@ export function jog(page: Page): HTMLElement {
     (state) => armJoints(state).join(),
     (_, state) => keys.replaceChildren(...armJoints(state).map(keyLine)),
   );
-  holdKeys(page, () => on.checked, () => Number(share.value));
-  const line = el("label", { class: "line" }, gated(page, "drive", on), "Turn joints by keys while they are held");
-  return section("jog", "Keyboard jog", false, line, el("label", { class: "line" }, "Speed ", share), keys);
+  listenForKeys(context, () => on.checked, () => Number(share.value));
+  const permission = permissionFieldset(context, "drive", on);
+  const switch_line = el("label", { class: "line" }, permission, "Turn joints by keys while they are held");
+  const speed_line = el("label", { class: "line" }, "Speed ", share);
+  return section("jog", "Keyboard jog", false, switch_line, speed_line, keys);
 }
 
 function keyLine(name: string, index: number): HTMLElement {
-  return el("div", {}, el("dt", { text: name }), el("dd", { text: keyWords(index) }));
+  return el("div", {}, el("dt", { text: name }), el("dd", { text: keyNames(index) }));
 }
 
-function holdKeys(page: Page, isOn: () => boolean, share: () => number): void {
-  const { store } = page;
-  const jogger = new Jogger(page, isOn, share);
+function listenForKeys(context: PanelContext, isOn: () => boolean, share: () => number): void {
+  const { store } = context;
+  const jogger = new Jogger(context, isOn, share);
   window.addEventListener("keydown", (event) => {
-    if (event.key === "Escape") return jogger.release();
+    if (event.key === "Escape") return jogger.releaseAll();
     if (!isOn() || isTyping(event.target) || event.ctrlKey || event.altKey || event.metaKey) return;
     if (!isJogKey(event.code, armJoints(store.state).length)) return;
     event.preventDefault();
     if (!event.repeat) jogger.press(event.code);
   });
-  window.addEventListener("keyup", (event) => jogger.letGo(event.code));
-  // A key that is let go of in another window is never told here.
-  window.addEventListener("blur", () => jogger.release());
-  document.addEventListener("visibilitychange", () => jogger.release());
+  window.addEventListener("keyup", (event) => jogger.releaseKey(event.code));
+  // The release of a key in another window is not reported to this one.
+  window.addEventListener("blur", () => jogger.releaseAll());
+  document.addEventListener("visibilitychange", () => jogger.releaseAll());
 }
 
-/** Sends commands as long as keys are held. */
+/** Sender of jog commands while keys are held. */
 class Jogger {
   private readonly held = new Set<string>();
   private timer: ReturnType<typeof setInterval> | undefined;
 
   constructor(
-    private readonly page: Page,
+    private readonly context: PanelContext,
     private readonly isOn: () => boolean,
     private readonly share: () => number,
   ) {}
@@ -62,22 +87,22 @@ class Jogger {
     this.timer ??= setInterval(() => this.send(), REPEAT_MS);
   }
 
-  letGo(code: string): void {
+  releaseKey(code: string): void {
     this.held.delete(code);
-    if (this.held.size === 0) this.release();
+    if (this.held.size === 0) this.releaseAll();
   }
 
-  release(): void {
+  releaseAll(): void {
     this.held.clear();
     clearInterval(this.timer);
     this.timer = undefined;
   }
 
   private send(): void {
-    const { store, orders } = this.page;
-    if (!this.isOn() || !store.state.link.connected || hindrance("drive", store.state)) return this.release();
+    const { store, commands } = this.context;
+    if (!this.isOn() || !store.state.link.connected || denialReason("drive", store.state)) return this.releaseAll();
     const velocities = jogVelocities(this.held, armJoints(store.state), this.share());
-    if (Object.keys(velocities).length > 0) orders.jog(velocities);
+    if (Object.keys(velocities).length > 0) commands.jog(velocities);
   }
 }
 

@@ -1,40 +1,90 @@
-import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { armJoints, present } from "../logic/joint-names";
-import { Ring } from "../logic/ring";
-import { toUnit, unitSign } from "../logic/units";
-import { paced } from "../state/pace";
+import uPlot from "uplot";
+import { armJoints, currentPositions } from "../logic/joints";
+import { toUnit, unitSuffix } from "../logic/numbers";
 import type { State } from "../state/state";
-import { el, section } from "./dom";
-import type { Page } from "./page";
+import type { PanelContext } from "./context";
+import { el, section, throttle } from "./dom";
 
-/** What is shown of the past [s], and what is kept for it at 30 messages a second. */
+/** Ring buffer of the newest samples of several curves over a common time. */
+export class RingBuffer {
+  private readonly rows: Float64Array[];
+  private next = 0;
+  private filled = 0;
+
+  /**
+   * @param curves - number of curves beside the time.
+   * @param capacity - number of samples that are kept.
+   */
+  constructor(
+    readonly curves: number,
+    readonly capacity: number,
+  ) {
+    this.rows = Array.from({ length: curves + 1 }, () => new Float64Array(capacity));
+  }
+
+  /** Add a sample; one that is not later than the last is dropped, as uPlot needs ascending times. */
+  push(time_s: number, values: readonly number[]): void {
+    if (this.filled > 0 && !(time_s > this.newest_s)) return;
+    this.rows.forEach((row, index) => {
+      row[this.next] = index === 0 ? time_s : (values[index - 1] ?? Number.NaN);
+    });
+    this.next = (this.next + 1) % this.capacity;
+    this.filled = Math.min(this.filled + 1, this.capacity);
+  }
+
+  /** Remove all samples. */
+  clear(): void {
+    this.next = 0;
+    this.filled = 0;
+  }
+
+  /** Time of the newest sample [s]; NaN before the first. */
+  get newest_s(): number {
+    const newest = (this.next + this.capacity - 1) % this.capacity;
+    return this.filled === 0 ? Number.NaN : (this.rows[0]?.[newest] ?? Number.NaN);
+  }
+
+  /** Return the times, then each curve, oldest sample first; gaps are null, as in uPlot. */
+  columns(): (number | null)[][] {
+    const begin = (this.next + this.capacity - this.filled) % this.capacity;
+    return this.rows.map((row) => {
+      return Array.from({ length: this.filled }, (_, index) => {
+        const value = row[(begin + index) % this.capacity] ?? Number.NaN;
+        return Number.isFinite(value) ? value : null;
+      });
+    });
+  }
+}
+
+/** Time that is shown [s], and the samples of it at 30 messages per second. */
 const WINDOW_S = 20;
 const SAMPLES = 30 * WINDOW_S;
 
-/** Drawing costs a few milliseconds; so often looks live [ms]. */
-const REDRAWN_MS = 150;
+/** Time between two drawings [ms]: each takes a few milliseconds, and this rate looks live. */
+const REDRAW_PERIOD_MS = 150;
 
 const HEIGHT_PX = 150;
 
-/** One joint over time: where it was wanted, and where it was. */
-export function plots({ store }: Page): HTMLElement {
+/** Create the plot of a joint's commanded and measured position. */
+export function plotsSection({ store }: PanelContext): HTMLElement {
   const choice = el("select", { testid: "plot-joint", label: "joint of the plot" });
   const host = el("div", { class: "plot", testid: "plot" });
-  const box = section("plots", "Plot: commanded and measured", true, el("label", { class: "line" }, "Joint ", choice), host);
-  const rings = new Map<string, Ring>();
+  const line = el("label", { class: "line" }, "Joint ", choice);
+  const box = section("plots", "Plot: commanded and measured", true, line, host);
+  const rings = new Map<string, RingBuffer>();
   let chart: uPlot | null = null;
-  const draw = paced<State>(REDRAWN_MS, (state) => {
+  const draw = throttle<State>(REDRAW_PERIOD_MS, (state) => {
     if (!box.open || !host.isConnected) return;
-    offer(choice, armJoints(state));
-    chart ??= newChart(host, () => unitSign(store.state.settings.units));
+    updateChoices(choice, armJoints(state));
+    chart ??= createChart(host, () => unitSuffix(store.state.settings.units));
     chart.setSize({ width: Math.max(host.clientWidth, 50), height: HEIGHT_PX });
-    chart.setData(curves(rings.get(choice.value), state));
+    chart.setData(plotData(rings.get(choice.value), state));
   });
   store.subscribe(
     (state) => state.joints,
     (_, state) => {
-      sample(rings, state);
+      recordSample(rings, state);
       draw(state);
     },
   );
@@ -44,28 +94,28 @@ export function plots({ store }: Page): HTMLElement {
   return box;
 }
 
-/** A stamp so far back is of a server that was started anew, with another clock [s]. */
-const JUMP_S = 1;
+/** Step back in time [s] that means a restarted server, with another clock. */
+const CLOCK_RESET_S = 1;
 
-function sample(rings: Map<string, Ring>, state: State): void {
-  const measured = present(state);
+function recordSample(rings: Map<string, RingBuffer>, state: State): void {
+  const measured = currentPositions(state);
   for (const name of armJoints(state)) {
     let ring = rings.get(name);
-    if (!ring) rings.set(name, (ring = new Ring(2, SAMPLES)));
-    if (state.joints.stamp < ring.newest_s - JUMP_S) ring.clear();
+    if (!ring) rings.set(name, (ring = new RingBuffer(2, SAMPLES)));
+    if (state.joints.stamp < ring.newest_s - CLOCK_RESET_S) ring.clear();
     ring.push(state.joints.stamp, [state.commanded_rad[name] ?? Number.NaN, measured[name] ?? Number.NaN]);
   }
 }
 
-function curves(ring: Ring | undefined, state: State): uPlot.AlignedData {
+function plotData(ring: RingBuffer | undefined, state: State): uPlot.AlignedData {
   const [times = [], ...rows] = ring?.columns() ?? [[], [], []];
   const newest_s = ring?.newest_s ?? 0;
   const shown = rows.map((row) => row.map((value) => (value === null ? null : toUnit(value, state.settings.units))));
   return [times.map((time_s) => (time_s ?? 0) - newest_s), ...shown] as uPlot.AlignedData;
 }
 
-function newChart(host: HTMLElement, unit: () => string): uPlot {
-  // The computed colour: a property's own text may still hold both, for light and for dark.
+function createChart(host: HTMLElement, unit: () => string): uPlot {
+  // The computed colour, as the custom property itself is a light-dark() pair.
   const probe = host.appendChild(el("i", { attributes: { hidden: "" } }));
   const color = (name: string) => (): string => {
     probe.style.color = `var(${name})`;
@@ -93,7 +143,7 @@ function newChart(host: HTMLElement, unit: () => string): uPlot {
   return new uPlot(options, [[], [], []], host);
 }
 
-function offer(choice: HTMLSelectElement, names: string[]): void {
+function updateChoices(choice: HTMLSelectElement, names: string[]): void {
   if (names.join() === [...choice.options].map(({ value }) => value).join()) return;
   const before = choice.value;
   choice.replaceChildren(...names.map((name) => el("option", { text: name, attributes: { value: name } })));

@@ -1,65 +1,63 @@
-/** Everything the page shows, in one place: the link writes it, the panel and the view read it. */
+// Everything that the page shows: link/ and the user's input write it, panel/ and view/ read it.
 
-export { emptyState, noGoal } from "./empty";
-
-/** A position in the root link's frame. */
+/** Position in the root link's frame. */
 export type Point = [number, number, number];
 
 /** Joint values by joint name, in radians (metres for a joint that slides). */
 export type JointValues = Record<string, number>;
 
-/** The connection to the server. */
-export interface LinkState {
+/** Condition of the connection to the server. */
+export interface ConnectionState {
   connected: boolean;
-  /** Round trip of the last question; null before the first answer. */
+  /** Round-trip time of the last heartbeat; null before the first answer. */
   latency_ms: number | null;
   url: string;
-  /** Why the server does not let the page in, until another token is tried; empty when it does. */
+  /** Server's reason for rejecting the page, until another token is tried; empty when it accepts it. */
   refused: string;
 }
 
-/** Who this page is to the server, from /arm/who_am_i. */
+/** Identity of this page among the server's clients, from /arm/who_am_i. */
 export interface Identity {
-  /** IP address and port, which no other client has. */
+  /** IP address and port of the connection, which are unique to it. */
   address: string;
   role: "view" | "operate" | "admin";
 }
 
-/** Who drives the arm, from /arm/control. */
+/** Control of the arm, from /arm/control. */
 export interface Control {
-  /** Empty while nobody does. */
+  /** Name of the client that controls the arm; empty while none does. */
   holder: string;
   address: string;
-  /** Whether one client drives at a time, or all may. */
+  /** One client at a time (lease), or all (shared). */
   policy: "lease" | "shared";
-  /** When another may drive, if the holder asks for nothing more; null while nobody drives. */
+  /** Time after which an idle holder loses control; null without a holder. */
   free_in_s: number | null;
 }
 
-/** The token of this page, which itself is kept elsewhere. */
+/** State of this page's token; the token itself is in sessionStorage. */
 export interface TokenState {
   held: boolean;
-  /** Whether the user is asked for one. */
+  /** True while the user is asked for a token. */
   asked: boolean;
 }
 
-/** The newest message of /joint_states. */
+/** Newest message of /joint_states. */
 export interface Joints {
   names: string[];
-  /** Not a number where the message had none. */
+  /** NaN where the message had no number. */
   position_rad: number[];
   velocity: number[];
   effort: number[];
-  /** When the servos were read, in seconds. */
+  /** Time at which the servos were read, in seconds. */
   stamp: number;
 }
 
-/** What /arm/state says of the arm. */
+/** Newest message of /arm/state. */
 export interface ArmState {
   mode: string;
-  /** The server's sentence. */
+  /** Sentence of the server. */
   message: string;
-  /** The code of the fault; empty without one, as the next three. */
+  /** Code of the fault; empty without one, as are the next three. */
   fault: string;
   fault_message: string;
   fault_remedy: string;
@@ -69,17 +67,17 @@ export interface ArmState {
   course: string;
 }
 
-/** A goal that the server offers in place of one that it refused, ready to be published. */
+/** Goal that the server suggests in place of one that it rejected, ready to be published. */
 export interface SuggestedGoal {
   topic: string;
   type: string;
   msg: unknown;
 }
 
-/** The goal in hand, or the last one. */
+/** Present goal, or the last one. */
 export interface GoalState {
   id: string;
-  /** The topic or action that it came by. */
+  /** Topic or action that it came by. */
   source: string;
   state: string;
   fraction: number;
@@ -90,44 +88,44 @@ export interface GoalState {
   suggestion: SuggestedGoal | null;
 }
 
-/** What became of the last press of STOP. */
+/** Answer to the last press of STOP. */
 export interface StopState {
   phase: "ready" | "asked" | "acknowledged" | "failed";
   text: string;
 }
 
-/** What this page itself has asked for and has no answer to. */
-export type Asked = "nothing" | "plan" | "move";
+/** Request of this page that has no answer yet. */
+export type PendingRequest = "nothing" | "plan" | "move";
 
-/** What the user has chosen for every request of this page. */
+/** Settings of the user that apply to every request of this page. */
 export interface Settings {
   units: "deg" | "rad";
-  /** Share of the joints' speed limits, above 0 up to 1. */
+  /** Fraction of the joints' speed limits, above 0 and up to 1. */
   speed: number;
 }
 
-/** One point of a planned motion. */
+/** Point of a planned trajectory. */
 export interface PlanPoint {
   time_s: number;
   position_rad: number[];
 }
 
-/** A planned motion. */
+/** Planned trajectory. */
 export interface Plan {
   names: string[];
   points: PlanPoint[];
 }
 
-/** The plan that is shown, and where the scrubber stands. */
+/** Plan that is shown, and the position of the scrubber. */
 export interface PlanState {
   trajectory: Plan | null;
-  /** Where the tool goes; empty without a plan. The view finds it by the URDF's kinematics. */
+  /** Path of the tool, which the view computes from the URDF; empty without a plan. */
   tool_path: Point[];
-  /** Null shows the ghost at the end of the plan. */
+  /** Time on the plan at which the ghost is shown; null means the end. */
   scrub_s: number | null;
 }
 
-/** The point that the user drags or types. */
+/** Target of the tool, which the user drags or types. */
 export interface TargetState {
   /** Null hides the target. */
   position_m: Point | null;
@@ -135,25 +133,25 @@ export interface TargetState {
   /** Null until the server has answered for this position. */
   reachable: boolean | null;
   distance_m: number;
-  /** The nearest configuration that can be reached. */
+  /** Joint values of the nearest reachable point. */
   joints_rad: JointValues | null;
 }
 
-/** What the user asks for before it is planned: the ghost shows it. */
-export interface Wish {
+/** Goal that the user has selected and that is not planned yet; the ghost shows it. */
+export interface GoalSelection {
   kind: "none" | "joints" | "target" | "named";
   joints_rad: JointValues | null;
-  /** Of a named pose. */
+  /** Name of a named pose. */
   name?: string;
 }
 
-/** A named state of the arm. */
+/** Named state of the arm. */
 export interface NamedState {
   saved: boolean;
   joints: JointValues;
 }
 
-/** One entry of the log. */
+/** Entry of the log. */
 export interface LogEntry {
   stamp: number;
   level: number;
@@ -161,7 +159,7 @@ export interface LogEntry {
   text: string;
 }
 
-/** One servo, from /diagnostics. */
+/** Condition of a servo, from /diagnostics. */
 export interface ServoState {
   name: string;
   level: number;
@@ -169,21 +167,21 @@ export interface ServoState {
   values: Record<string, string>;
 }
 
-/** A goal that waits for its turn, or is worked on. */
-export interface WaitingGoal {
+/** Goal that is queued, planned or executed. */
+export interface ActiveGoal {
   id: string;
   name: string;
   state: string;
 }
 
-/** A message to the user that stays until its cause is gone. */
+/** Message to the user that stays until its cause is gone. */
 export interface Notice {
-  /** One notice a key: a newer one replaces it. */
+  /** Unique: a newer notice with the same key replaces this one. */
   key: string;
   text: string;
 }
 
-/** A shape of the planning scene, in the pose it has in its object. */
+/** Shape of an object of the planning scene, in its pose within the object. */
 export interface Shape {
   kind: "box" | "sphere" | "cylinder" | "cone" | "prism" | "plane" | "mesh";
   position_m: Point;
@@ -191,17 +189,17 @@ export interface Shape {
   orientation: [number, number, number, number];
   /** SolidPrimitive.dimensions, or a plane's four coefficients. */
   dimensions: number[];
-  /** A mesh's corners and triangles, or a prism's polygon. */
+  /** Corners of a mesh's triangles, or of a prism's polygon. */
   vertices: Point[];
   triangles: [number, number, number][];
 }
 
-/** A thing of the planning scene. */
+/** Object of the planning scene. */
 export interface SceneObject {
   id: string;
-  /** The link that the pose is in: the root link, or the one that holds the thing. */
+  /** Link that the pose is relative to: the root link, or the one that the object is attached to. */
   frame: string;
-  held: boolean;
+  attached: boolean;
   position_m: Point;
   orientation: [number, number, number, number];
   shapes: Shape[];
@@ -209,11 +207,11 @@ export interface SceneObject {
   color: [number, number, number, number] | null;
 }
 
-/** What the page shows. */
+/** State of the page. */
 export interface State {
-  link: LinkState;
+  link: ConnectionState;
   token: TokenState;
-  /** Null until the server has told. */
+  /** Null until the server has answered. */
   identity: Identity | null;
   control: Control;
   /** Null until /robot_description has come. */
@@ -225,23 +223,84 @@ export interface State {
   goal: GoalState;
   plan: PlanState;
   target: TargetState;
-  wish: Wish;
-  /** What was wished for when the motion in hand began. */
-  carried_out: Wish | null;
+  selection: GoalSelection;
+  /** Selection at the start of the present motion. */
+  executing_selection: GoalSelection | null;
   named: Record<string, NamedState>;
   objects: SceneObject[];
   log: LogEntry[];
   servos: ServoState[];
-  waiting: WaitingGoal[];
+  active_goals: ActiveGoal[];
   notices: Notice[];
   stop: StopState;
-  asked: Asked;
+  pending_request: PendingRequest;
   settings: Settings;
-  /** Where the server wants the joints of the arm to be now; empty while it does not say. */
+  /** Commanded joint positions of the moment; empty while the server publishes none. */
   commanded_rad: JointValues;
-  /** Where the tool is drawn; null without an arm. The view writes it. */
+  /** Position of the drawn tool, which the view computes; null without an arm. */
   tool_m: Point | null;
   collision_shapes: boolean;
-  /** The thing of the planning scene that is chosen, by name; the view lets the user drag it. */
+  /** Id of the selected object of the planning scene, which the user can drag. */
   selected_object: string | null;
+}
+
+/** Return the state before the first message. */
+export function emptyState(url: string): State {
+  return {
+    link: { connected: false, latency_ms: null, url, refused: "" },
+    token: { held: false, asked: false },
+    identity: null,
+    control: { holder: "", address: "", policy: "lease", free_in_s: null },
+    urdf: null,
+    srdf: null,
+    joints: { names: [], position_rad: [], velocity: [], effort: [], stamp: 0 },
+    limits: {},
+    arm: noArm(),
+    goal: noGoal(),
+    plan: { trajectory: null, tool_path: [], scrub_s: null },
+    target: { position_m: null, dragging: false, reachable: null, distance_m: 0, joints_rad: null },
+    selection: { kind: "none", joints_rad: null },
+    executing_selection: null,
+    named: {},
+    objects: [],
+    log: [],
+    servos: [],
+    active_goals: [],
+    notices: [],
+    stop: { phase: "ready", text: "" },
+    pending_request: "nothing",
+    settings: { units: "deg", speed: 0.3 },
+    commanded_rad: {},
+    tool_m: null,
+    collision_shapes: false,
+    selected_object: null,
+  };
+}
+
+/** Return the goal state before the first goal. */
+export function noGoal(): GoalState {
+  return {
+    id: "",
+    source: "",
+    state: "",
+    fraction: 0,
+    seconds_left: null,
+    message: "",
+    code: null,
+    suggestion: null,
+  };
+}
+
+function noArm(): ArmState {
+  return {
+    mode: "disconnected",
+    message: "",
+    fault: "",
+    fault_message: "",
+    fault_remedy: "",
+    fault_joint: "",
+    reason: "",
+    speed_factor: 1,
+    course: "forward",
+  };
 }

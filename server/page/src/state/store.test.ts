@@ -1,5 +1,6 @@
 import { expect, test } from "vitest";
-import { Store } from "./store";
+import { emptyState, type State } from "./state";
+import { setNotice, Store } from "./store";
 
 interface Sample {
   count: number;
@@ -26,10 +27,24 @@ test("a patch keeps the other fields and makes a new part", () => {
   expect(before).toEqual({ name: "a", size: 1 });
 });
 
-test("who left is told nothing more", () => {
+test("an ended subscription gets no more calls", () => {
   const s = store();
   const heard: number[] = [];
   s.subscribe((state) => state.count, (count) => heard.push(count))();
   s.set({ count: 5 });
   expect(heard).toEqual([0]);
+});
+
+test("one notice a key, replaced by a newer one and taken away by an empty one", () => {
+  const store = new Store<State>(emptyState("ws://here"));
+  setNotice(store, "a", "first");
+  setNotice(store, "b", "other");
+  setNotice(store, "a", "second");
+  expect(store.state.notices.map(({ text }) => text)).toEqual(["other", "second"]);
+  const before = store.state;
+  setNotice(store, "a", "second");
+  expect(store.state).toBe(before);
+  setNotice(store, "a", "");
+  setNotice(store, "b", "");
+  expect(store.state.notices).toEqual([]);
 });

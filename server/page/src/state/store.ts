@@ -1,13 +1,15 @@
-/** Called with the new value, and with the whole state for what else it needs. */
+import type { GoalSelection, JointValues, Point, State } from "./state";
+
+/** Callback with the new value of the selected part, and with the whole state. */
 type Listener<State, Value> = (value: Value, state: State) => void;
 
-interface Watch<State> {
-  look: (state: State) => void;
+interface Subscription<State> {
+  update: (state: State) => void;
 }
 
-/** Holds the state, and tells those who watch a part of it when that part is another. */
+/** State that is replaced, never changed in place, and notifies the subscribers of its parts. */
 export class Store<State extends object> {
-  private readonly watches = new Set<Watch<State>>();
+  private readonly subscriptions = new Set<Subscription<State>>();
   private current: State;
 
   /** @param initial - the state before the first change. */
@@ -15,7 +17,7 @@ export class Store<State extends object> {
     this.current = initial;
   }
 
-  /** The newest state; never changed in place. */
+  /** Newest state. */
   get state(): State {
     return this.current;
   }
@@ -23,7 +25,7 @@ export class Store<State extends object> {
   /** Replace parts of the state. */
   set(patch: Partial<State>): void {
     this.current = { ...this.current, ...patch };
-    for (const watch of [...this.watches]) watch.look(this.current);
+    for (const subscription of [...this.subscriptions]) subscription.update(this.current);
   }
 
   /** Replace fields of one part of the state. */
@@ -32,22 +34,61 @@ export class Store<State extends object> {
   }
 
   /**
-   * Watch a part of the state; the listener is called at once, and whenever the part is another (by identity).
+   * Call the listener at once, and whenever a part of the state is replaced (compared by identity).
    *
-   * @returns ends the watching.
+   * @returns function that ends the subscription.
    */
   subscribe<Value>(selector: (state: State) => Value, listener: Listener<State, Value>): () => void {
     let known = selector(this.current);
-    const watch: Watch<State> = {
-      look: (state) => {
+    const subscription: Subscription<State> = {
+      update: (state) => {
         const value = selector(state);
         if (Object.is(value, known)) return;
         known = value;
         listener(value, state);
       },
     };
-    this.watches.add(watch);
+    this.subscriptions.add(subscription);
     listener(known, this.current);
-    return () => this.watches.delete(watch);
+    return () => this.subscriptions.delete(subscription);
   }
+}
+
+/** Store of everything that the page shows. */
+export type PageStore = Store<State>;
+
+/** Show a notice, which stays until its cause is gone; an empty text removes it. */
+export function setNotice(store: PageStore, key: string, text: string): void {
+  const { notices } = store.state;
+  if ((notices.find((notice) => notice.key === key)?.text ?? "") === text) return;
+  const others = notices.filter((notice) => notice.key !== key);
+  store.set({ notices: text === "" ? others : [...others, { key, text }] });
+}
+
+/** Remove every notice with a key of this prefix. */
+export function clearNotices(store: PageStore, prefix: string): void {
+  const notices = store.state.notices;
+  const others = notices.filter((notice) => !notice.key.startsWith(prefix));
+  if (others.length < notices.length) store.set({ notices: others });
+}
+
+/** Select a goal, and remove the plan, which was made for another one. */
+export function selectGoal(
+  store: PageStore,
+  kind: GoalSelection["kind"],
+  joints_rad: JointValues | null,
+  name = "",
+): void {
+  store.set({ selection: { kind, joints_rad, name }, plan: { trajectory: null, tool_path: [], scrub_s: null } });
+}
+
+/** Select a named pose as the goal. */
+export function selectNamedPose(store: PageStore, name: string): void {
+  selectGoal(store, "named", store.state.named[name]?.joints ?? null, name);
+}
+
+/** Select a point as the goal of the tool. */
+export function selectTarget(store: PageStore, position_m: Point): void {
+  selectGoal(store, "target", null);
+  store.patch("target", { position_m });
 }

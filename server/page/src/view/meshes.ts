@@ -2,14 +2,61 @@ import { BoxGeometry, Mesh, MeshLambertMaterial, type BufferGeometry, type Objec
 import { ColladaLoader } from "three/examples/jsm/loaders/ColladaLoader.js";
 import { OBJLoader } from "three/examples/jsm/loaders/OBJLoader.js";
 import { STLLoader } from "three/examples/jsm/loaders/STLLoader.js";
-import { meshUrl } from "../logic/description";
-import { readBounded } from "../logic/bounded-read";
-import { bearer } from "../state/token";
+import { authorizationHeaders } from "../link/authentication";
 
-// The largest mesh of SO-101 has 3 MB; beyond this a browser is busy for seconds and a phone gives up.
+/** Return the address of a mesh of a description; null for one outside of the robot's directory. */
+export function meshUrl(uri: string, page: string): string | null {
+  const path = uri.replace(/^package:\/\//, "");
+  const base = new URL("robot/", page);
+  try {
+    const url = new URL(path, base);
+    return url.href.startsWith(base.href) ? url.href : null;
+  } catch {
+    return null;
+  }
+}
+
+/** Read a response up to a limit, which bounds the memory; throw beyond it. */
+export async function readBounded(answer: Response, limit_bytes: number): Promise<Uint8Array<ArrayBuffer>> {
+  const declared_bytes = Number(answer.headers.get("content-length") ?? 0);
+  if (declared_bytes > limit_bytes) {
+    await answer.body?.cancel();
+    throw tooLarge(declared_bytes, limit_bytes);
+  }
+  const reader = answer.body?.getReader();
+  const chunks: Uint8Array[] = [];
+  let size_bytes = 0;
+  for (let part = await reader?.read(); part?.value !== undefined; part = await reader?.read()) {
+    chunks.push(part.value);
+    size_bytes += part.value.length;
+    // Content-Length of a compressed file is the size before decompression.
+    if (size_bytes > limit_bytes) {
+      await reader?.cancel();
+      throw tooLarge(size_bytes, limit_bytes);
+    }
+  }
+  return concatenate(chunks, size_bytes);
+}
+
+function concatenate(chunks: Uint8Array[], size_bytes: number): Uint8Array<ArrayBuffer> {
+  const whole = new Uint8Array(size_bytes);
+  let at = 0;
+  for (const chunk of chunks) {
+    whole.set(chunk, at);
+    at += chunk.length;
+  }
+  return whole;
+}
+
+function tooLarge(size_bytes: number, limit_bytes: number): Error {
+  const mb = (bytes: number): string => `${Math.ceil(bytes / 1e6)} MB`;
+  return new Error(`larger than the ${mb(limit_bytes)} that the page loads (${mb(size_bytes)} and more)`);
+}
+
+// The largest mesh of SO-101 has 3 MB; beyond 30 MB a browser is busy for seconds, and a phone fails.
 const MESH_LIMIT_BYTES = 30_000_000;
 const KINDS = ["stl", "dae", "obj"];
-// The server answers in milliseconds; a mesh that hangs must not keep its placeholder from being drawn.
+// The server answers in milliseconds; a mesh that hangs must not delay its placeholder.
 const MESH_TIMEOUT_MS = 20_000;
 const REFUSALS: Record<number, string> = {
   401: "the server wants a token for it",
@@ -18,23 +65,23 @@ const REFUSALS: Record<number, string> = {
 };
 const PLACEHOLDER_EDGE_M = 0.03;
 
-/** Tells of a mesh that could not be had; an empty sentence when it could. */
-type MeshNews = (uri: string, text: string) => void;
+/** Callback with the sentence about a mesh that could not be loaded. */
+type MeshFailed = (uri: string, text: string) => void;
 
-/** Fetches meshes, each once, however often it is shown. */
+/** Cache of meshes, each of which is fetched once. */
 export class Meshes {
   private readonly known = new Map<string, Promise<Object3D>>();
 
   /**
-   * @param news - told of every mesh that could not be had.
-   * @param missing_color - what is drawn in its place.
+   * @param failed - called for each mesh that cannot be loaded.
+   * @param missing_color - colour of its placeholder.
    */
   constructor(
-    private readonly news: MeshNews,
+    private readonly failed: MeshFailed,
     private readonly missing_color: number,
   ) {}
 
-  /** The mesh of that name, to be added to a scene; a small box when it cannot be had. */
+  /** Return a copy of a mesh; a small box when it cannot be loaded. */
   async get(uri: string): Promise<Object3D> {
     let template = this.known.get(uri);
     if (template === undefined) {
@@ -48,7 +95,7 @@ export class Meshes {
     try {
       return await fetchMesh(uri);
     } catch (error) {
-      this.news(uri, `${uri}: ${(error as Error).message}. A box is drawn in its place.`);
+      this.failed(uri, `${uri}: ${(error as Error).message}. A box is drawn in its place.`);
       return placeholder(this.missing_color);
     }
   }
@@ -64,7 +111,7 @@ function placeholder(color: number): Mesh {
 async function fetchMesh(uri: string): Promise<Object3D> {
   const url = meshUrl(uri, document.baseURI);
   if (url === null) throw new Error("not below the robot's directory");
-  const answer = await fetch(url, { headers: bearer(), signal: AbortSignal.timeout(MESH_TIMEOUT_MS) });
+  const answer = await fetch(url, { headers: authorizationHeaders(), signal: AbortSignal.timeout(MESH_TIMEOUT_MS) });
   if (!answer.ok) throw new Error(REFUSALS[answer.status] ?? `the server answers with ${answer.status}`);
   return readMesh(url, await readBounded(answer, MESH_LIMIT_BYTES));
 }

@@ -1,28 +1,136 @@
-import { Color, Group, Mesh, type Material, type MeshLambertMaterial, type Scene } from "three";
-import type { SceneObject, State } from "../state/state";
-import { quaternion, type Figure } from "./figure";
-import type { Materials } from "./materials";
-import { notice } from "./notices";
-import type { PageStore, Part } from "./part";
+import {
+  BoxGeometry,
+  BufferGeometry,
+  Color,
+  ConeGeometry,
+  CylinderGeometry,
+  Float32BufferAttribute,
+  Group,
+  Mesh,
+  PlaneGeometry,
+  Quaternion,
+  ShapeUtils,
+  SphereGeometry,
+  Vector2,
+  Vector3,
+  type Material,
+  type MeshLambertMaterial,
+  type Scene,
+} from "three";
+import type { Point, SceneObject, Shape, State } from "../state/state";
+import { setNotice, type PageStore } from "../state/store";
+import type { Materials } from "./appearance";
 import type { Robot } from "./robot";
-import { shapeMesh } from "./shapes";
+import { toQuaternion, type RobotModel } from "./robot-model";
+import type { SceneComponent } from "./viewer";
+
+/** Corners and triangles of a surface. */
+export interface Surface {
+  vertices: Point[];
+  triangles: [number, number, number][];
+}
+
+/** Return the sides of a prism, half its height below and above its polygon, without its ends. */
+export function prismSides(polygon: readonly Point[], height_m: number): Surface {
+  const count = polygon.length;
+  const ring = (z: number): Point[] => polygon.map(([x, y]) => [x, y, z]);
+  const triangles = polygon.flatMap((_, index): Surface["triangles"] => {
+    const next = (index + 1) % count;
+    return [
+      [index, next, count + index],
+      [next, count + next, count + index],
+    ];
+  });
+  return { vertices: [...ring(-height_m / 2), ...ring(height_m / 2)], triangles };
+}
+
+/** Return the point of the plane a x + b y + c z + d = 0 that is nearest to the origin, and its unit normal. */
+export function planeFrame(coefficients: readonly number[]): { point_m: Point; normal: Point } {
+  const [a = 0, b = 0, c = 1, d = 0] = coefficients;
+  const length = Math.hypot(a, b, c);
+  const normal: Point = [a / length, b / length, c / length];
+  const offset = -d / length;
+  return { point_m: [normal[0] * offset, normal[1] * offset, normal[2] * offset], normal };
+}
+
+const SEGMENTS = 24;
+// Edge of the piece of an infinite plane that is drawn, as large as the table.
+const PLANE_EDGE_M = 1;
+const PLANE_NORMAL = new Vector3(0, 0, 1);
+
+/** Create the mesh of a shape, in its pose within the object. */
+export function shapeMesh(shape: Shape, material: Material): Mesh {
+  const mesh = new Mesh(geometryOf(shape), material);
+  mesh.position.set(...shape.position_m);
+  mesh.quaternion.copy(toQuaternion(shape.orientation));
+  return mesh;
+}
+
+function geometryOf(shape: Shape): BufferGeometry {
+  const [first = 0, second = 0, third = 0] = shape.dimensions;
+  switch (shape.kind) {
+    case "box":
+      return new BoxGeometry(first, second, third);
+    case "sphere":
+      return new SphereGeometry(first, SEGMENTS, SEGMENTS / 2);
+    // Cylinders of three stand along y, those of ROS along z, with the height before the radius.
+    case "cylinder":
+      return new CylinderGeometry(second, second, first, SEGMENTS).rotateX(Math.PI / 2);
+    case "cone":
+      return new ConeGeometry(second, first, SEGMENTS).rotateX(Math.PI / 2);
+    case "plane":
+      return plane(shape.dimensions);
+    case "prism":
+      return surface(prism(shape.vertices, first));
+    case "mesh":
+      return surface(shape);
+  }
+}
+
+function plane(coefficients: number[]): BufferGeometry {
+  const { point_m, normal } = planeFrame(coefficients);
+  const turn = new Quaternion().setFromUnitVectors(PLANE_NORMAL, new Vector3(...normal));
+  return new PlaneGeometry(PLANE_EDGE_M, PLANE_EDGE_M).applyQuaternion(turn).translate(...point_m);
+}
+
+function prism(polygon: Point[], height_m: number): Surface {
+  const sides = prismSides(polygon, height_m);
+  const cap = ShapeUtils.triangulateShape(polygon.map(([x, y]) => new Vector2(x, y)), []);
+  const triangles = cap.flatMap((corners): Surface["triangles"] => {
+    const [a = 0, b = 0, c = 0] = corners;
+    const above = polygon.length;
+    return [
+      [c, b, a],
+      [a + above, b + above, c + above],
+    ];
+  });
+  return { vertices: sides.vertices, triangles: [...sides.triangles, ...triangles] };
+}
+
+function surface({ vertices, triangles }: Surface): BufferGeometry {
+  // Corners are not shared, so that edges look sharp.
+  const corners = triangles.flat().flatMap((index) => vertices[index] ?? [0, 0, 0]);
+  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(corners, 3));
+  geometry.computeVertexNormals();
+  return geometry;
+}
 
 interface Drawn {
   object: SceneObject;
   group: Group;
 }
 
-/** Things of the planning scene, and what the arm holds. */
-export class SceneObjects implements Part {
+/** Objects of the planning scene, also those attached to the arm. */
+export class SceneObjects implements SceneComponent {
   private readonly drawn = new Map<string, Drawn>();
   private objects: SceneObject[] = [];
-  private arm: Figure | null = null;
+  private arm: RobotModel | null = null;
 
   /**
-   * @param scene - what they are put into.
-   * @param robot - whose links they may hang on.
-   * @param store - where messages to the user go.
-   * @param materials - how they are painted.
+   * @param scene - scene to add them to.
+   * @param robot - robot with the links that they may be attached to.
+   * @param store - updated with notices.
+   * @param materials - material of objects without a colour.
    */
   constructor(
     private readonly scene: Scene,
@@ -32,27 +140,27 @@ export class SceneObjects implements Part {
   ) {}
 
   update(state: State): void {
-    const another = this.robot.arm !== this.arm;
-    if (state.objects === this.objects && !another) return;
+    const is_new_arm = this.robot.arm !== this.arm;
+    if (state.objects === this.objects && !is_new_arm) return;
     this.arm = this.robot.arm;
     this.objects = state.objects;
-    const left = new Map(state.objects.map((object) => [object.id, object]));
-    for (const [id, { object }] of this.drawn) if (another || left.get(id) !== object) this.remove(id);
+    const present = new Map(state.objects.map((object) => [object.id, object]));
+    for (const [id, { object }] of this.drawn) if (is_new_arm || present.get(id) !== object) this.remove(id);
     for (const object of state.objects) if (!this.drawn.has(object.id)) this.show(object);
     const problems = state.objects.map((object) => this.frameProblem(object)).filter((text) => text !== "");
-    notice(this.store, "frames", problems.join(" "));
+    setNotice(this.store, "view:frames", problems.join(" "));
   }
 
-  /** What is drawn of the objects that stand around, for finding the one under a pointer. */
-  standing(): Group[] {
-    return [...this.drawn.values()].filter(({ object }) => !object.held).map(({ group }) => group);
+  /** Return the groups of the objects that are not attached, for picking with a pointer. */
+  worldObjects(): Group[] {
+    return [...this.drawn.values()].filter(({ object }) => !object.attached).map(({ group }) => group);
   }
 
   private show(object: SceneObject): void {
     const group = new Group();
     group.name = object.id;
     group.position.set(...object.position_m);
-    group.quaternion.copy(quaternion(object.orientation));
+    group.quaternion.copy(toQuaternion(object.orientation));
     const material = this.material(object);
     for (const shape of object.shapes) group.add(shapeMesh(shape, material));
     const link = this.arm?.robot.links[object.frame];
@@ -61,8 +169,8 @@ export class SceneObjects implements Part {
   }
 
   private frameProblem(object: SceneObject): string {
-    const known = this.arm === null || ["", "world"].includes(object.frame) || object.frame in this.arm.robot.links;
-    return known ? "" : `The robot has no link “${object.frame}”: “${object.id}” is drawn from the root link.`;
+    const is_known = this.arm === null || ["", "world"].includes(object.frame) || object.frame in this.arm.robot.links;
+    return is_known ? "" : `The robot has no link “${object.frame}”: “${object.id}” is drawn from the root link.`;
   }
 
   private material(object: SceneObject): Material {
@@ -70,7 +178,7 @@ export class SceneObjects implements Part {
     const [red, green, blue, alpha] = object.color;
     const material: MeshLambertMaterial = this.materials.object.clone();
     material.color = new Color().setRGB(red, green, blue);
-    // An alpha of 0 is what a message without one has; nobody asks for a thing that cannot be seen.
+    // Messages that leave out alpha have 0; an invisible object is never meant.
     material.opacity = alpha > 0 ? Math.min(alpha, 1) : 1;
     return material;
   }

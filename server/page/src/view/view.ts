@@ -1,164 +1,177 @@
-import { looksSame } from "../logic/joint-report";
+import { looksEqual } from "../logic/joints";
 import type { Joints, Point, State } from "../state/state";
-import { Arm } from "./arm";
-import { FrameCounter, type DrawStats } from "./frame-counter";
-import { Ghost } from "./ghost";
-import { Label } from "./label";
-import { Materials } from "./materials";
-import { notice } from "./notices";
-import { ObjectDrag, type Moved } from "./object-drag";
-import type { PageStore, Part } from "./part";
-import { Robot } from "./robot";
+import { setNotice, type PageStore } from "../state/store";
+import { currentTheme, Environment, Materials, watchTheme } from "./appearance";
+import { ObjectMarkers, TargetMarker, type ObjectMoved } from "./interactive-markers";
+import { Ghost, Label, ToolPath } from "./plan-preview";
+import { JointStateDisplay, Robot } from "./robot";
 import { SceneObjects } from "./scene-objects";
-import { Surroundings } from "./surroundings";
-import { Target } from "./target";
-import { currentTheme, watchTheme } from "./theme";
-import { ToolPath } from "./tool-path";
-import { Viewer } from "./viewer";
+import { Viewer, type SceneComponent } from "./viewer";
 
-/** The 3D view that was started. */
-export interface View {
-  /** Looks at the whole arm from where the page began. */
-  resetCamera(): void;
-  /** Draws at once, for pictures of the canvas. */
-  draw(): void;
-  /** Where a point of the root link's frame is seen, in pixels from the page's upper left corner. */
-  screenOf(point_m: Point): [number, number];
-  /** Figures of what was drawn. */
-  stats(): DrawStats;
-  /** Ends it. */
-  dispose(): void;
+/** Figures of the drawn frames. */
+export interface FrameFigures {
+  /** Frames since the start. */
+  frames: number;
+  /** Stamp of the joint state that is on the screen, in seconds. */
+  drawn_stamp: number;
+  /** Time from the newest message of /joint_states to the end of the frame that draws it. */
+  age_ms: number;
+  /** Time of the first frame with the arm, from the page's start; null before. */
+  arm_drawn_ms: number | null;
+}
+
+/** Counter of frames, which also measures the age of each joint state on the screen. */
+class FrameStatistics {
+  readonly figures: FrameFigures = { frames: 0, drawn_stamp: 0, age_ms: 0, arm_drawn_ms: null };
+  private received_ms: number | null = null;
+  private stamp = 0;
+
+  /** Note a message of /joint_states. */
+  jointStateReceived(stamp: number): void {
+    this.stamp = stamp;
+    this.received_ms = performance.now();
+  }
+
+  /** Note a message of /joint_states that needs no new frame. */
+  unchangedJointStateReceived(stamp: number): void {
+    this.figures.drawn_stamp = stamp;
+    this.figures.age_ms = 0;
+  }
+
+  /** Note a frame, with the arm or without. */
+  frameDrawn(with_arm: boolean): void {
+    const now_ms = performance.now();
+    this.figures.frames += 1;
+    if (with_arm) this.figures.arm_drawn_ms ??= now_ms;
+    if (!with_arm || this.received_ms === null) return;
+    this.figures.drawn_stamp = this.stamp;
+    this.figures.age_ms = now_ms - this.received_ms;
+    this.received_ms = null;
+  }
 }
 
 /**
- * Starts the 3D view on a canvas.
+ * Start the 3D view on a canvas.
  *
- * @param canvas - what is drawn on.
- * @param store - what is shown; the view writes the target, the tool's place and messages to it.
- * @param moved - told where a thing of the planning scene was dragged to.
- * @returns the view; null, with a message to the user, where the browser cannot draw in 3D.
+ * @param canvas - canvas to draw on.
+ * @param store - state to show; the view writes the target, the tool's position and notices to it.
+ * @param moved - called with the pose that an object of the planning scene was dragged to.
+ * @returns the view; null, with a notice to the user, where the browser cannot draw in 3D.
  */
-export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: Moved = () => undefined): View | null {
+export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: ObjectMoved): SceneView | null {
   try {
-    return new Drawing(canvas, store, moved);
+    return new SceneView(canvas, store, moved);
   } catch (error) {
-    const why = (error as Error).message;
-    notice(store, "webgl", `The arm cannot be drawn in 3D here (${why}): it is not shown, everything else works.`);
+    const reason = (error as Error).message;
+    const text = `The arm cannot be drawn in 3D here (${reason}): it is not shown, everything else works.`;
+    setNotice(store, "view:webgl", text);
     return null;
   }
 }
 
-class Drawing implements View {
+/** 3D view of the arm, its plan and the planning scene. */
+export class SceneView {
   private readonly viewer: Viewer;
   private readonly robot: Robot;
-  private readonly target: Target;
+  private readonly target: TargetMarker;
   private readonly label: Label;
-  private readonly surroundings: Surroundings;
+  private readonly environment: Environment;
   private readonly materials = new Materials(currentTheme());
-  private readonly counter = new FrameCounter();
-  private readonly parts: Part[];
-  private readonly endings: (() => void)[];
+  private readonly statistics = new FrameStatistics();
+  private readonly components: SceneComponent[];
   private shown_joints: Joints | null = null;
 
   constructor(
     given: HTMLCanvasElement,
     private readonly store: PageStore,
-    moved: Moved,
+    moved: ObjectMoved,
   ) {
     const viewer = new Viewer(given, () => this.prepare(), () => this.drawn());
     const { scene, canvas } = viewer;
     const { materials } = this;
     this.viewer = viewer;
     this.label = new Label(canvas, viewer.camera);
-    this.robot = new Robot(scene, store, materials, currentTheme, (another) => this.robotChanged(another));
+    this.robot = new Robot(scene, store, materials, currentTheme, (is_new) => this.robotChanged(is_new));
     const ghost = new Ghost(this.robot, materials, this.label);
-    this.target = new Target(viewer, canvas, store, ghost);
+    this.target = new TargetMarker(viewer, canvas, store, ghost);
     const objects = new SceneObjects(scene, this.robot, store, materials);
     const path = new ToolPath(scene, this.robot, store, materials);
-    const drag = new ObjectDrag(viewer, canvas, store, objects, moved);
-    this.parts = [this.robot, new Arm(this.robot, store, materials), path, ghost, this.target, objects, drag];
-    this.surroundings = new Surroundings(scene);
-    this.takeTheme();
+    const markers = new ObjectMarkers(viewer, canvas, store, objects, moved);
+    const arm = new JointStateDisplay(this.robot, store, materials);
+    this.components = [this.robot, arm, path, ghost, this.target, objects, markers];
+    this.environment = new Environment(scene);
+    this.applyTheme();
     this.watchGraphics(canvas);
     canvas.addEventListener("dblclick", () => this.resetCamera());
-    this.endings = [watchTheme(() => this.takeTheme()), ...this.watch()];
+    watchTheme(() => this.applyTheme());
+    this.watchState();
   }
 
-  resetCamera(): void {
-    if (this.robot.arm !== null) this.viewer.frame(this.robot.arm.robot);
-  }
-
-  draw(): void {
-    this.viewer.draw();
-  }
-
+  /** Return the place of a point of the root link's frame, in pixels from the page's upper left corner. */
   screenOf(point_m: Point): [number, number] {
     return this.viewer.screenOf(point_m);
   }
 
-  stats(): DrawStats {
-    return this.counter.read();
+  /** Figures of the drawn frames. */
+  get figures(): Readonly<FrameFigures> {
+    return this.statistics.figures;
   }
 
-  dispose(): void {
-    for (const end of this.endings) end();
-    this.viewer.dispose();
+  private resetCamera(): void {
+    if (this.robot.arm !== null) this.viewer.frame(this.robot.arm.robot);
   }
 
-  private watch(): (() => void)[] {
+  private watchState(): void {
     const { store } = this;
     const shown: ((state: State) => unknown)[] = [
       (state) => state.urdf,
       (state) => state.srdf,
       (state) => state.plan,
       (state) => state.target,
-      (state) => state.wish,
+      (state) => state.selection,
       (state) => state.objects,
       (state) => state.selected_object,
       (state) => state.identity,
       (state) => state.collision_shapes,
     ];
-    return [
-      store.subscribe((state) => state.joints, (joints) => this.jointsCame(joints)),
-      ...shown.map((selector) => store.subscribe(selector, () => this.viewer.request())),
-    ];
+    store.subscribe((state) => state.joints, (joints) => this.jointsReceived(joints));
+    for (const selector of shown) store.subscribe(selector, () => this.viewer.request());
   }
 
   private watchGraphics(canvas: HTMLCanvasElement): void {
     const text = "The browser has taken the graphics away (a phone does so while it sleeps): the arm is not drawn.";
-    canvas.addEventListener("webglcontextlost", () => notice(this.store, "graphics", text));
-    canvas.addEventListener("webglcontextrestored", () => notice(this.store, "graphics", ""));
+    canvas.addEventListener("webglcontextlost", () => setNotice(this.store, "view:graphics", text));
+    canvas.addEventListener("webglcontextrestored", () => setNotice(this.store, "view:graphics", ""));
   }
 
-  private jointsCame(joints: Joints): void {
-    if (this.shown_joints !== null && looksSame(joints, this.shown_joints)) {
-      this.counter.cameAsDrawn(joints.stamp);
+  private jointsReceived(joints: Joints): void {
+    if (this.shown_joints !== null && looksEqual(joints, this.shown_joints)) {
+      this.statistics.unchangedJointStateReceived(joints.stamp);
       return;
     }
-    this.counter.came(joints.stamp);
+    this.statistics.jointStateReceived(joints.stamp);
     this.viewer.request();
   }
 
   private prepare(): void {
-    this.counter.begin();
-    for (const part of this.parts) part.update(this.store.state);
+    for (const component of this.components) component.update(this.store.state);
     this.label.place();
   }
 
   private drawn(): void {
     this.shown_joints = this.store.state.joints;
-    this.counter.drawn(this.robot.arm !== null);
+    this.statistics.frameDrawn(this.robot.arm !== null);
   }
 
-  private robotChanged(another: boolean): void {
-    if (another) this.resetCamera();
+  private robotChanged(is_new: boolean): void {
+    if (is_new) this.resetCamera();
     this.viewer.request();
   }
 
-  private takeTheme(): void {
+  private applyTheme(): void {
     const theme = currentTheme();
     this.materials.setTheme(theme);
-    this.surroundings.setTheme(theme);
+    this.environment.setTheme(theme);
     this.target.setTheme(theme);
     this.viewer.request();
   }

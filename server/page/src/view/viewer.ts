@@ -1,41 +1,82 @@
 import { Box3, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import type { Point } from "../state/state";
-import { openGraphics } from "./graphics";
+import type { Point, State } from "../state/state";
+
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+
+/** Canvas with its WebGL context. */
+export interface Graphics {
+  canvas: HTMLCanvasElement;
+  context: WebGL2RenderingContext;
+}
+
+/**
+ * Create the WebGL context of a canvas: with antialiasing on a graphics card, without it in software.
+ *
+ * Antialiasing in software costs a third of the frames. Only a context tells its renderer, and one in software is slow
+ * to create, so that one is kept; on a graphics card the canvas is replaced by a copy.
+ *
+ * @throws Error when the browser has no WebGL.
+ */
+export function openGraphics(canvas: HTMLCanvasElement): Graphics {
+  const plain = contextOf(canvas, false);
+  if (SOFTWARE.test(rendererName(plain))) return { canvas, context: plain };
+  const smooth = canvas.cloneNode(false) as HTMLCanvasElement;
+  canvas.replaceWith(smooth);
+  plain.getExtension("WEBGL_lose_context")?.loseContext();
+  return { canvas: smooth, context: contextOf(smooth, true) };
+}
+
+function contextOf(canvas: HTMLCanvasElement, antialias: boolean): WebGL2RenderingContext {
+  // Without an alpha channel the browser need not blend the picture with the page.
+  const context = canvas.getContext("webgl2", { alpha: false, depth: true, stencil: false, antialias });
+  if (context === null) throw new Error("the browser gives no WebGL 2");
+  return context;
+}
+
+function rendererName(context: WebGL2RenderingContext): string {
+  const names = context.getExtension("WEBGL_debug_renderer_info");
+  return String(context.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? context.RENDERER));
+}
+
+/** Component of the scene, which is updated from the state before each frame. */
+export interface SceneComponent {
+  /** Apply the changes of the state. */
+  update(state: State): void;
+}
 
 const FIELD_OF_VIEW_DEG = 40;
 const NEAR_M = 0.01;
 const FAR_M = 20;
-// More pixels than this cost time and show nothing that the eye finds on a phone.
+// More pixels cost time and make no visible difference on a phone.
 const MAX_PIXEL_RATIO = 2;
-// The arm at rest is smaller than the space that it moves in.
+// Room around the arm, which moves in more space than it takes at rest.
 const MARGIN = 1.15;
-// Seen around the place of the arm before there is one.
+// Radius of the table that is shown while there is no arm.
 const TABLE_RADIUS_M = 0.3;
 // From the front and the side, above the table.
 const VIEW_DIRECTION = new Vector3(0.75, -0.85, 0.55).normalize();
 
-// A little from below, as under a table's edge; from further down the table hides nothing and confuses.
-const LOWEST_VIEW_RAD = 1.75;
+// A little below the table's edge; from further down the grid hides nothing and confuses.
+const MAX_POLAR_ANGLE_RAD = 1.75;
 
-/** Draws a scene on a canvas, and only when somebody asked for it. */
+/** Viewer that draws a scene on a canvas, only on request. */
 export class Viewer {
-  /** What is drawn. */
+  /** Scene that is drawn. */
   readonly scene = new Scene();
-  /** z is up, as in ROS. */
+  /** Camera with z up, as in ROS. */
   readonly camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, NEAR_M, FAR_M);
-  /** Turning, moving and zooming by mouse or finger. */
+  /** Control of the camera by mouse or finger. */
   readonly orbit: OrbitControls;
-  /** What is drawn on: the canvas that was given, or one in its place. */
+  /** Canvas that is drawn on: the given one, or its copy. */
   readonly canvas: HTMLCanvasElement;
   private readonly renderer: WebGLRenderer;
-  private readonly sizes: ResizeObserver;
   private frame_id = 0;
   private framed: Object3D | null = null;
 
   /**
-   * @param given - a canvas to draw on; its size is that of its box in the page.
-   * @param prepare - called before each frame, brings the scene up to date.
+   * @param given - canvas to draw on; its size is that of its box in the page.
+   * @param prepare - called before each frame, to update the scene.
    * @param drawn - called after each frame.
    * @throws Error when the browser has no WebGL.
    */
@@ -47,75 +88,66 @@ export class Viewer {
     const { canvas, context } = openGraphics(given);
     this.canvas = canvas;
     this.renderer = new WebGLRenderer({ canvas, context });
-    // Asking each program for its errors makes the page wait until it is built, one after the other.
+    // Checking each shader program for errors would wait for its compilation, one after the other.
     this.renderer.debug.checkShaderErrors = false;
     this.camera.up.set(0, 0, 1);
     this.orbit = new OrbitControls(this.camera, canvas);
-    this.orbit.maxPolarAngle = LOWEST_VIEW_RAD;
+    this.orbit.maxPolarAngle = MAX_POLAR_ANGLE_RAD;
     this.orbit.addEventListener("change", () => this.request());
-    // From then on the user's own view is kept, also when the window gets another size.
+    // After the user has moved the camera it stays, also when the window is resized.
     this.orbit.addEventListener("start", () => (this.framed = null));
     canvas.addEventListener("webglcontextrestored", () => this.request());
     this.fit();
     // The table is seen while there is no arm.
     this.look(new Vector3(), TABLE_RADIUS_M);
-    this.sizes = new ResizeObserver(() => {
+    const resized = new ResizeObserver(() => {
       this.fit();
       if (this.framed !== null) this.frame(this.framed);
-      // At once: a canvas that was resized is empty until it is drawn again.
+      // At once, as a resized canvas is empty until it is drawn.
       this.draw();
     });
-    this.sizes.observe(canvas);
+    resized.observe(canvas);
   }
 
-  /** Asks for one frame; asking again before it costs nothing. */
+  /** Request a frame; requests before it are merged. */
   request(): void {
     if (this.frame_id === 0) this.frame_id = requestAnimationFrame(() => this.draw());
   }
 
-  /** Draws at once, for pictures of the canvas. */
-  draw(): void {
-    cancelAnimationFrame(this.frame_id);
-    this.frame_id = 0;
-    this.prepare();
-    this.renderer.render(this.scene, this.camera);
-    this.drawn();
-  }
-
-  /** Turns the camera so that a thing fills the picture. */
-  frame(thing: Object3D): void {
-    const box = new Box3().setFromObject(thing);
+  /** Move the camera so that an object fills the picture. */
+  frame(object: Object3D): void {
+    const box = new Box3().setFromObject(object);
     if (box.isEmpty()) return;
-    this.framed = thing;
+    this.framed = object;
     this.look(box.getCenter(new Vector3()), box.getSize(new Vector3()).length() / 2);
     this.request();
   }
 
-  /** The first of some things under a pointer; null when there is none. */
-  pick(event: PointerEvent, things: Object3D[]): Object3D | null {
+  /** Return the first of some objects under a pointer; null without any. */
+  pick(event: PointerEvent, objects: Object3D[]): Object3D | null {
     const box = this.canvas.getBoundingClientRect();
     const x = ((event.clientX - box.left) / box.width) * 2 - 1;
     const y = 1 - ((event.clientY - box.top) / box.height) * 2;
     const ray = new Raycaster();
     ray.setFromCamera(new Vector2(x, y), this.camera);
-    let hit = ray.intersectObjects(things, true)[0]?.object ?? null;
-    while (hit !== null && !things.includes(hit)) hit = hit.parent;
+    let hit = ray.intersectObjects(objects, true)[0]?.object ?? null;
+    while (hit !== null && !objects.includes(hit)) hit = hit.parent;
     return hit;
   }
 
-  /** Where a point is seen, in pixels from the page's upper left corner. */
+  /** Return the place of a point, in pixels from the page's upper left corner. */
   screenOf(point_m: Point): [number, number] {
     const box = this.canvas.getBoundingClientRect();
-    const seen = new Vector3(...point_m).project(this.camera);
-    return [box.left + ((seen.x + 1) / 2) * box.width, box.top + ((1 - seen.y) / 2) * box.height];
+    const projected = new Vector3(...point_m).project(this.camera);
+    return [box.left + ((projected.x + 1) / 2) * box.width, box.top + ((1 - projected.y) / 2) * box.height];
   }
 
-  /** Frees what the graphics hold. */
-  dispose(): void {
+  private draw(): void {
     cancelAnimationFrame(this.frame_id);
-    this.sizes.disconnect();
-    this.orbit.dispose();
-    this.renderer.dispose();
+    this.frame_id = 0;
+    this.prepare();
+    this.renderer.render(this.scene, this.camera);
+    this.drawn();
   }
 
   private look(center: Vector3, radius_m: number): void {

@@ -8,7 +8,7 @@ import pytest
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
 
 from robot.calibration import Calibration
-from robot.emulator.wire import status_packet
+from robot.emulator.servo_bus import status_packet
 from robot.errors import NoReply, PortLost
 from robot.hardware.feetech.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, SYNC_READ_PADDINGS
 from robot.hardware.feetech.port import QUIET_S

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.wire import InstructionParser, status_packet
+from robot.emulator.servo_bus import InstructionParser, status_packet
 from robot.hardware.feetech.packets import (
     MAX_INSTRUCTION_BYTES,
     StatusFrame,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from robot.description.limits import JointBounds
 from robot.errors import StartupError
-from robot.guard_limits import GuardLimits
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
 from robot.hardware.feetech.servo_map import ServoMap
@@ -23,7 +23,7 @@ from robot.hardware.feetech.torque import (
     relax,
     switch_off,
 )
-from robot.limits import JointBounds
+from robot.messages import GuardLimits
 from tests.helpers.arm_rig import CALIBRATION, ROBOT
 from tests.helpers.sequences import run
 from tests.helpers.server import read_write_log

@@ -3,9 +3,8 @@ from __future__ import annotations
 import pytest
 
 from robot.errors import NoReply, StartupError
-from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.bus import STEP_ATTEMPTS, Bus, read, read_block, write_verified
 from robot.hardware.feetech.registers import Register
-from robot.hardware.feetech.transactions import ATTEMPTS, read, read_block, write_verified
 from tests.helpers.sequences import run
 from tests.helpers.stepped_emulator import SteppedEmulator
 
@@ -21,7 +20,7 @@ def test_a_silent_servo_is_asked_a_bounded_number_of_times(emulator: SteppedEmul
     emulator.command(offline=[1])
     with pytest.raises(NoReply):
         run(read(bus, 1, Register.TORQUE_ENABLE))
-    assert bus.counters.sent == ATTEMPTS
+    assert bus.counters.sent == STEP_ATTEMPTS
     with pytest.raises(NoReply):
         run(read_block(bus, 1, 40, 16))
 

@@ -7,9 +7,10 @@ from collections.abc import AsyncIterator
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot import model
-from server.action_goals import Goal, GoalStatus
+from robot.description import model
 from server.goal_queue import Answer, GoalState, Performed, Progress
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
 from server.moveit.actions.goal_bridge import (
     MoveGroupFeedback,
     goal_status,
@@ -19,7 +20,6 @@ from server.moveit.actions.goal_bridge import (
     submit_goal,
 )
 from server.moveit.motions import PlannedMotion
-from server.node import Node
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_requests import message
 from tests.helpers.played_arm import settle

@@ -12,13 +12,14 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.registry import Registry
-from robot import model
+from robot.description import model
 from robot.messages import ArmState, Outcome
-from server.action_goals import Goal, GoalStatus, Result
 from server.errors import RefusedError
 from server.goal_queue import Answer, GoalState, Performed, Progress
-from server.graph import Graph, Subscriber
-from server.interfaces import Interfaces
+from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
     ControllerStatePublisher,
@@ -34,7 +35,6 @@ from server.moveit.actions.joint_trajectory_controller import (
     violation,
 )
 from server.moveit.motions import GivenMotion
-from server.node import Node
 from tests.helpers.action_desk import ActionDesk
 from tests.helpers.moveit_requests import HOME, message, outcome
 from tests.helpers.moveit_services import ROBOT

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
-from server.action_goals import Goal, GoalStatus
+from server.graph.actions import Goal, GoalStatus
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
     EXECUTE_ACTION,

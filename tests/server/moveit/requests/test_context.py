@@ -5,7 +5,7 @@ import math
 import pytest
 
 from planners.problem import MoveItErrorCode
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.moveit.poses import pose_of
 from server.moveit.requests.context import planning_group

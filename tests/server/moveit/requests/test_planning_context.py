@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from planners.problem import CartesianProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.errors import RefusedError
+from server.graph.node import Node
 from server.moveit.requests.planning_context import (
     MAX_START_BOUNDS_ERROR_RAD,
     StartState,
@@ -18,7 +19,6 @@ from server.moveit.requests.planning_context import (
     state_positions,
 )
 from server.moveit.requests.planning_problems import PILZ
-from server.node import Node
 from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, joint, message, outcome
 from tests.helpers.moveit_services import ServiceRig
 

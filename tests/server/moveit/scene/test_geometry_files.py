@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from planners.scene import Box, Cylinder
 from protocol.registry import Registry
 from server.errors import RefusedError
-from server.graph import Graph
+from server.graph.node import Node
+from server.graph.topics import Graph
 from server.moveit.scene import geometry_files
 from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within, read_geometry, write_geometry
-from server.node import Node
 from tests.helpers.examples import examples
 from tests.helpers.planning_scene import BENT, box, current_state, diff, message, pose, scene_state
 

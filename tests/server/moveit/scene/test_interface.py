@@ -15,7 +15,8 @@ from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.errors import RefusedError
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.current_state import state_message
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import matrix_of
@@ -44,7 +45,6 @@ from server.moveit.scene.interface import (
     subscribe_to_scene_topics,
 )
 from server.moveit.scene.scene_state import AssumedStates, SceneState
-from server.node import Node
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.examples import examples

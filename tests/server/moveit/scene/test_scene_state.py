@@ -14,8 +14,8 @@ from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_checks import MAX_SHAPES
 from server.errors import RefusedError
+from server.graph.node import Node
 from server.moveit.scene.scene_state import AssumedStates, SceneState
-from server.node import Node
 from tests.helpers.planning_scene import (
     BENT,
     ROBOT,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from robot.forward import ForwardPlacements
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory
 from server.moveit.requests.error_codes import failure_code, success
 from server.moveit.services.cartesian_path import (

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from planners.problem import PLANNER_IDS, MoveItErrorCode
-from robot import model
+from robot.description import model
 from server.moveit.requests.planning_problems import PILZ
 from server.moveit.services.move_group_services import SERVICES, group_urdf
 from tests.helpers.arm_server import ArmClient

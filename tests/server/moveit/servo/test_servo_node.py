@@ -12,7 +12,8 @@ import pytest
 from planners.pool import PlannerPool
 from planners.scene import EMPTY_SCENE, Pose, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
-from server.graph import Graph, Subscriber
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.servo.servo_node import (
@@ -33,7 +34,6 @@ from server.moveit.servo.servo_node import (
     ServoNode,
     StatusPublisher,
 )
-from server.node import Node
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.in_process import REGISTRY

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from server.gateway.traffic import Traffic, TrafficCounts
+from server.gateway.connection import Traffic, TrafficCounts
 from server.operations.metrics.clients import client_metrics, refusal_metrics, zenoh_metrics
 from tests.helpers.metric_samples import samples
 from tests.helpers.watched_parts import WatchedRecorder

@@ -10,7 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
-from server.gateway.traffic import Traffic
+from server.gateway.connection import Traffic
 from server.goal_queue import Answer
 from server.operations.distribution import Distribution
 from server.operations.goal_tally import GoalTally

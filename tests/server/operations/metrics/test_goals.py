@@ -29,7 +29,6 @@ def test_planners_are_counted_by_what_they_do() -> None:
     assert found == {
         ("armbridge_planners_loaded",): 2,
         ("armbridge_planners_idle",): 1,
-        ("armbridge_planners_far",): 4,
         ("armbridge_planners_waiting_requests",): 3,
     }
 

@@ -1,1 +1,0 @@
-"""Planning on the workers of a Dask cluster, beside the planner processes of this machine."""

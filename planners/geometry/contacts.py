@@ -1,0 +1,332 @@
+"""Contact checks at two levels: all checked pairs of hulls at once, by pinocchio and coal, and exact ones.
+
+The broad check is quick and conservative, for hulls contain their links. The exact check decides on pairs of links
+whose hulls touch: it uses shapes that are closer to the links than one hull each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planners.geometry.nearness import Nearest, Spheres, slope_m_per_rad
+from planners.geometry.shapes import convex, link_name, on_link, outline, urdf_shapes
+from robot.description.model import RobotModel
+
+Vector = NDArray[np.float64]
+
+# With coal's default of 1e-6 one pair in 80 000 that overlaps, by up to 48 mm, is called free: the search for a common
+# point gives up too early on shapes of a few centimetres. With this none of 1.6 million was, at no cost.
+GJK_TOLERANCE = 1e-9
+
+# With a margin of exactly 0 coal calls one in a thousand pairs free that overlap by centimetres and whose faces are
+# parallel, as those of an arm in its zero position and of boxes are; with any other margin none of 27 000.
+CONTACT_M = 1e-6
+
+
+class Broadphase:
+    """Shapes and the pairs of them that must not touch.
+
+    A configuration ``q`` is the position of every movable joint, shape (n,) [rad].
+
+    Args:
+        model: the robot's joints.
+        shapes: what there is.
+        pairs: indices of shapes, shape (pairs, 2), the smaller first.
+        apart_m: how far the shapes of each pair must stay apart, shape (pairs,) [m].
+    """
+
+    def __init__(
+        self, model: pin.Model, shapes: list[pin.GeometryObject], pairs: NDArray[np.int64], apart_m: Vector
+    ) -> None:
+        self._model, self._data = model, model.createData()
+        self._geometry = pin.GeometryModel()
+        for shape in shapes:
+            self._geometry.addGeometryObject(shape)
+        checked = np.zeros((len(shapes), len(shapes)), dtype=bool)
+        checked[pairs[:, 0], pairs[:, 1]] = True
+        # They come out in the order of ``pairs``: row by row.
+        self._geometry.setCollisionPairs(checked, True)
+        self._pairs, self._apart_m = pairs, apart_m
+        self._carriers = [shape.parentJoint for shape in shapes]
+        self._shapes = shapes
+        # Made when they are first asked for: a large scene that nobody is steered in needs none.
+        self._spheres: Spheres | None = None
+        self._margins_m = np.zeros((len(shapes), len(shapes)))
+        # The tree keeps references to the models, and halves the time of a check even for seven shapes. It takes
+        # margins over when told to only, so there is one for contacts and one for what is near.
+        self._contact, self._near = self._geometry.createData(), self._geometry.createData()
+        # Shapes that never were anywhere have boxes of garbage, which the trees refuse.
+        self.place(pin.neutral(model))
+        pin.updateGeometryPlacements(model, self._data, self._geometry, self._near)
+        self._contact_tree, self._near_tree = self._tree(self._contact), self._tree(self._near)
+        self._near_results = list(self._near.collisionResults)
+        # Pairs that are asked about one by one have their margins to themselves.
+        self._single = self._geometry.createData()
+        self._single_requests = list(self._single.collisionRequests)
+        for request in self._single_requests:
+            request.gjk_tolerance = GJK_TOLERANCE
+        self._least_m = (CONTACT_M + apart_m).tolist()
+
+    def touches(self, q: Vector) -> bool:
+        """Tell whether shapes of any pair touch, or are nearer than they may be."""
+        return pin.computeCollisions(self._model, self._data, self._contact_tree, q, True)
+
+    def near(self, q: Vector, margin_m: Vector) -> list[int]:
+        """Indices of the pairs whose shapes are nearer than they may be and a margin, shape (pairs,) [m]."""
+        self._set_margins(self._near, self._near_tree, margin_m)
+        if not pin.computeCollisions(self._model, self._data, self._near_tree, q, False):
+            return []
+        found = [pair for pair, result in enumerate(self._near_results) if result.isCollision()]
+        # The tree leaves the results of pairs whose boxes are apart as they were.
+        for pair in found:
+            self._near_results[pair].clear()
+        return found
+
+    def near_among(self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector) -> list[int]:
+        """As :meth:`near`, of some pairs only: a tenth of the time for a few; ``margin_m`` is by all pairs' indices."""
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, q)
+        geometry, data, found = self._geometry, self._single, []
+        for pair in pairs:
+            self._single_requests[pair].security_margin = self._least_m[pair] + margin_m[pair]
+            if pin.computeCollision(geometry, data, pair):
+                found.append(pair)
+        return found
+
+    def place(self, q: Vector) -> None:
+        """Put the shapes where they are at a configuration: the methods below are about there."""
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, q)
+
+    def touching(self) -> list[int]:
+        """Indices of the pairs that touch."""
+        return self.touching_among(range(len(self._pairs)))
+
+    def touching_among(self, pairs: Iterable[int]) -> list[int]:
+        """Those of some pairs that touch."""
+        return [pair for pair in pairs if pin.computeCollision(self._geometry, self._contact, pair)]
+
+    def distance_m(self, pair: int) -> float:
+        """Return a pair's clearance beyond the required one, its depth of overlap if negative [m]."""
+        return float(self._distance(pair).min_distance) - float(self._apart_m[pair])
+
+    def within(self, margin_m: float) -> NDArray[np.intp]:
+        """Indices of the pairs that may be nearer than a margin beyond what they must be apart [m]."""
+        if self._spheres is None:
+            self._spheres = Spheres(self._shapes, self._pairs)
+        return self._spheres.within(self._data, self._apart_m + margin_m)
+
+    def nearest(self, pair: int) -> Nearest:
+        """Return the nearest points of a pair's shapes, in the root link's frame."""
+        found = self._distance(pair)
+        return Nearest(float(found.min_distance), np.array(found.getNearestPoint1()), np.array(found.normal))
+
+    def slope_m_per_rad(self, pair: int, nearest: Nearest) -> Vector:
+        """Return the gradient of a pair's distance by joint at the last :meth:`turn`, shape (n,) [m/rad]."""
+        first, second = (self._carriers[i] for i in self._pairs[pair])
+        return slope_m_per_rad(self._model, self._data, nearest, first, second)
+
+    def turn(self, q: Vector) -> None:
+        """As :meth:`place`, and make ready for :meth:`slope_m_per_rad`."""
+        self.place(q)
+        pin.computeJointJacobians(self._model, self._data, q)
+
+    def contact(self, pair: int) -> tuple[Vector, Vector]:
+        """Return a pair's contact point and the direction in which the second shape would give, each shape (3,) [m].
+
+        Both are those of the last :meth:`distance_m` of the pair.
+        """
+        found = self._contact.distanceResults[pair]
+        middle_m: Vector = 0.5 * (found.getNearestPoint1() + found.getNearestPoint2())
+        return middle_m, np.array(found.normal)
+
+    def placement(self, joint: int) -> pin.SE3:
+        """Return the pose of a joint in the root link's frame."""
+        return self._data.oMi[joint]
+
+    def _distance(self, pair: int) -> coal.DistanceResult:
+        self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE
+        return pin.computeDistance(self._geometry, self._contact, pair)
+
+    def _tree(self, data: pin.GeometryData) -> pin.BroadPhaseManager_DynamicAABBTreeCollisionManager:
+        for request in data.collisionRequests:
+            request.gjk_tolerance = GJK_TOLERANCE
+        tree = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self._model, self._geometry, data)
+        self._set_margins(data, tree, np.zeros(len(self._pairs)))
+        return tree
+
+    def _set_margins(
+        self, data: pin.GeometryData, tree: pin.BroadPhaseManager_DynamicAABBTreeCollisionManager, margin_m: Vector
+    ) -> None:
+        self._margins_m[self._pairs[:, 0], self._pairs[:, 1]] = CONTACT_M + self._apart_m + margin_m
+        data.setSecurityMargins(self._geometry, self._margins_m, True, True)
+        tree.update(True)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Shapes that are carried together, each within a box along the axes of the joint that carries them.
+
+    Attributes:
+        shapes: the shapes.
+        middles_m: shape (3, n), middles of the boxes in the joint's frame [m].
+        halves_m: shape (3, n), half the edges of the boxes [m].
+        places: where shapes are in the joint's frame, each place once: those of a link mostly share one.
+        place_of: index of each shape's place.
+    """
+
+    shapes: Sequence[pin.GeometryObject]
+    middles_m: Vector
+    halves_m: Vector
+    places: Sequence[pin.SE3]
+    place_of: Sequence[int]
+
+
+def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
+    """Shapes of one joint with the boxes around them."""
+    points_m = [outline(shape) for shape in shapes]
+    lower_m = np.array([points.min(axis=0) for points in points_m]).reshape(-1, 3)
+    upper_m = np.array([points.max(axis=0) for points in points_m]).reshape(-1, 3)
+    # Axes first: numpy reduces a last axis of three ten times more slowly.
+    middles_m, halves_m = (np.ascontiguousarray(0.5 * each.T) for each in (lower_m + upper_m, upper_m - lower_m))
+    places = {shape.placement.homogeneous.tobytes(): shape.placement for shape in shapes}
+    order = list(places)
+    place_of = [order.index(shape.placement.homogeneous.tobytes()) for shape in shapes]
+    return Parts(shapes, middles_m, halves_m, list(places.values()), place_of)
+
+
+class ExactShapes:
+    """A robot's links closer than their hulls: in convex parts where these are known, else the URDF's own meshes.
+
+    Parts are made at once: their 0.1 s would come in the middle of a plan otherwise. Meshes are loaded when they are
+    first asked for: those of the SO-101 take 1.4 s and 300 MB. Meshes are surfaces: what is wholly inside one does not
+    touch it.
+
+    Args:
+        robot: its parts are used, or else the meshes that its URDF names.
+        model: its joints.
+
+    Attributes:
+        available: whether there are any.
+        solid: whether they are parts: of these it is known how deep they overlap.
+    """
+
+    def __init__(self, robot: RobotModel, model: pin.Model) -> None:
+        self._robot, self._model = robot, model
+        self.solid = bool(robot.parts)
+        self.available = self.solid or (not robot.hulls and "<mesh" in robot.urdf)
+        self._links = self._load() if self.solid else {}
+
+    def of_link(self, link: str) -> Parts:
+        """The shapes of a link."""
+        if not self._links:
+            self._links = self._load()
+        return self._links[link]
+
+    def _load(self) -> dict[str, Parts]:
+        links: dict[str, list[pin.GeometryObject]] = {}
+        for link, parts in self._robot.parts.items():
+            links[link] = [on_link(self._model, link, convex(vertices)) for vertices in parts]
+        for shape in urdf_shapes(self._robot, self._model) if not self.solid else ():
+            links.setdefault(link_name(self._model, shape), []).append(shape)
+        return {name: parts_of(shapes) for name, shapes in links.items()}
+
+
+def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:
+    """Tell whether parts come nearer to each other than a margin; at a margin of 0, whether they touch.
+
+    Args:
+        first: some parts.
+        at_first: where the joint that carries them is.
+        second: other parts.
+        at_second: where the joint that carries those is.
+        margin_m: greatest distance that counts [m].
+    """
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
+    request.gjk_tolerance = GJK_TOLERANCE
+    request.security_margin = CONTACT_M + margin_m
+    boxes = _Boxes(first, second, at_first.actInv(at_second))
+    for pair in np.argwhere(boxes.apart_m <= request.security_margin).tolist():
+        result.clear()
+        if coal.collide(*boxes.placed(*pair), request, result):
+            return True
+    return False
+
+
+def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:
+    """Tell whether solid parts overlap deeper than so much, below 0 whether they are less than that apart [m]."""
+    if depth_m < 0.0:
+        return nearer_than(first, at_first, second, at_second, -depth_m)
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    request.gjk_tolerance = GJK_TOLERANCE
+    boxes = _Boxes(first, second, at_first.actInv(at_second))
+    for pair in np.argwhere(boxes.overlap_m > depth_m).tolist():
+        result.clear()
+        if -coal.distance(*boxes.placed(*pair), request, result) > depth_m:
+            return True
+    return False
+
+
+def overlap_m(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> float:
+    """Return the overlap of solid parts, their distance if negative [m]; arguments as for :func:`nearer_than`."""
+    return -nearest(first, at_first, second, at_second).distance_m
+
+
+def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> Nearest:
+    """Return the nearest or deepest points of solid parts in the root link's frame; as for :func:`nearer_than`."""
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    request.gjk_tolerance = GJK_TOLERANCE
+    boxes = _Boxes(first, second, at_first.actInv(at_second))
+    bounds_m = np.where(boxes.overlap_m > 0.0, boxes.overlap_m, -boxes.apart_m).ravel()
+    found = Nearest(np.inf, np.zeros(3), np.zeros(3))
+    for index in np.argsort(-bounds_m):
+        if bounds_m[index] <= -found.distance_m:
+            break
+        result.clear()
+        distance_m = coal.distance(*boxes.placed(*divmod(index, len(second.shapes))), request, result)
+        if distance_m < found.distance_m:
+            # What the result shows of itself changes with the next pair.
+            found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
+    return found.seen_from(at_first)
+
+
+class _Boxes:
+    """The boxes around two sets of parts, seen from the first one's joint.
+
+    Args:
+        first: parts there.
+        second: other parts.
+        between: where the second one's joint is.
+
+    Attributes:
+        overlap_m: how far each two boxes overlap along the axis of least overlap, shape (first, second); shapes in
+            them cannot overlap deeper. Below 0 they are at least that far apart [m].
+        apart_m: how far each two boxes are apart at least, shape (first, second) [m].
+    """
+
+    def __init__(self, first: Parts, second: Parts, between: pin.SE3) -> None:
+        self._first, self._second = first, second
+        self._first_places = [_transform(place) for place in first.places]
+        self._second_places = [_transform(between * place) for place in second.places]
+        middles_m = between.rotation @ second.middles_m + between.translation[:, np.newaxis]
+        halves_m = np.abs(between.rotation) @ second.halves_m
+        offset_m = first.middles_m[:, :, np.newaxis] - middles_m[:, np.newaxis]
+        overlap_m = first.halves_m[:, :, np.newaxis] + halves_m[:, np.newaxis] - np.abs(offset_m)
+        self.overlap_m: Vector = overlap_m.min(axis=0)
+        self.apart_m: Vector = np.sqrt((np.minimum(overlap_m, 0.0) ** 2).sum(axis=0))
+
+    def placed(
+        self, i: int, j: int
+    ) -> tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]:
+        """One part of each, as coal takes them."""
+        first, second = self._first, self._second
+        at_first, at_second = self._first_places[first.place_of[i]], self._second_places[second.place_of[j]]
+        return first.shapes[i].geometry, at_first, second.shapes[j].geometry, at_second
+
+
+def _transform(place: pin.SE3) -> coal.Transform3s:
+    return coal.Transform3s(place.rotation, place.translation)

@@ -1,0 +1,186 @@
+"""Kinematics of the robot by pinocchio, without its shapes: link poses, Jacobians, and the reach of its points.
+
+The reach bounds how far points of the robot can move when its joints move; every collision check between samples is
+measured by it.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planners.geometry.shapes import outline
+from robot.description.model import RobotModel
+
+
+def kinematic_urdf(robot: RobotModel) -> str:
+    """URDF text with links and joints only, position limits as the model has them.
+
+    Meshes are left out because placo loads them whatever its flags say (seconds and half a gigabyte).
+    Continuous joints become revolute ones, which :mod:`robot.description.model` limits: pinocchio would
+    otherwise describe each by two numbers.
+    """
+    root = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
+    for link in root.iterfind("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    for joint in root.iterfind("joint"):
+        known, limit = robot.joints[joint.get("name", "")], joint.find("limit")
+        if known.movable and limit is not None:
+            limit.set("lower", repr(known.lower))
+            limit.set("upper", repr(known.upper))
+        if known.type == "continuous":
+            joint.set("type", "revolute")
+    return ET.tostring(root, encoding="unicode")
+
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Placements:
+    """Poses of a link in many configurations.
+
+    Attributes:
+        rotations: shape (m, 3, 3).
+        positions_m: shape (m, 3) [m].
+    """
+
+    rotations: Vector
+    positions_m: Vector
+
+
+class ForwardKinematics:
+    """Places the links of one robot.
+
+    Args:
+        robot: the arm.
+        joint_names: joints of a configuration ``q``, shape (n,) [rad].
+    """
+
+    def __init__(self, robot: RobotModel, joint_names: Sequence[str]) -> None:
+        self._model = pin.buildModelFromXML(kinematic_urdf(robot))
+        self._data = self._model.createData()
+        self._order = np.array([joint_names.index(name) for name in list(self._model.names)[1:]])
+        self._frames = {link: self._model.getFrameId(link) for link in robot.links}
+
+    def place(self, q: Vector) -> None:
+        """Move the joints; :meth:`placement` then tells where links are."""
+        pin.forwardKinematics(self._model, self._data, q[self._order])
+
+    def placement(self, link: str) -> pin.SE3:
+        """Return the pose of a link in the root link's frame; it is valid until joints are moved again."""
+        return pin.updateFramePlacement(self._model, self._data, self._frames[link])
+
+    def jacobian(self, q: Vector, link: str) -> Vector:
+        """Return the Jacobian of a link: linear and angular rows along the root link's axes, shape (6, n).
+
+        The joints are moved to ``q`` as by :meth:`place`.
+        """
+        pin.computeJointJacobians(self._model, self._data, q[self._order])
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        columns = np.empty((6, len(self._order)))
+        columns[:, self._order] = pin.getFrameJacobian(self._model, self._data, self._frames[link], axes)
+        return columns
+
+    def placements(self, configurations: Vector, link: str) -> Placements:
+        """Return the pose of a link in each configuration."""
+        rotations, positions_m = np.empty((len(configurations), 3, 3)), np.empty((len(configurations), 3))
+        for i, q in enumerate(configurations):
+            self.place(q)
+            placement = self.placement(link)
+            rotations[i], positions_m[i] = placement.rotation, placement.translation
+        return Placements(rotations, positions_m)
+
+
+class Reach:
+    """Greatest distance of the robot's points from each joint's axis, over all configurations.
+
+    A point is at most as far from the axis of the joint that carries it as it lies there, and from the axis of a
+    joint further up as the origins between them are apart, plus all that can swing around the last of them.
+
+    Args:
+        model: the robot's joints.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        self._model = model
+        self._axes = [_axis(model, joint) if joint else (np.zeros(3), True) for joint in range(model.njoints)]
+        self._slides_m = np.zeros(model.njoints)
+        for joint in range(1, model.njoints):
+            if not self._axes[joint][1]:
+                index = model.joints[joint].idx_v
+                limits = model.lowerPositionLimit[index], model.upperPositionLimit[index]
+                self._slides_m[joint] = max(abs(limits[0]), abs(limits[1]))
+
+    def about_joints(self, joint: int, points: Vector) -> Vector:
+        """Upper bound of the travel of points for each joint's motion.
+
+        Args:
+            joint: index of the joint that carries the points.
+            points: shape (n, 3), in that joint's frame [m].
+
+        Returns:
+            Shape (nv,) [m/rad], 1 for a prismatic joint [m/m], 0 for joints that do not carry them.
+        """
+        reach = np.zeros(self._model.nv)
+        swing_m = 0.0
+        while joint:
+            axis, angular = self._axes[joint]
+            across_m = float(np.linalg.norm(np.cross(points, axis), axis=1).max(initial=0.0))
+            reach[self._model.joints[joint].idx_v] = across_m + swing_m if angular else 1.0
+            swing_m += float(np.linalg.norm(points, axis=1).max(initial=0.0)) + self._slides_m[joint]
+            points = self._model.jointPlacements[joint].translation.reshape(1, 3)
+            joint = self._model.parents[joint]
+        return reach
+
+    def farthest_m(self, shape: pin.GeometryObject) -> float:
+        """Upper bound of the distance of a shape's points from the root link's origin [m]."""
+        joint, far_m = shape.parentJoint, float(np.linalg.norm(outline(shape), axis=1).max())
+        while joint:
+            far_m += self._slides_m[joint] + float(np.linalg.norm(self._model.jointPlacements[joint].translation))
+            joint = self._model.parents[joint]
+        return far_m
+
+    def of_shapes(self, shapes: Sequence[pin.GeometryObject]) -> Vector:
+        """Upper bound of the travel of each shape's points, shape (shapes, nv) [m/rad]."""
+        resting = np.zeros(self._model.nv)
+        reaches = [self.about_joints(s.parentJoint, outline(s)) if s.parentJoint else resting for s in shapes]
+        return np.array(reaches).reshape(-1, self._model.nv)
+
+    def of_frames(self) -> Vector:
+        """Upper bound of the travel of each frame's origin, shape (frames, nv) [m/rad]."""
+        return np.array(
+            [self.about_joints(f.parentJoint, f.placement.translation.reshape(1, 3)) for f in self._model.frames]
+        )
+
+
+def approach(reach_m: Vector, pairs: NDArray[np.int64]) -> Vector:
+    """Upper bound of how much nearer the shapes of each pair come for each joint's motion.
+
+    Joints that carry both shapes of a pair change nothing between them.
+
+    Args:
+        reach_m: travel of each shape's points, shape (shapes, nv) [m/rad].
+        pairs: indices of shapes, shape (pairs, 2).
+
+    Returns:
+        Shape (pairs, nv) [m/rad].
+    """
+    first, second = reach_m[pairs[:, 0]], reach_m[pairs[:, 1]]
+    return np.where((first > 0.0) & (second > 0.0), 0.0, first + second)
+
+
+def _axis(model: pin.Model, joint: int) -> tuple[Vector, bool]:
+    """Axis of a joint in its own frame, and whether the joint turns about it rather than slides along it."""
+    kinematics = model.joints[joint]
+    data = kinematics.createData()
+    kinematics.calc(data, pin.neutral(model))
+    subspace = np.asarray(data.S).reshape(6)
+    angular = bool(np.linalg.norm(subspace[3:]) > 0.0)
+    return (subspace[3:] if angular else subspace[:3]), angular

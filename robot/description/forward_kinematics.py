@@ -1,0 +1,134 @@
+"""Where the links are: the URDF's joints as transforms, without any library of kinematics.
+
+For those who only want to show or to name places; planning has its own, faster in bulk.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot.description.model import RobotModel
+from robot.trajectory import Vector
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One joint: where it stands on its parent link, and how it moves its child."""
+
+    parent: str
+    child: str
+    joint: str | None
+    turns: bool
+    axis: Vector
+    transform_joint_to_parent: Vector
+
+
+class ForwardPlacements:
+    """Places the links of one robot.
+
+    Args:
+        robot: the arm.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._root = robot.root_link
+        elements = {joint.get("name"): joint for joint in _joints(robot.urdf)}
+        by_child = {joint.child: joint for joint in robot.joints.values()}
+        # Links come parents before children.
+        self._steps = [
+            _Step(
+                joint.parent,
+                link,
+                joint.name if joint.movable else None,
+                joint.type != "prismatic",
+                _axis(elements[joint.name]),
+                _origin(elements[joint.name]),
+            )
+            for link in robot.links
+            if (joint := by_child.get(link)) is not None
+        ]
+        self._by_child = {step.child: step for step in self._steps}
+
+    def transforms(self, positions_rad: Mapping[str, float]) -> dict[str, Vector]:
+        """Every link by name: its ``transform_link_to_root``, shape (4, 4) [m].
+
+        Args:
+            positions_rad: position of every movable joint [rad, or m of a prismatic one].
+        """
+        placed = {self._root: np.eye(4)}
+        for step in self._steps:
+            place = placed[step.parent] @ step.transform_joint_to_parent
+            if step.joint is not None:
+                place = place @ _moved(step, positions_rad[step.joint])
+            placed[step.child] = place
+        return placed
+
+    def joint_transform(self, link: str, positions_rad: Mapping[str, float]) -> tuple[str, Vector]:
+        """Parent link of a link other than the root, and the link's transform to it, shape (4, 4) [m].
+
+        Args:
+            link: the link.
+            positions_rad: as for :meth:`transforms`.
+
+        Raises:
+            KeyError: no such link, or the root link.
+        """
+        step = self._by_child[link]
+        own = np.eye(4) if step.joint is None else _moved(step, positions_rad[step.joint])
+        return step.parent, step.transform_joint_to_parent @ own
+
+
+def rotation_about(axis: Vector, angle_rad: float) -> Vector:
+    """Rotation matrix by Rodrigues' formula, shape (3, 3).
+
+    Args:
+        axis: unit vector, shape (3,).
+        angle_rad: right-handed about it [rad].
+    """
+    x, y, z = axis.tolist()
+    sin, cos = math.sin(angle_rad), math.cos(angle_rad)
+    rest = 1.0 - cos
+    return np.array(
+        [
+            [cos + x * x * rest, x * y * rest - z * sin, x * z * rest + y * sin],
+            [x * y * rest + z * sin, cos + y * y * rest, y * z * rest - x * sin],
+            [x * z * rest - y * sin, y * z * rest + x * sin, cos + z * z * rest],
+        ]
+    )
+
+
+def _moved(step: _Step, position: float) -> Vector:
+    transform = np.eye(4)
+    if step.turns:
+        transform[:3, :3] = rotation_about(step.axis, position)
+    else:
+        transform[:3, 3] = position * step.axis
+    return transform
+
+
+def _joints(urdf: str) -> list[ET.Element]:
+    return ET.fromstring(urdf).findall("joint")  # noqa: S314 - the user's own file, already parsed by robot.description.model
+
+
+def _axis(element: ET.Element) -> Vector:
+    axis = element.find("axis")
+    values = np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]) if axis is not None else np.eye(3)[0]
+    length = float(np.linalg.norm(values))
+    return values / length if length > 0.0 else np.eye(3)[0]
+
+
+def _origin(element: ET.Element) -> Vector:
+    """URDF <origin>: a translation, then fixed-axis roll, pitch and yaw."""
+    transform = np.eye(4)
+    origin = element.find("origin")
+    if origin is not None:
+        roll, pitch, yaw = (float(v) for v in origin.get("rpy", "0 0 0").split())
+        x_axis, y_axis, z_axis = np.eye(3)
+        transform[:3, :3] = rotation_about(z_axis, yaw) @ rotation_about(y_axis, pitch) @ rotation_about(x_axis, roll)
+        transform[:3, 3] = [float(v) for v in origin.get("xyz", "0 0 0").split()]
+    return transform

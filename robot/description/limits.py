@@ -1,0 +1,97 @@
+"""The soft limits that planner and driver share: where the arm may go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot.calibration import Calibration, JointCalibration
+from robot.description.model import RobotModel
+from robot.errors import DescriptionError
+from robot.trajectory import Vector
+
+# Distance of the soft limits from the calibrated end stops: covers backlash (1 deg) and rounding.
+END_STOP_MARGIN_RAD = 0.03
+
+
+def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotModel:
+    """The robot with every joint's limits narrowed to what its calibration can reach, less a margin.
+
+    Raises:
+        DescriptionError: a calibrated joint is not a joint of the robot, or nothing is left of its range.
+    """
+    joints = dict(robot.joints)
+    for calibrated in calibration.joints:
+        joint = joints.get(calibrated.joint)
+        if joint is None or not joint.movable:
+            raise DescriptionError("URDF", f"has no movable joint {calibrated.joint!r}, which the calibration names")
+        lower = max(joint.lower, calibrated.lower_rad + END_STOP_MARGIN_RAD)
+        upper = min(joint.upper, calibrated.upper_rad - END_STOP_MARGIN_RAD)
+        if lower >= upper:
+            raise DescriptionError(
+                f"joint {joint.name!r}",
+                f"the URDF's limits {joint.lower:.3f} to {joint.upper:.3f} rad and the calibrated range "
+                f"{calibrated.lower_rad:.3f} to {calibrated.upper_rad:.3f} rad do not overlap",
+            )
+        joints[joint.name] = replace(joint, lower=lower, upper=upper)
+    return replace(robot, joints=joints)
+
+
+@dataclass(frozen=True)
+class JointBounds:
+    """Limits the driver keeps, each of shape (joints,): soft limits [rad], [rad/s], [rad/s^2]."""
+
+    lower_rad: Vector
+    upper_rad: Vector
+    max_velocity: Vector
+    max_acceleration: Vector
+
+    @classmethod
+    def of(cls, robot: RobotModel, joint_names: tuple[str, ...]) -> JointBounds:
+        """The limits of the robot's joints, in the order of the names."""
+        joints = [robot.joints[name] for name in joint_names]
+        return cls(
+            lower_rad=np.array([joint.lower for joint in joints]),
+            upper_rad=np.array([joint.upper for joint in joints]),
+            max_velocity=np.array([joint.max_velocity for joint in joints]),
+            max_acceleration=np.array([joint.max_acceleration for joint in joints]),
+        )
+
+    def of_columns(self, columns: NDArray[np.intp]) -> JointBounds:
+        """The limits of some of the joints, by their places in the arrays."""
+        return JointBounds(
+            self.lower_rad[columns], self.upper_rad[columns], self.max_velocity[columns], self.max_acceleration[columns]
+        )
+
+    def within_servos(self, calibration: Calibration, angle_limits_ticks: Mapping[int, tuple[int, int]]) -> JointBounds:
+        """Narrow the soft limits to what the servos' own angle limits let them reach, less the margin.
+
+        Args:
+            calibration: joints in the order of the arrays.
+            angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT by servo id; (0, 0) means none.
+
+        Raises:
+            DescriptionError: nothing is left of a joint's range.
+        """
+        ranges = [_range_of_servo(joint, angle_limits_ticks[joint.servo_id]) for joint in calibration.joints]
+        lower = np.maximum(self.lower_rad, [low for low, _ in ranges])
+        upper = np.minimum(self.upper_rad, [high for _, high in ranges])
+        for joint, low, high in zip(calibration.joints, lower, upper, strict=True):
+            if low >= high:
+                raise DescriptionError(
+                    f"servo {joint.servo_id} ({joint.joint})",
+                    f"has the angle limits {angle_limits_ticks[joint.servo_id]} ticks, which leave nothing of the "
+                    "joint's range: write the calibration to the servos",
+                )
+        return replace(self, lower_rad=lower, upper_rad=upper)
+
+
+def _range_of_servo(joint: JointCalibration, limits_ticks: tuple[int, int]) -> tuple[float, float]:
+    """Ends that a servo's registers allow, less the margin [rad]; both zero is Feetech's multi-turn mode."""
+    if limits_ticks == (0, 0):
+        return -np.inf, np.inf
+    ends = sorted(joint.rad_from_ticks(ticks) for ticks in limits_ticks)
+    return ends[0] + END_STOP_MARGIN_RAD, ends[1] - END_STOP_MARGIN_RAD

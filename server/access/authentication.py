@@ -1,0 +1,260 @@
+"""Authentication: tokens and their owners, rosauth's proofs of them, and the throttle of guesses."""
+
+from __future__ import annotations
+
+import hmac
+import logging
+import stat
+import time
+import tomllib
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from hashlib import sha256, sha512
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from server.access.permissions import Identity, Role
+from server.access.rate_limits import client_key
+from server.access.settings import MAX_TOKENS, AccessSettings
+from server.errors import ConfigurationError, sentence_of
+
+log = logging.getLogger("armbridge.access")
+
+# Name of the owner of `access.token`, which has no name of its own.
+TOKEN_NAME = "admin"  # noqa: S105 - a name
+
+_ROLES = {"admin_tokens": Role.ADMIN, "operate_tokens": Role.OPERATE, "view_tokens": Role.VIEW}
+_IN_FILE = frozenset({"token", *_ROLES})
+
+# As in rosauth: difference of the clocks, and age of a proof [s].
+GOOD_FOR_S = 5.0
+
+# Proofs that were used; only right ones are kept, each for twice `GOOD_FOR_S`.
+MAX_KEPT = 10_000
+
+# Wrong tokens from one address after which none is checked for the time of the window [s].
+MAX_WRONG = 10
+WINDOW_S = 60.0
+
+# Addresses that are remembered, the latest; each costs a kilobyte.
+MAX_ADDRESSES = 10_000
+
+
+class Tokens:
+    """Table of the tokens and their owners.
+
+    Args:
+        tokens: owners, by the text of the token.
+        anonymous: identity of clients without a token; None when they may do nothing.
+
+    Attributes:
+        any: True when there are tokens.
+        anonymous: as given.
+    """
+
+    def __init__(self, tokens: dict[str, Identity], anonymous: Identity | None) -> None:
+        # By digest: all have one length, so that comparing tells nothing of a token's.
+        self._tokens = [(_digest(token), token, identity) for token, identity in tokens.items()]
+        self.any = bool(tokens)
+        self.anonymous = anonymous
+
+    @classmethod
+    def from_settings(cls, settings: AccessSettings) -> Tokens:
+        """Read the settings, and the file that they name.
+
+        Raises:
+            ConfigurationError: the file cannot be used, a token has two owners, or nobody could connect.
+        """
+        found: dict[str, Identity] = {}
+        sources = [settings] if settings.token_file is None else [settings, _read(settings.token_file)]
+        for token, identity in (each for source in sources for each in _identities(source)):
+            if found.setdefault(token, identity) != identity:
+                raise ConfigurationError(
+                    f"access: {found[token].name} and {identity.name} have the same token; each needs its own"
+                )
+        if len(found) > MAX_TOKENS:
+            raise ConfigurationError(f"access: there are {len(found)} tokens, the limit is {MAX_TOKENS}")
+        return cls(found, _anonymous(settings, any_tokens=bool(found)))
+
+    def identify(self, presented: str) -> Identity | None:
+        """Return the owner of a token, None for a wrong one; takes equally long for every text."""
+        wanted, owner = _digest(presented), None
+        for digest, _, identity in self._tokens:
+            if hmac.compare_digest(digest, wanted):
+                owner = identity
+        return owner
+
+    def secrets(self) -> Iterator[tuple[str, Identity]]:
+        """Return every token with its owner, for proofs that do not show it."""
+        return ((token, identity) for _, token, identity in self._tokens)
+
+
+@dataclass(frozen=True)
+class RosauthProof:
+    """RosauthProof of a token that does not show it: the fields of rosauth's ``authenticate``, in the op ``auth``.
+
+    Attributes:
+        mac: SHA-512 of the token and the other fields one after the other, as hexadecimal text.
+        client: the client's address, as it calls it.
+        dest: the server's.
+        rand: a text that no other proof has.
+        t: when it was made [s since the epoch].
+        level: a role as rosauth knows them; that of the token counts.
+        end: until when it is good [s since the epoch].
+    """
+
+    mac: str
+    client: str
+    dest: str
+    rand: str
+    t: int
+    level: str
+    end: int
+
+    def made_with(self, token: str) -> bool:
+        """Return True for a proof that was made with this token."""
+        text = f"{token}{self.client}{self.dest}{self.rand}{self.t}{self.level}{self.end}"
+        expected = sha512(text.encode(errors="surrogatepass")).hexdigest()
+        return hmac.compare_digest(expected.encode(), self.mac.lower().encode(errors="surrogatepass"))
+
+
+class RosauthVerifier:
+    """Verifier of rosauth's proofs, each of which counts once.
+
+    Args:
+        tokens: the secrets in them.
+    """
+
+    def __init__(self, tokens: Tokens) -> None:
+        self._tokens = tokens
+        self._seen: OrderedDict[str, float] = OrderedDict()
+
+    def identify(self, proof: RosauthProof, now_s: float) -> Identity | str:
+        """Return the owner of the token that a proof was made with, or a sentence why the proof does not count.
+
+        Args:
+            proof: as it came.
+            now_s: seconds since the epoch.
+        """
+        if abs(now_s - proof.t) > GOOD_FOR_S:
+            return f"field t: the proof was made {now_s - proof.t:+.0f} s ago by this server's clock, the limit is 5"
+        if now_s > proof.end:
+            return f"field end: the proof ended {now_s - proof.end:.0f} s ago by this server's clock"
+        owner = None
+        for token, identity in self._tokens.secrets():
+            if proof.made_with(token):
+                owner = identity
+        if owner is None:
+            return "field mac: it was made with none of the tokens here"
+        # Not by rand: fields stand in the text without a sign between them, and so could lend one another characters.
+        return self._once(proof.mac.lower(), now_s) or owner
+
+    def _once(self, mac: str, now_s: float) -> str | None:
+        while self._seen and next(iter(self._seen.values())) < now_s:
+            self._seen.popitem(last=False)
+        if mac in self._seen:
+            return "field mac: this proof was used before; each is good once"
+        if len(self._seen) >= MAX_KEPT:
+            return f"field mac: {MAX_KEPT} proofs were used within {2 * GOOD_FOR_S:g} s, the limit; try again later"
+        self._seen[mac] = now_s + 2 * GOOD_FOR_S
+        return None
+
+
+class AuthThrottle:
+    """Throttle of clients that guess: counts wrong tokens by the address that they came from.
+
+    Args:
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        # Hashes of what was wrong, and the time at which they are forgotten; the address that erred last at the end.
+        self._wrong: OrderedDict[str, tuple[set[int], float]] = OrderedDict()
+
+    def record_failure(self, address: str, shown: object) -> None:
+        """Count a wrong token or proof from an address; the same one again is no further guess.
+
+        A page or program with an old token tries it for ever, and must not lock its neighbours out.
+        """
+        key = client_key(address)
+        wrong, until_s = self._known(key)
+        wrong.add(hash(shown))
+        # From the last one that is heard on, the whole time is waited.
+        if len(wrong) == 1 or len(wrong) >= MAX_WRONG:
+            until_s = self._clock() + WINDOW_S
+        self._wrong[key] = wrong, until_s
+        self._wrong.move_to_end(key)
+        if len(self._wrong) > MAX_ADDRESSES:
+            self._wrong.popitem(last=False)
+
+    def refusal(self, address: str) -> str | None:
+        """Return the reason why no token from this address is checked now, None when tokens are checked."""
+        left_s = self.wait_s(address)
+        if left_s <= 0.0:
+            return None
+        return f"{MAX_WRONG} wrong tokens came from this address, the limit is {MAX_WRONG}; try again in {left_s:.0f} s"
+
+    def wait_s(self, address: str) -> float:
+        """Return the time for which no token from this address is checked [s]."""
+        wrong, until_s = self._known(client_key(address))
+        return until_s - self._clock() if len(wrong) >= MAX_WRONG else 0.0
+
+    def _known(self, key: str) -> tuple[set[int], float]:
+        wrong, until_s = self._wrong.get(key, (set(), 0.0))
+        if wrong and self._clock() >= until_s:
+            del self._wrong[key]
+            return set(), 0.0
+        return wrong, until_s
+
+
+def _digest(token: str) -> bytes:
+    return sha256(token.encode(errors="surrogatepass")).digest()
+
+
+def _identities(settings: AccessSettings) -> Iterator[tuple[str, Identity]]:
+    if settings.token is not None:
+        yield settings.token.get_secret_value(), Identity(TOKEN_NAME, Role.ADMIN)
+    for key, role in _ROLES.items():
+        for name, token in getattr(settings, key).items():
+            yield token.get_secret_value(), Identity(name, role)
+
+
+def _anonymous(settings: AccessSettings, *, any_tokens: bool) -> Identity | None:
+    chosen = settings.without_token
+    if chosen == "auto":
+        chosen = "none" if any_tokens else "admin"
+    if chosen != "none":
+        return Identity("", Role[chosen.upper()])
+    if not any_tokens:
+        raise ConfigurationError(
+            "access.without_token: none lets nobody in while there are no tokens; set access.token or one of "
+            f"{', '.join(_ROLES)}"
+        )
+    return None
+
+
+def _read(file: Path) -> AccessSettings:
+    """Read the tokens in a file; no error shows any of them.
+
+    Raises:
+        ConfigurationError: it cannot be used.
+    """
+    try:
+        if file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
+            log.warning("access.token_file: %s can be read by other users of this machine; chmod 600 it", file)
+        values = tomllib.loads(file.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"access.token_file: {file} cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"access.token_file: {file} is not TOML: {error}") from error
+    if stray := sorted(values.keys() - _IN_FILE):
+        raise ConfigurationError(f"access.token_file: {file} has {stray[0]}; it may have {', '.join(sorted(_IN_FILE))}")
+    try:
+        return AccessSettings(**values)
+    except ValidationError as error:
+        first = error.errors(include_input=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ConfigurationError(f"access.token_file: {file}: {key}: {sentence_of(first)}") from None

@@ -1,0 +1,398 @@
+"""Authorization: the table of the role and the control that each name needs, and the check of each operation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from protocol.names import qualify
+from protocol.operations import (
+    Advertise,
+    AdvertiseAction,
+    AdvertiseService,
+    Auth,
+    CallService,
+    Operation,
+    Publish,
+    SendActionGoal,
+    Subscribe,
+)
+from server.access.authentication import RosauthProof, RosauthVerifier, Tokens
+from server.access.control_lease import ControlLease
+from server.access.permissions import Identity, NameFilter, Role
+from server.access.rate_limits import RateLimiter
+from server.access.settings import AccessSettings
+from server.graph.node import Node
+
+# Suffixes of the names by which actions are cancelled and, as actionlib's topics, sent.
+CANCEL_SERVICE = "/_action/cancel_goal"
+ACTIONLIB_GOAL, ACTIONLIB_CANCEL = "/goal", "/cancel"
+
+# The names of controllers begin with their joint group's.
+FOLLOW_ACTION, FOLLOW_TOPIC = "_controller/follow_joint_trajectory", "_controller/joint_trajectory"
+
+# Topics that a client is known to be allowed to publish on; those beyond are checked for each message.
+MAX_SETTLED = 1000
+
+_WHAT_TO_SHOW = {
+    Role.VIEW: "a token",
+    Role.OPERATE: "a token of access.operate_tokens or access.admin_tokens",
+    Role.ADMIN: "a token of access.admin_tokens",
+}
+
+# Open beside every filter of services, as in rosbridge_server: clients find out with them what there is.
+ALWAYS_SERVICES = ("/rosapi/*",)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Requirements of a service, a topic or an action.
+
+    Attributes:
+        role: least role of the client.
+        stops: True for names that stop the arm; they are open to every client with the role, past filters and control.
+        drives: True for names that move or switch the arm, which one client does at a time.
+        goal: True for names that count against the rate of goals.
+        may_plan_only: True for goals whose ``planning_options`` may say that nothing moves.
+    """
+
+    role: Role
+    stops: bool = False
+    drives: bool = False
+    goal: bool = False
+    may_plan_only: bool = False
+
+
+LOOKING = Rule(Role.VIEW)
+STOPPING = Rule(Role.VIEW, stops=True)
+WORKING = Rule(Role.OPERATE)
+SWITCHING = Rule(Role.OPERATE, drives=True)
+GOAL = Rule(Role.OPERATE, drives=True, goal=True)
+PLANNING_GOAL = Rule(Role.OPERATE, drives=True, goal=True, may_plan_only=True)
+CONFIGURING = Rule(Role.ADMIN)
+
+_ROSAPI_LOOKING = (
+    "action_servers",
+    "get_param",
+    "get_param_names",
+    "get_ros_version",
+    "get_time",
+    "has_param",
+    "message_details",
+    "node_details",
+    "nodes",
+    "publishers",
+    "search_param",
+    "service_host",
+    "service_node",
+    "service_providers",
+    "service_request_details",
+    "service_response_details",
+    "service_type",
+    "services",
+    "services_for_type",
+    "subscribers",
+    "topic_type",
+    "topics",
+    "topics_and_raw_types",
+    "topics_for_type",
+)
+
+SERVICES: Mapping[str, Rule] = {
+    **{f"/rosapi/{name}": LOOKING for name in _ROSAPI_LOOKING},
+    "/rosapi/delete_param": CONFIGURING,
+    "/rosapi/set_param": CONFIGURING,
+    "/apply_planning_scene": WORKING,
+    "/arm/emergency_stop": STOPPING,
+    "/arm/enable": SWITCHING,
+    # It slows the arm down to rest, which harms nobody.
+    "/arm/pause": WORKING,
+    "/arm/relax": SWITCHING,
+    "/arm/release_control": WORKING,
+    "/arm/reset_fault": SWITCHING,
+    "/arm/resume": SWITCHING,
+    "/arm/step_back": SWITCHING,
+    "/arm/stop": STOPPING,
+    "/arm/take_control": WORKING,
+    "/arm/who_am_i": LOOKING,
+    "/armbridge/get_logger_levels": LOOKING,
+    "/armbridge/set_logger_levels": CONFIGURING,
+    "/check_goals": LOOKING,
+    "/check_state_validity": LOOKING,
+    "/clear_octomap": WORKING,
+    "/compute_cartesian_path": LOOKING,
+    "/compute_fk": LOOKING,
+    "/compute_ik": LOOKING,
+    "/delete_robot_state": CONFIGURING,
+    "/file_server/get_file": LOOKING,
+    "/get_planner_params": LOOKING,
+    "/get_planning_scene": LOOKING,
+    "/get_robot_state": LOOKING,
+    "/get_urdf": LOOKING,
+    "/has_robot_state": LOOKING,
+    "/list_robot_states": LOOKING,
+    "/load_geometry_from_file": WORKING,
+    "/moveit_goal_confirm_mode": CONFIGURING,
+    "/plan_kinematic_path": LOOKING,
+    "/plan_sequence_path": LOOKING,
+    "/query_planner_interface": LOOKING,
+    "/rename_robot_state": CONFIGURING,
+    "/save_geometry_to_file": CONFIGURING,
+    "/save_robot_state": CONFIGURING,
+    "/servo_node/pause_servo": SWITCHING,
+    "/servo_node/reset_servo_status": SWITCHING,
+    "/servo_node/start_servo": SWITCHING,
+    "/servo_node/stop_servo": STOPPING,
+    "/servo_node/switch_command_type": SWITCHING,
+    "/servo_node/unpause_servo": SWITCHING,
+    "/set_planner_params": CONFIGURING,
+}
+
+# Rules of publishing; to subscribe needs LOOKING alone.
+TOPICS: Mapping[str, Rule] = {
+    "/arm/speed_factor": SWITCHING,
+    "/attached_collision_object": WORKING,
+    "/collision_object": WORKING,
+    "/emergency_stop": STOPPING,
+    "/moveit_goal_cancel": STOPPING,
+    # The client that confirms may be another than the one that drives.
+    "/moveit_goal_confirm": WORKING,
+    "/moveit_goal_joints": GOAL,
+    "/moveit_goal_named": GOAL,
+    "/moveit_goal_pose": GOAL,
+    "/planning_scene": WORKING,
+    "/planning_scene_world": WORKING,
+    "/servo_node/delta_joint_cmds": SWITCHING,
+    "/servo_node/delta_twist_cmds": SWITCHING,
+    "/servo_node/pose_target_cmds": SWITCHING,
+    "/stop": STOPPING,
+    "/trajectory_execution_event": STOPPING,
+}
+
+ACTIONS: Mapping[str, Rule] = {
+    "/execute_trajectory": GOAL,
+    "/gripper_controller/gripper_cmd": GOAL,
+    "/joint_trajectory_action": GOAL,
+    "/move_action": PLANNING_GOAL,
+    "/move_group": PLANNING_GOAL,
+    "/parallel_gripper_controller/gripper_cmd": GOAL,
+    "/sequence_move_group": PLANNING_GOAL,
+}
+
+
+def rule_of_service(name: str) -> Rule:
+    """Return the rule of a service, given by its fully qualified name."""
+    if name.endswith(CANCEL_SERVICE):
+        return STOPPING
+    return SERVICES.get(name, WORKING)
+
+
+def rule_of_action(name: str) -> Rule:
+    """Return the rule of an action, given by its fully qualified name."""
+    return GOAL if name.endswith(FOLLOW_ACTION) else ACTIONS.get(name, WORKING)
+
+
+def rule_of_topic(name: str) -> Rule:
+    """Return the rule of publishing on a topic, given by its fully qualified name."""
+    rule = TOPICS.get(name)
+    if rule is not None:
+        return rule
+    if name.endswith(FOLLOW_TOPIC):
+        return GOAL
+    if name.endswith(ACTIONLIB_GOAL):
+        return rule_of_action(name.removesuffix(ACTIONLIB_GOAL))
+    if name.endswith(ACTIONLIB_CANCEL) and rule_of_action(name.removesuffix(ACTIONLIB_CANCEL)).drives:
+        return STOPPING
+    return WORKING
+
+
+def plans_only(goal: object) -> bool:
+    """Return True for a goal, as its client spelled it, that asks for a plan and for no motion."""
+    options: Any = goal.get("planning_options") if isinstance(goal, Mapping) else None
+    return isinstance(options, Mapping) and options.get("plan_only") is True
+
+
+@dataclass(frozen=True)
+class SharedRules:
+    """Parts of the authorization that all clients share.
+
+    Attributes:
+        topics: filter of topics.
+        services: filter of services and actions.
+        lease: control of the arm.
+    """
+
+    topics: NameFilter
+    services: NameFilter
+    lease: ControlLease
+
+
+class Authorizer:
+    """Check of the operations of one client; asked once an operation, before anything is done for it.
+
+    Args:
+        node: the client.
+        shared: the parts that all clients share.
+        goals: rate of goals of this client.
+        clock: monotonic time [s].
+    """
+
+    __slots__ = ("_clock", "_goals", "_node", "_settled", "_shared")
+
+    def __init__(self, node: Node, shared: SharedRules, goals: RateLimiter, clock: Callable[[], float]) -> None:
+        self._node = node
+        self._shared = shared
+        self._goals = goals
+        self._clock = clock
+        # Topics as the client spells them: it publishes on the same few, thousands of times a second.
+        self._settled: set[str] = set()
+
+    def refusal(self, operation: Operation) -> str | None:
+        """Return the reason why an operation is refused, None when it is not; one that drives takes control."""
+        match operation:
+            case Publish():
+                known = operation.topic in self._settled
+                return None if known else self.publishing(operation.topic, operation.msg)
+            case CallService():
+                return self.calling(operation.service)
+            case SendActionGoal():
+                return self.sending(operation.action, operation.args)
+            case Subscribe():
+                return self.subscribing(operation.topic)
+            case Advertise():
+                return self.advertising(operation.topic)
+            case AdvertiseService():
+                return self.offering("service", operation.service)
+            case AdvertiseAction():
+                return self.offering("action", operation.action)
+            case _:
+                return None
+
+    def authenticate(self, identity: Identity) -> None:
+        """Give the client the identity that it has shown."""
+        self._node.identity = identity
+        self._settled.clear()
+        if identity.role < Role.OPERATE:
+            self._shared.lease.leave(self._node)
+
+    def leave(self) -> None:
+        """Free the control of a client that has left."""
+        self._shared.lease.leave(self._node)
+
+    def publishing(self, topic: str, message: Mapping[str, Any]) -> str | None:
+        """Check a message on a topic, as :meth:`refusal`."""
+        name = qualify(topic)
+        rule = rule_of_topic(name)
+        refusal = self._name_refusal(rule, "topic", name, self._shared.topics)
+        if refusal is None and name.endswith(ACTIONLIB_GOAL) and rule.goal:
+            # The other way to an action must not be the one past its filter.
+            refusal = self._shared.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
+        if refusal is None and not rule.drives and len(self._settled) < MAX_SETTLED:
+            self._settled.add(topic)
+        return refusal or self._drive(rule, name, message.get("goal"))
+
+    def advertising(self, topic: str) -> str | None:
+        """Check an advertisement of a topic, as :meth:`refusal`."""
+        name = qualify(topic)
+        return self._name_refusal(rule_of_topic(name), "topic", name, self._shared.topics)
+
+    def subscribing(self, topic: str) -> str | None:
+        """Check a subscription to a topic, as :meth:`refusal`."""
+        return self._name_refusal(LOOKING, "topic", qualify(topic), self._shared.topics)
+
+    def calling(self, service: str) -> str | None:
+        """Check a call of a service, as :meth:`refusal`."""
+        # What follows the sign is the call's id.
+        name = qualify(service.partition("#")[0])
+        rule = rule_of_service(name)
+        return self._name_refusal(rule, "service", name, self._shared.services) or self._drive(rule, name, None)
+
+    def sending(self, action: str, goal: object) -> str | None:
+        """Check a goal on an action, as :meth:`refusal`."""
+        name = qualify(action)
+        rule = rule_of_action(name)
+        return self._name_refusal(rule, "action", name, self._shared.services) or self._drive(rule, name, goal)
+
+    def offering(self, kind: str, spelled: str) -> str | None:
+        """Check an offer of a service or an action, given by its kind, as :meth:`refusal`."""
+        return self._name_refusal(WORKING, kind, qualify(spelled), self._shared.services)
+
+    def _name_refusal(self, rule: Rule, kind: str, name: str, names: NameFilter) -> str | None:
+        identity = self._node.identity
+        if identity is None or identity.role < rule.role:
+            has = "none" if identity is None else identity.role.name.lower()
+            return (
+                f"{kind} {name}: needs the role {rule.role.name.lower()}, this client has {has}; "
+                f"show {_WHAT_TO_SHOW[rule.role]}"
+            )
+        return None if rule.stops else names.refusal(kind, name)
+
+    def _drive(self, rule: Rule, name: str, goal: object) -> str | None:
+        if rule.goal and not self._goals.take(self._clock()):
+            return (
+                f"{name}: this client sends more than {self._goals.burst} goals at once (access.goal_burst) and "
+                f"{self._goals.per_s:g} a second (access.goals_per_s)"
+            )
+        if not rule.drives or (rule.may_plan_only and plans_only(goal)):
+            return None
+        refusal = self._shared.lease.drive(self._node, self._clock())
+        return None if refusal is None else f"{name}: {refusal}"
+
+
+class Access:
+    """Authentication and authorization as the settings describe them.
+
+    Args:
+        settings: the section ``access``.
+        clock: monotonic time [s].
+        wall_clock: seconds since the epoch.
+
+    Attributes:
+        tokens: tokens and their owners.
+        lease: control of the arm.
+        params: filter of parameters.
+
+    Raises:
+        ConfigurationError: the tokens cannot be used.
+    """
+
+    def __init__(
+        self,
+        settings: AccessSettings,
+        clock: Callable[[], float] = time.monotonic,
+        wall_clock: Callable[[], float] = time.time,
+    ) -> None:
+        self.tokens = Tokens.from_settings(settings)
+        self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock)
+        self.params = NameFilter("access.params_glob", settings.params_glob)
+        self._settings = settings
+        self._clock = clock
+        self._wall_clock = wall_clock
+        self._rosauth = RosauthVerifier(self.tokens)
+        self._shared = SharedRules(
+            NameFilter("access.topics_glob", settings.topics_glob),
+            NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES),
+            self.lease,
+        )
+
+    def authorizer(self, node: Node) -> Authorizer:
+        """Return the check of a client's operations."""
+        return Authorizer(
+            node, self._shared, RateLimiter(self._settings.goals_per_s, self._settings.goal_burst), self._clock
+        )
+
+    def identify(self, shown: Auth) -> Identity | str:
+        """Return the identity that a client shows in the op ``auth``, or a sentence why it shows none."""
+        if shown.token is not None:
+            return self.tokens.identify(shown.token) or "field token: it is none of the tokens here"
+        if shown.mac is None:
+            return "wanted the field token, or rosauth's mac, client, dest, rand, t, level and end; got neither"
+        proof = RosauthProof(shown.mac, shown.client, shown.dest, shown.rand, int(shown.t), shown.level, int(shown.end))
+        return self._rosauth.identify(proof, self._wall_clock())
+
+
+def unlimited() -> Access:
+    """Return the access to a server on which every client may do everything at any time."""
+    return Access(AccessSettings(control="shared"))

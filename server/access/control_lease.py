@@ -1,0 +1,249 @@
+"""Control of the arm: the lease that lets one client drive at a time, with its topic and services."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Any, Literal, TypeAlias
+
+from server.access.permissions import Role
+from server.arm.topics import LEVEL_OK, key_values
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph
+from server.timers import CallLater, Timer
+
+Policy: TypeAlias = Literal["lease", "shared"]
+
+RELEASE_SERVICE = "/arm/release_control"
+
+# Time for which only the client that has released another's control may take it, however often the other asks [s].
+RESERVED_S = 3.0
+
+TOPIC = "/arm/control"
+TAKE_SERVICE = "/arm/take_control"
+
+# Tells a client its own name, by which it finds itself on the topic.
+WHO_SERVICE = "/arm/who_am_i"
+
+# Period of the check for an idle holder, and of the messages while there is a holder [s].
+BEAT_S = 1.0
+
+
+class ControlLease:
+    """Control of the arm by one client at a time.
+
+    Args:
+        policy: ``lease`` for one client at a time, ``shared`` for all at once.
+        idle_s: time without a request of the holder after which the arm is free for others [s].
+        wall_clock: seconds since the epoch.
+
+    Attributes:
+        policy: as given.
+        holder: the client that drives; None when the arm is free.
+        since_s: start of the holder's control [s since the epoch].
+    """
+
+    def __init__(self, policy: Policy, idle_s: float, wall_clock: Callable[[], float]) -> None:
+        self.policy = policy
+        self.holder: Node | None = None
+        self.since_s = 0.0
+        self._busy: Callable[[], object] = lambda: False
+        self._on_change: Callable[[], None] = lambda: None
+        self._idle_limit_s = idle_s
+        self._wall_clock = wall_clock
+        self._heard_s = 0.0
+        self._reserved: tuple[Node, float] | None = None
+
+    def connect(self, busy: Callable[[], object], on_change: Callable[[], None] = lambda: None) -> None:
+        """Connect the lease with the arm's goals and with those who show it.
+
+        Args:
+            busy: returns something true while a goal is worked on; meanwhile the holder does not idle.
+            on_change: called when there is another holder, or none.
+        """
+        self._busy = busy
+        self._on_change = on_change
+
+    def drive(self, node: Node, now_s: float) -> str | None:
+        """Take control, or keep it, to move the arm or to switch it.
+
+        Args:
+            node: the client.
+            now_s: monotonic time [s].
+
+        Returns:
+            The reason why it may not; None when it may.
+        """
+        if self.policy == "shared" or not node.remote:
+            return None
+        if self.holder is not node:
+            self.tick(now_s)
+            if self.holder is not None:
+                return self._refusal(self.holder, self.free_in_s(now_s))
+            if (reserved := self._reservation(node, now_s)) is not None:
+                return reserved
+        self._heard_s = now_s
+        self._set(node)
+        return None
+
+    def release(self, node: Node, now_s: float) -> str | None:
+        """Give control back; a client that has shown a token with the role ADMIN may take it from another.
+
+        Args:
+            node: the client.
+            now_s: monotonic time [s].
+
+        Returns:
+            The reason why it may not; None when the arm is free.
+        """
+        if self.holder is None or self.holder is node:
+            self._set(None)
+            return None
+        identity = node.identity
+        if identity is not None and identity.by_token and identity.role >= Role.ADMIN:
+            self._reserved = node, now_s + RESERVED_S
+            self._set(None)
+            return None
+        return (
+            f"{self.holder} controls the arm, not {node}; to take control from another, show a token of "
+            "access.admin_tokens"
+        )
+
+    def leave(self, node: Node) -> None:
+        """Forget a client that has left, or that may not drive any more."""
+        if self._reserved is not None and self._reserved[0] is node:
+            self._reserved = None
+        if self.holder is node:
+            self._set(None)
+
+    def tick(self, now_s: float) -> None:
+        """Free the arm when its holder has idled for too long, at a monotonic time [s]."""
+        if self.holder is None:
+            return
+        if self._busy():
+            self._heard_s = now_s
+        elif now_s - self._heard_s >= self._idle_limit_s:
+            self._set(None)
+
+    def idle_s(self, now_s: float) -> float:
+        """Return the time since the holder's last request [s], at a monotonic time [s]."""
+        return 0.0 if self.holder is None else max(0.0, now_s - self._heard_s)
+
+    def free_in_s(self, now_s: float) -> float:
+        """Return the time until the arm is free if its holder requests nothing more [s], at a monotonic time [s]."""
+        return self._idle_limit_s - self.idle_s(now_s)
+
+    def _reservation(self, node: Node, now_s: float) -> str | None:
+        """Return the reason why the free arm is not for this client yet; the first to take it ends the reservation."""
+        if self._reserved is not None:
+            first, until_s = self._reserved
+            if node is not first and now_s < until_s:
+                return f"{first} has taken control from another; it is free in {math.ceil(until_s - now_s)} s"
+            self._reserved = None
+        return None
+
+    def _set(self, holder: Node | None) -> None:
+        if holder is self.holder:
+            return
+        self.holder = holder
+        self.since_s = self._wall_clock()
+        self._on_change()
+
+    def _refusal(self, holder: Node, left_s: float) -> str:
+        since = datetime.fromtimestamp(self.since_s, UTC).strftime("%H:%M:%S UTC")
+        return (
+            f"{holder} has controlled the arm since {since}; it is free when that client leaves, calls "
+            f"{RELEASE_SERVICE}, or asks for nothing for another {math.ceil(left_s)} s "
+            f"(access.control_idle_s = {self._idle_limit_s:g})"
+        )
+
+
+class ControlServices:
+    """Topic ``/arm/control`` (latched), and the services that take, release and ask for control.
+
+    Args:
+        graph: the graph that they belong to.
+        lease: control of the arm.
+        clock: monotonic time [s].
+        call_later: calls something after a delay.
+    """
+
+    def __init__(self, graph: Graph, lease: ControlLease, clock: Callable[[], float], call_later: CallLater) -> None:
+        self._graph = graph
+        self._lease = lease
+        self._clock = clock
+        self._call_later = call_later
+        self._node = Node("arm control")
+        self._timer: Timer | None = None
+
+    def open(self, busy: Callable[[], object]) -> None:
+        """Advertise the topic and offer the services.
+
+        Args:
+            busy: returns something true while a goal is worked on.
+        """
+        self._lease.connect(busy, self._publish)
+        self._graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        services = {TAKE_SERVICE: self._take, RELEASE_SERVICE: self._release, WHO_SERVICE: self._who}
+        for name, serve in services.items():
+            self._graph.services.offer_calls(self._node, name, "std_srvs/Trigger", serve)
+        self._publish()
+        self._beat()
+
+    def close(self) -> None:
+        """Stop the timer."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _beat(self) -> None:
+        self._lease.tick(self._clock())
+        if self._lease.holder is not None:
+            self._publish()
+        self._timer = self._call_later(BEAT_S, self._beat)
+
+    def _take(self, call: Call) -> None:
+        refusal = self._lease.drive(call.caller, self._clock())
+        self._answer(call, refusal)
+
+    def _release(self, call: Call) -> None:
+        self._answer(call, self._lease.release(call.caller, self._clock()))
+
+    def _who(self, call: Call) -> None:
+        caller = call.caller
+        role = "" if caller.identity is None else caller.identity.role.name.lower()
+        told = {"name": caller.name, "address": caller.address, "role": role}
+        answer(call, lambda _request: {"success": True, "message": json.dumps(told)})
+
+    def _answer(self, call: Call, refusal: str | None) -> None:
+        message = self._sentence() if refusal is None else refusal
+        answer(call, lambda _request: {"success": refusal is None, "message": message})
+
+    def _sentence(self) -> str:
+        if self._lease.policy == "shared":
+            return "all clients may drive the arm at once (access.control)"
+        if self._lease.holder is None:
+            return "nobody controls the arm; the first who moves it does"
+        return f"{self._lease.holder} controls the arm"
+
+    def _publish(self) -> None:
+        lease, now_s = self._lease, self._clock()
+        holder = lease.holder
+        values = {
+            "holder": "" if holder is None else holder.name,
+            "address": "" if holder is None else holder.address,
+            "policy": lease.policy,
+            "since": "" if holder is None else f"{lease.since_s:.3f}",
+            "idle_s": f"{lease.idle_s(now_s):.0f}",
+            "free_in_s": "" if holder is None else f"{lease.free_in_s(now_s):.0f}",
+        }
+        status: dict[str, Any] = {
+            "level": LEVEL_OK,
+            "name": "control",
+            "message": self._sentence(),
+            "hardware_id": values["holder"],
+            "values": key_values(values),
+        }
+        self._graph.publish(self._node, TOPIC, status)

@@ -1,0 +1,171 @@
+"""The arm as the settings describe it: its files, its hardware, and its process's configuration."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot.calibration import Calibration, find_calibration
+from robot.description import model
+from robot.description.limits import within_calibration
+from robot.description.model import RobotModel
+from robot.errors import RobotError
+from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.messages import ArmConfig
+from server.config import ArmSettings, EmulatorSettings, Settings
+from server.errors import ConfigurationError
+from server.moveit.parameters import MoveItParameters
+
+# Longest path of a Unix socket (sun_path in unix(7)), less its final zero.
+MAX_SOCKET_PATH_BYTES = 107
+
+
+@dataclass(frozen=True)
+class Description:
+    """The arm by its files.
+
+    Attributes:
+        robot: the robot, within its calibration if it has one.
+        calibration: its servos; None for an ideal arm, which has none.
+        calibration_file: where the calibration was read; None for that of a nominal arm.
+    """
+
+    robot: RobotModel
+    calibration: Calibration | None
+    calibration_file: Path | None = None
+
+    @classmethod
+    def read(cls, settings: ArmSettings) -> Description:
+        """Read the files named in the settings, or the built-in ones.
+
+        Another robot's URDF alone means an ideal arm: only a serial port or a calibration say that it has servos.
+
+        Raises:
+            ConfigurationError: a file that cannot be used, or one that the arm has no use for.
+        """
+        try:
+            if settings.urdf is not None and settings.srdf is not None:
+                robot = model.load(settings.urdf, settings.srdf)
+                if settings.serial is None and settings.calibration is None:
+                    _refuse_trims(settings)
+                    return cls(robot, None)
+            else:
+                robot = model.builtin()
+            file = find_calibration(str(settings.calibration), os.environ) if settings.calibration else None
+            read = Calibration.load(file) if file else Calibration.nominal()
+            calibration = read.with_zero_offsets(settings.zero_offset_rad)
+            return cls(within_calibration(robot, calibration), calibration, file)
+        except RobotError as error:
+            raise ConfigurationError(str(error)) from error
+
+
+def arm_config(settings: Settings, description: Description) -> ArmConfig:
+    """Make the arm process's configuration.
+
+    Args:
+        settings: all of them; the sections ``arm`` and ``emulator`` count.
+        description: the arm by its files.
+
+    Raises:
+        ConfigurationError: a setting of the emulated servos that cannot be used, or that this arm has no use for.
+    """
+    arm = settings.arm
+    return ArmConfig(
+        robot=description.robot,
+        hardware=_hardware(settings, description),
+        state_rate_hz=arm.joint_state_rate_hz,
+        start_enabled=arm.start_enabled,
+        watchdog_s=arm.watchdog_s,
+        on_server_lost=arm.on_server_lost,
+        on_exit=arm.on_exit,
+        on_emergency_stop=arm.on_emergency_stop,
+        warn_temperature_c=arm.warn_temperature_c,
+        slow_temperature_c=arm.slow_temperature_c,
+        stop_temperature_c=arm.stop_temperature_c,
+        guard_limits=arm.guards.limits(),
+    )
+
+
+def _hardware(settings: Settings, description: Description) -> HardwareConfig:
+    emulator = settings.emulator
+    if description.calibration is None:
+        _refuse_bus_options(emulator)
+        return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled)
+    if settings.arm.serial is not None:
+        return FeetechConfig(description.calibration, settings.arm.serial)
+    if emulator.write_log is not None:
+        _check_place("emulator.write_log", emulator.write_log)
+    if emulator.control is not None:
+        _check_socket(emulator.control)
+    return EmulatedConfig(
+        description.calibration,
+        drop=emulator.drop,
+        corrupt=emulator.corrupt,
+        seed=emulator.seed,
+        write_log=emulator.write_log,
+        control=emulator.control,
+        # Nothing can jump or fall when it is switched on: the half second that this takes is for real arms.
+        driven=settings.arm.start_enabled,
+    )
+
+
+def _refuse_trims(settings: ArmSettings) -> None:
+    if settings.zero_offset_rad:
+        joint = next(iter(settings.zero_offset_rad))
+        raise ConfigurationError(
+            f"arm.zero_offset_rad.{joint}: the ideal arm has no servos whose zero could be trimmed; name the arm's "
+            "port (arm.serial) or calibration (arm.calibration)"
+        )
+
+
+def _refuse_bus_options(emulator: EmulatorSettings) -> None:
+    default = EmulatorSettings()
+    for name in type(emulator).model_fields:
+        if (value := getattr(emulator, name)) != getattr(default, name):
+            raise ConfigurationError(
+                f"emulator.{name}: the ideal arm (arm.urdf without arm.serial or arm.calibration) has no servo bus "
+                f"that {value!r} could apply to"
+            )
+
+
+def _check_place(setting: str, path: Path) -> None:
+    """Refuse a file that could not be made."""
+    if path.is_dir():
+        raise ConfigurationError(f"{setting}: {path} is a directory")
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise ConfigurationError(f"{setting}: {path.parent} is no directory that this user may write to")
+
+
+def _check_socket(path: Path) -> None:
+    _check_place("emulator.control", path)
+    length = len(os.fsencode(path))
+    if length > MAX_SOCKET_PATH_BYTES:
+        raise ConfigurationError(
+            f"emulator.control: the path of a Unix socket has at most {MAX_SOCKET_PATH_BYTES} bytes, not {length}"
+        )
+    if path.exists() and not path.is_socket():
+        raise ConfigurationError(f"emulator.control: {path} exists, and is no socket")
+
+
+def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:
+    """Check the parameters against the robot.
+
+    Raises:
+        ConfigurationError: a group, link or frame that the robot does not have.
+    """
+    group, link, frame = (
+        parameters.group_name,
+        parameters.end_effector_link,
+        parameters.planning_frame.lstrip("/"),
+    )
+    if group not in robot.groups:
+        raise ConfigurationError(
+            f"moveit.group_name: there is no group {group!r}; the SRDF has {', '.join(robot.groups)}"
+        )
+    if link and link not in robot.links:
+        raise ConfigurationError(
+            f"moveit.end_effector_link: there is no link {link!r}; the URDF has {', '.join(robot.links)}"
+        )
+    if frame and frame != robot.root_link:
+        raise ConfigurationError(f"moveit.planning_frame: must be the root link {robot.root_link!r}, not {frame!r}")

@@ -1,0 +1,168 @@
+"""``/joint_states`` from what the servos report.
+
+``/arm/state`` and ``/arm/joint_limits``: latched, published when they change.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from protocol.messages import Stamp
+from robot.description.model import RobotModel
+from robot.faults import Fault
+from robot.messages import ArmHealth, ArmState, Mode, Pace
+from server.arm.services import ENABLE, RESET_FAULT
+from server.graph.node import Node
+from server.graph.topics import Graph
+
+TOPIC = "/joint_states"
+
+
+class JointStates:
+    """Publishes every state of the arm.
+
+    Effort is the share of full motor duty, -1..1: the servos measure no torque.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._node = Node("arm")
+
+    def open(self) -> None:
+        """Advertise the topic."""
+        self._graph.advertise(self._node, TOPIC, "sensor_msgs/JointState")
+
+    def publish(self, state: ArmState) -> None:
+        """Publish one state; a disconnected arm has none."""
+        if state.position_rad is None or state.velocity_rad_s is None or state.load is None:
+            return
+        message: dict[str, Any] = {
+            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
+            "name": list(state.joint_names),
+            "position": state.position_rad.tolist(),
+            "velocity": state.velocity_rad_s.tolist(),
+            "effort": state.load.tolist(),
+        }
+        self._graph.publish(self._node, TOPIC, message)
+
+
+STATE_TOPIC = "/arm/state"
+LIMITS_TOPIC = "/arm/joint_limits"
+
+# diagnostic_msgs/DiagnosticStatus levels.
+LEVEL_OK, LEVEL_WARN, LEVEL_ERROR = 0, 1, 2
+
+_SENTENCES = {
+    Mode.DISCONNECTED: "the arm is not connected",
+    Mode.CONNECTED: "the servos are being checked",
+    Mode.RELAXED: f"the arm is relaxed; {ENABLE} makes it hold",
+    Mode.HOLDING: "the arm holds",
+    Mode.MOVING: "the arm moves",
+    Mode.FAULT: "the arm has a fault",
+}
+_LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAULT: LEVEL_ERROR}
+
+
+class ArmStateTopics:
+    """Publishes what the arm is doing, and within which limits.
+
+    Args:
+        graph: where the topics are.
+        robot: the arm; names the hardware, and gives the limits until the servos' own are known.
+    """
+
+    def __init__(self, graph: Graph, robot: RobotModel) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._node = Node("arm state")
+        # All of a state that its message tells.
+        self._told: tuple[Mode, str, Fault | None, Pace] | None = None
+        self._limits: dict[str, Any] | None = None
+
+    def open(self) -> None:
+        """Advertise the topics."""
+        self._graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        self._graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
+        joints = self._robot.movable_joints
+        self._publish_limits({joint.name: (joint.lower, joint.upper) for joint in joints})
+
+    def take_state(self, state: ArmState) -> None:
+        """Publish a state when it says something new."""
+        told = state.mode, state.reason, state.fault, state.pace
+        if told != self._told:
+            self._told = told
+            self._graph.publish(self._node, STATE_TOPIC, status(state, self._robot.name))
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Publish the limits that the arm process keeps, when they are others."""
+        if health.limits_rad is not None:
+            names = [joint.joint for joint in health.joints]
+            self._publish_limits(
+                {name: (low, high) for name, (low, high) in zip(names, health.limits_rad.tolist(), strict=True)}
+            )
+
+    def _publish_limits(self, ranges_rad: dict[str, tuple[float, float]]) -> None:
+        message = joint_limits(self._robot, ranges_rad)
+        if message != self._limits:
+            self._limits = message
+            self._graph.publish(self._node, LIMITS_TOPIC, message)
+
+
+def status(state: ArmState, robot_name: str) -> dict[str, Any]:
+    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it."""
+    message = _SENTENCES[state.mode]
+    if state.fault is not None:
+        message = f"{state.fault} The service that resets it is {RESET_FAULT}."
+    elif state.reason:
+        message = f"{message}: {state.reason}"
+    values = {
+        "mode": state.mode.value,
+        "reason": state.reason,
+        "course": state.pace.course.value,
+        "speed_factor": f"{state.pace.speed_factor:g}",
+    }
+    if state.fault is not None:
+        values |= {
+            "fault": state.fault.code.value,
+            "fault_message": state.fault.message,
+            "fault_remedy": state.fault.remedy,
+            "fault_joint": state.fault.joint,
+            "fault_stamp": f"{state.fault.stamp_s:.3f}",
+        }
+    return {
+        "level": _LEVELS.get(state.mode, LEVEL_OK),
+        "name": "arm",
+        "message": message,
+        "hardware_id": robot_name,
+        "values": key_values(values),
+    }
+
+
+def key_values(values: dict[str, str]) -> list[dict[str, str]]:
+    """Pairs as diagnostic_msgs/KeyValue messages."""
+    return [{"key": key, "value": value} for key, value in values.items()]
+
+
+def joint_limits(robot: RobotModel, ranges_rad: dict[str, tuple[float, float]]) -> dict[str, Any]:
+    """The moveit_msgs/KinematicSolverInfo with the limits of joints, the type that holds those of several joints.
+
+    Args:
+        robot: gives velocity and acceleration [rad/s, rad/s^2].
+        ranges_rad: joint -> soft limits [rad].
+    """
+    return {
+        "joint_names": list(ranges_rad),
+        "limits": [
+            {
+                "joint_name": name,
+                "has_position_limits": True,
+                "min_position": lower,
+                "max_position": upper,
+                "has_velocity_limits": True,
+                "max_velocity": robot.joints[name].max_velocity,
+                "has_acceleration_limits": True,
+                "max_acceleration": robot.joints[name].max_acceleration,
+            }
+            for name, (lower, upper) in ranges_rad.items()
+        ],
+    }

@@ -1,0 +1,189 @@
+"""Options that commands on the arm's bus share, and what they stand for.
+
+Options that change settings, and the settings that come of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from robot.calibration import Calibration, find_calibration
+from robot.errors import PortBusy, RobotError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.port import AUTO, resolve_port
+from server.commands.terminal import ExitCode, Terminal
+from server.config import Settings
+from server.config_loader import load_with_sources
+from server.errors import ConfigurationError
+
+Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 - argparse has no public name for it
+
+SERIAL_HELP = (
+    "the servos' port: a path such as /dev/serial/by-id/..., a USB id such as 1a86:55d3, a URL such as "
+    "socket://host:port, or auto for the one adapter plugged in (auto)"
+)
+CALIBRATION_HELP = "the arm's calibration: a file, or the arm's id in lerobot's calibration directory"
+
+
+def add_serial(parser: argparse.ArgumentParser) -> None:
+    """Describe ``--serial``."""
+    parser.add_argument("--serial", metavar="PORT", default=AUTO, help=SERIAL_HELP)
+
+
+def add_calibration(parser: argparse.ArgumentParser) -> None:
+    """Describe ``--calibration``."""
+    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+
+
+def open_bus(options: argparse.Namespace) -> Bus:
+    """Open the bus that the options name.
+
+    Raises:
+        PortError: it cannot be opened.
+    """
+    return Bus.open(resolve_port(options.serial))
+
+
+def read_calibration(options: argparse.Namespace) -> Calibration | None:
+    """Read the calibration that the options name, if they name one.
+
+    Raises:
+        CalibrationError: it cannot be used.
+    """
+    if options.calibration is None:
+        return None
+    return Calibration.load(find_calibration(options.calibration, os.environ))
+
+
+def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
+    """Run a command on the arm; what it refuses or fails at becomes one line and an exit code."""
+    terminal = Terminal()
+    try:
+        return command(terminal)
+    except PortBusy as error:
+        terminal.say(f"armbridge: {error}. If that is armbridge serve, stop it first or use its services.")
+    except RobotError as error:
+        terminal.say(f"armbridge: {error}")
+    except KeyboardInterrupt:
+        terminal.say("armbridge: stopped")
+    return ExitCode.FAILED
+
+
+# Option -> its section and key in the settings.
+_KEYS = {
+    "host": ("server", "host"),
+    "port": ("server", "port"),
+    "log_level": ("server", "log_level"),
+    "serial": ("arm", "serial"),
+    "calibration": ("arm", "calibration"),
+    "insecure": ("access", "insecure"),
+    "urdf": ("arm", "urdf"),
+    "srdf": ("arm", "srdf"),
+    "record": ("recording", "file"),
+    "record_limit_mb": ("recording", "limit_mb"),
+}
+
+
+def add_setting_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the options of a command that needs the settings."""
+    parser.add_argument("--host", help="address to listen on (127.0.0.1)")
+    parser.add_argument("--port", type=int, help="TCP port (9090); 0 takes a free one")
+    parser.add_argument(
+        "--insecure",
+        action="store_true",
+        default=None,
+        help="serve an address that others can reach without tokens: everybody there may move the arm",
+    )
+    _add_arm_options(parser)
+    parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record every message to this file")
+    parser.add_argument(
+        "--record-limit-mb", type=int, metavar="MB", help="begin the next file when one has so many megabytes"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
+    )
+    parser.add_argument(
+        "--log-level", choices=("debug", "info", "warning", "error"), help="least level of the log (info)"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="assignments",
+        help="any setting, as in --set goals.capacity=4; may be repeated (armbridge config lists them)",
+    )
+
+
+def _add_arm_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--serial",
+        metavar="PORT",
+        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
+    )
+    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    parser.add_argument(
+        "--urdf",
+        type=Path,
+        metavar="FILE",
+        help="another robot's URDF; without --serial and --calibration its arm is an ideal one",
+    )
+    parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
+
+
+def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]]:
+    """The settings that file, environment and options make, and who has set which.
+
+    Raises:
+        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
+    """
+    return load_with_sources(options.config, overrides(options))
+
+
+def overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that options override, by section and key.
+
+    Raises:
+        ConfigurationError: a ``--set`` that is no assignment.
+    """
+    values: dict[str, Any] = {}
+    for text in options.assignments:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--set {_key(text)}: must be KEY=VALUE, as in --set server.port=9191")
+        _put(values, key.strip().split("."), _value(key, value.strip()))
+    for option, path in _KEYS.items():
+        if (chosen := getattr(options, option)) is not None:
+            _put(values, path, chosen)
+    return values
+
+
+def _put(values: dict[str, Any], path: tuple[str, ...] | list[str], value: Any) -> None:
+    *sections, name = path
+    for section in sections:
+        inner = values.setdefault(section, {})
+        if not isinstance(inner, dict):
+            raise ConfigurationError(f"--set {'.'.join(path)}: {section} has a value already")
+        values = inner
+    values[name] = value
+
+
+def _key(text: str) -> str:
+    """What is a key in a text that should be an assignment; the rest may be secret."""
+    return re.split(r"[^\w.]", text, maxsplit=1)[0]
+
+
+def _value(key: str, value: str) -> Any:
+    """Tables and lists as TOML has them; the type of everything else is the setting's."""
+    if not value.startswith(("{", "[")):
+        return value
+    try:
+        return tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"--set {key}: the value is not TOML: {error}") from error

@@ -1,0 +1,365 @@
+"""Admission of requests by their ``Host``, their ``Origin`` and their token, and the rule for open addresses.
+
+A browser lets every page open a WebSocket to every address that its machine reaches, and tells the server only in
+``Origin`` whose page it is. A page of another host can have its own name point to the server's address (DNS rebinding),
+and is then of one origin with the server for its browser; the name still stands in the ``Host`` header of each request.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from http import HTTPStatus
+from ipaddress import IPv4Address, IPv6Address
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from websockets.datastructures import Headers
+
+from protocol.errors import one_line, shorten
+from server.access.authentication import AuthThrottle, Tokens
+from server.access.permissions import ANYONE, Identity, Role
+from server.access.rate_limits import MAX_REFUSAL_LINES, LogLimiter, is_loopback, parse_address
+from server.access.settings import AccessSettings
+from server.errors import ConfigurationError
+from server.gateway.http import Answer
+
+log = logging.getLogger("armbridge.gateway")
+
+# Paths that need the right to view. The page itself does not: it is the same everywhere, and asks for a token itself.
+GUARDED = ("metrics", "robot")
+
+# Any page may read the robot's files, as Foxglove's does: a description and its meshes. Where there are tokens, it has
+# to know one.
+FOR_ANY_ORIGIN = ("robot",)
+
+_BEARER = "bearer "
+
+MAX_PORT = 65_535
+
+_AUTHORITY = re.compile(
+    r"(?:\[(?P<ipv6>[0-9A-Fa-f:.]{2,45})(?:%[0-9A-Za-z._~-]{1,32})?\]|(?P<name>[0-9A-Za-z_.-]{1,255}))"
+    r"(?::(?P<port>[0-9]{1,5}))?"
+)
+
+# Of the schemes that pages have.
+_PORTS = {"http": 80, "https": 443}
+
+
+@dataclass(frozen=True)
+class Authority:
+    """Host and port as a header names them.
+
+    Attributes:
+        host: a name in lower case without the dot at its end, or an IP address without brackets.
+        port: TCP port; None for that of the scheme.
+    """
+
+    host: str
+    port: int | None = None
+
+    @property
+    def address(self) -> IPv4Address | IPv6Address | None:
+        """The host as an IP address; None for a name."""
+        return parse_address(self.host)
+
+    @property
+    def is_loopback(self) -> bool:
+        """True for this machine, by address or as ``localhost``."""
+        address = self.address
+        return self.host == "localhost" if address is None else address.is_loopback
+
+
+def read_authority(text: str) -> Authority | None:
+    """Return host and port of a header; None for any other text, such as one with a user in it."""
+    found = _AUTHORITY.fullmatch(text)
+    if found is None:
+        return None
+    port = None if found["port"] is None else int(found["port"])
+    if port is not None and port > MAX_PORT:
+        return None
+    if found["ipv6"] is not None:
+        address = parse_address(found["ipv6"])
+        return Authority(str(address), port) if isinstance(address, IPv6Address) else None
+    # The dot marks a name as complete; it is no other name for that.
+    host = found["name"].lower().removesuffix(".")
+    return Authority(host, port) if host and not host.endswith(".") else None
+
+
+def matches(text: str, pattern: str) -> bool:
+    """Return True for a text that fits a pattern: ``*`` is any text, brackets are themselves, as in IPv6 addresses."""
+    return fnmatchcase(text, pattern.replace("[", "[[]"))
+
+
+class AllowedHosts:
+    """Hosts under which the server may be addressed.
+
+    Every IP address is one: no name was resolved that someone else could turn elsewhere.
+
+    Args:
+        allowed: more names, as ``access.allowed_hosts`` has them: with a port or without, ``*`` for any text.
+        own: names of this machine.
+    """
+
+    def __init__(self, allowed: Iterable[str] = (), own: Iterable[str] = ()) -> None:
+        self._allowed = tuple(each.lower() for each in allowed)
+        self._own = frozenset(("localhost", *own))
+
+    def has(self, host: Authority) -> bool:
+        """Return True for a host that is the server."""
+        if host.address is not None or host.host in self._own:
+            return True
+        names = (host.host, f"{host.host}:{host.port}")
+        return any(matches(name, pattern) for pattern in self._allowed for name in names)
+
+
+def own_names(hostname: str | None = None) -> Sequence[str]:
+    """Return the names of this machine that need no look-up: its hostname, and its name in multicast DNS.
+
+    Args:
+        hostname: None for the one that the system has.
+    """
+    name = (socket.gethostname() if hostname is None else hostname).lower()
+    short = name.partition(".")[0]
+    return (name, short, f"{short}.local") if short else ()
+
+
+class AllowedOrigins:
+    """Origins whose pages may connect: those of this machine, the server's own, and those that are named.
+
+    Args:
+        allowed: origins, as ``access.allowed_origins`` has them: ``*`` for any text; ``null`` is that of a page from
+            a file or a sandbox.
+    """
+
+    def __init__(self, allowed: Iterable[str] = ()) -> None:
+        # As people copy it out of a browser, an origin ends in a slash.
+        self._allowed = tuple(text for each in allowed for text in (each.lower(), each.lower().removesuffix("/")))
+
+    def has(self, origin: str, host: Authority, *, encrypted: bool) -> bool:
+        """Return True for an origin whose pages may connect.
+
+        Args:
+            origin: as the header has it.
+            host: host of the request.
+            encrypted: True for a request over TLS.
+        """
+        origin = origin.lower()
+        if any(matches(origin, pattern) for pattern in self._allowed):
+            return True
+        scheme, separator, rest = origin.partition("://")
+        theirs = read_authority(rest) if separator and scheme in _PORTS else None
+        if theirs is None:
+            return False
+        return theirs.is_loopback or self._is_own(scheme, theirs, host, "https" if encrypted else "http")
+
+    def _is_own(self, scheme: str, theirs: Authority, host: Authority, own_scheme: str) -> bool:
+        port = _PORTS[own_scheme]
+        same_port = (theirs.port or port) == (host.port or port)
+        return scheme == own_scheme and theirs.host == host.host and same_port
+
+
+@dataclass(frozen=True)
+class HandshakeRequest:
+    """Request of a client, as far as admission looks at it.
+
+    Attributes:
+        address: IP address of the client.
+        path: path with its query.
+        headers: of HTTP.
+        upgrade: True for the opening handshake of a WebSocket, False for a request over HTTP.
+        encrypted: True for a request over TLS.
+    """
+
+    address: str
+    path: str
+    headers: Headers
+    upgrade: bool
+    encrypted: bool = False
+
+
+class AdmissionPolicy:
+    """Policy of admission: checks each request before anything else is done for it.
+
+    Args:
+        tokens: tokens and their owners; None for a server without any.
+        hosts: names of the server.
+        origins: origins of the pages that may connect.
+        insecure: True where an address that others can reach may be served without tokens.
+        clock: monotonic time [s].
+
+    Attributes:
+        tokens: as given.
+        auth_throttle: throttle of guesses; also for tokens that come later than the request, by the op ``auth``.
+        insecure: as given.
+    """
+
+    def __init__(
+        self,
+        tokens: Tokens | None = None,
+        hosts: AllowedHosts | None = None,
+        origins: AllowedOrigins | None = None,
+        *,
+        insecure: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.tokens = tokens or Tokens({}, ANYONE)
+        self.auth_throttle = AuthThrottle(clock)
+        self.insecure = insecure
+        self._hosts = hosts or AllowedHosts()
+        self._origins = origins or AllowedOrigins()
+        self._counts: Counter[str] = Counter()
+        self._log = LogLimiter(log, MAX_REFUSAL_LINES)
+
+    @classmethod
+    def from_settings(cls, settings: AccessSettings, tokens: Tokens) -> AdmissionPolicy:
+        """Return the policy that the settings describe."""
+        hosts = AllowedHosts(settings.allowed_hosts, own_names())
+        return cls(tokens, hosts, AllowedOrigins(settings.allowed_origins), insecure=settings.insecure)
+
+    @property
+    def refusals(self) -> Mapping[str, int]:
+        """Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones)."""
+        return self._counts
+
+    def check(self, request: HandshakeRequest) -> Identity | Answer | None:
+        """Check a request.
+
+        Returns:
+            The identity of its sender; None for a client that has yet to authenticate, by the op ``auth``; an answer
+            for a request that is refused.
+        """
+        area = _first_part(request.path)
+        host = self._host(request.headers)
+        if isinstance(host, Answer):
+            return host
+        if request.upgrade or area not in FOR_ANY_ORIGIN:
+            refusal = self._foreign(request, host)
+            if refusal is not None:
+                return refusal
+        admitted = self._identity(request)
+        if admitted is None and not request.upgrade and area in GUARDED:
+            return _unauthorized(f"/{area} needs a token: in the header Authorization: Bearer ..., or as ?token=...")
+        return admitted
+
+    def _host(self, headers: Headers) -> Authority | Answer:
+        named = headers.get_all("Host")
+        if len(named) != 1:
+            return Answer.of_text(HTTPStatus.BAD_REQUEST, f"a request needs one Host header, not {len(named)}")
+        host = read_authority(named[0])
+        if host is not None and self._hosts.has(host):
+            return host
+        shown = one_line(shorten(named[0]))
+        return self._refuse(
+            HTTPStatus.MISDIRECTED_REQUEST,
+            "host",
+            shown,
+            f"{shown!r} is no name of this server; if you have given it that one, set"
+            f' access.allowed_hosts = ["{shown if host is None else host.host}"]',
+        )
+
+    def _foreign(self, request: HandshakeRequest, host: Authority) -> Answer | None:
+        for origin in request.headers.get_all("Origin"):
+            if not self._origins.has(origin, host, encrypted=request.encrypted):
+                shown = one_line(shorten(origin))
+                sentence = (
+                    f"pages of the origin {shown!r} may not connect; to let them, set"
+                    f' access.allowed_origins = ["{shown}"]'
+                )
+                return self._refuse(HTTPStatus.FORBIDDEN, "origin", shown, sentence)
+        return None
+
+    def _identity(self, request: HandshakeRequest) -> Identity | Answer | None:
+        presented = _tokens(request)
+        # A server without tokens has no use for one.
+        if not presented or not self.tokens.any:
+            return self.tokens.anonymous
+        if len(presented) > 1:
+            return _unauthorized(f"one token is wanted, not {len(presented)}")
+        wait = self.auth_throttle.refusal(request.address)
+        if wait is not None:
+            self._count_refusal("tokens", request.address, f"{request.address}: {wait}")
+            retry = {"Retry-After": str(math.ceil(self.auth_throttle.wait_s(request.address)))}
+            return Answer.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
+        token = presented.pop()
+        owner = self.tokens.identify(token)
+        if owner is None:
+            self.auth_throttle.record_failure(request.address, token)
+            self._count_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")
+            return _unauthorized("this token is nobody's")
+        return owner
+
+    def _refuse(self, status: HTTPStatus, kind: str, value: str, sentence: str) -> Answer:
+        self._count_refusal(kind, value, sentence)
+        return Answer.of_text(status, sentence)
+
+    def _count_refusal(self, kind: str, value: str, sentence: str) -> None:
+        self._counts[kind] += 1
+        self._log.write(logging.WARNING, f"refused: {sentence}", (kind, value))
+
+
+def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insecure: bool) -> None:
+    """Check the addresses to listen on: one that others can reach needs tokens, or ``access.insecure``.
+
+    An address that stays open is warned of at each start.
+
+    Args:
+        host: host that the addresses were resolved from.
+        addresses: every IP address of the host.
+        tokens: tokens and their owners.
+        insecure: the setting ``access.insecure``.
+
+    Raises:
+        ConfigurationError: others could connect without a token, and no setting allows it.
+    """
+    reachable = next((address for address in addresses if not is_loopback(address)), None)
+    if reachable is None:
+        return
+    where = host if host == reachable else f"{host or 'every address'} ({reachable})"
+    anonymous = tokens.anonymous
+    may_move = anonymous is not None and anonymous.role > Role.VIEW
+    if not insecure and not tokens.any:
+        raise ConfigurationError(
+            f"server.host: others can reach {where}, and nothing keeps them from moving the arm; set a token, as in"
+            " ARMBRIDGE_ACCESS__TOKEN=..., or say --insecure if everybody there may"
+        )
+    if not insecure and may_move:
+        raise ConfigurationError(
+            f"access.without_token: others can reach {where} and move the arm without a token; set it to view or none,"
+            " or say --insecure if everybody there may"
+        )
+    if anonymous is not None and may_move:
+        log.warning(
+            "INSECURE: whoever reaches %s may connect without a token as %s; docs/security.md says how to change that",
+            where,
+            anonymous.role.name.lower(),
+        )
+
+
+def _unauthorized(sentence: str) -> Answer:
+    return Answer.of_text(HTTPStatus.UNAUTHORIZED, sentence, {"WWW-Authenticate": "Bearer"})
+
+
+def _tokens(request: HandshakeRequest) -> set[str]:
+    """Return the tokens in a request, in its header and in its query."""
+    lines = request.headers.get_all("Authorization")
+    in_header = [line[len(_BEARER) :].strip() for line in lines if line[: len(_BEARER)].lower() == _BEARER]
+    return {*in_header, *parse_qs(_query(request.path), keep_blank_values=True).get("token", [])}
+
+
+def _query(path: str) -> str:
+    try:
+        return urlsplit(path).query
+    except ValueError:
+        return path.partition("?")[2]
+
+
+def _first_part(path: str) -> str:
+    """Return the first part of a path, decoded as :mod:`server.gateway.http` decodes it."""
+    return unquote(path.partition("?")[0]).removeprefix("/").partition("/")[0]

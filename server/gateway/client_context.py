@@ -1,0 +1,176 @@
+"""Context that the parts of one client share, and the status messages that it is told.
+
+The levels of status messages are those of the rosbridge protocol (section 3.2, status): an error is not carried out, a
+warning is carried out but was most likely not meant so, info confirms a success.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from protocol.errors import NothingToDoError, OperationError, ProtocolError, one_line, shorten
+from protocol.limits import Limits
+from protocol.operations import (
+    Advertise,
+    AdvertiseAction,
+    AdvertiseService,
+    Operation,
+    SetLevel,
+    Status,
+    Subscribe,
+    Unadvertise,
+    UnadvertiseAction,
+    UnadvertiseService,
+    Unsubscribe,
+)
+from protocol.publication import Parcel
+from protocol.session import Refusal, Session
+from server.access.rate_limits import LogLimiter
+from server.errors import GraphError
+from server.gateway.translator import MessageTranslator
+from server.graph.node import Node
+from server.graph.topics import Graph
+
+log = logging.getLogger("armbridge.gateway")
+
+# Log lines about one client: at once, and in the long run [1/s].
+LOG_BURST = 50
+LOG_LINES_PER_S = 1.0
+
+_LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO}
+
+
+class _Done(NamedTuple):
+    """Acknowledgement of an operation: the field with the name of its subject, and the words that follow the name."""
+
+    field: str
+    words: str
+
+
+# Operations without an answer in rosbridge; publish has no acknowledgement, for it would come with every message.
+_DONE: Mapping[type[Operation], _Done] = {
+    Advertise: _Done("topic", "advertised"),
+    Unadvertise: _Done("topic", "no longer advertised under this id"),
+    Subscribe: _Done("topic", "subscribed"),
+    Unsubscribe: _Done("topic", "no longer subscribed under this id"),
+    AdvertiseService: _Done("service", "offered"),
+    UnadvertiseService: _Done("service", "withdrawn"),
+    AdvertiseAction: _Done("action", "offered"),
+    UnadvertiseAction: _Done("action", "withdrawn"),
+}
+
+
+class ClientStatus:
+    """Status messages of one client, as it wants them by ``set_level``, and log lines about it.
+
+    Args:
+        node: the client.
+        session: its session.
+        wake: called when there is something to send.
+
+    Attributes:
+        refused: operations that were not carried out.
+    """
+
+    def __init__(self, node: Node, session: Session, wake: Callable[[], None]) -> None:
+        self.refused = 0
+        self._node = node
+        self._session = session
+        self._wake = wake
+        self._last_rejection = ""
+        self._log = LogLimiter(log, LOG_BURST, LOG_LINES_PER_S)
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Tell of an operation that is not carried out."""
+        self.refused += 1
+        text = one_line(refusal.text)
+        self._log.write(logging.WARNING, f"{self._node}: refused: {text}")
+        self._session.status("error", text, refusal.id)
+        self._wake()
+
+    def reject(self, operation: Operation, reason: str) -> None:
+        """Tell of an operation that the client may not do; repeated ones are logged once, for they may come fast."""
+        self.refused += 1
+        text = one_line(f"{operation.op}: {reason}")
+        if text != self._last_rejection:
+            self._log.write(logging.WARNING, f"{self._node}: refused: {text}")
+        self._last_rejection = text
+        self._session.status("error", text, operation.id)
+        self._wake()
+
+    def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: str | int | None = None) -> None:
+        """Tell of an operation that has ended with an error."""
+        # An OperationError names the operation itself.
+        text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
+        if isinstance(error, NothingToDoError):
+            self._session.status("warning", text, id_)
+            self._wake()
+        else:
+            self.refuse(Refusal(op, id_, text))
+
+    def tell(self, level: Literal["warning", "info"], operation: Operation, text: str) -> None:
+        """Tell of an operation that is carried out."""
+        self._session.status(level, f"{operation.op}: {text}", operation.id)
+        self._wake()
+
+    def acknowledge(self, operation: Operation) -> None:
+        """Confirm an operation that has no answer of its own."""
+        done = _DONE.get(type(operation))
+        if done is not None:
+            self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
+        if isinstance(operation, Advertise | Subscribe) and operation.qos:
+            self.tell("warning", operation, "field qos: has no effect")
+
+    def set_level(self, operation: SetLevel) -> None:
+        """Set the least level of the status messages."""
+        self._session.status_level = operation.level
+
+    def log_status(self, operation: Status) -> None:
+        """Log a status message of the client."""
+        self._log.write(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
+
+
+@dataclass(frozen=True, slots=True)
+class ClientContext:
+    """Parts of one client that its topics, services, actions and authentication share.
+
+    Attributes:
+        node: the client in the graph.
+        graph: the graph that it takes part in.
+        session: state of the protocol.
+        limits: limits of the client.
+        translator: translator of its messages.
+        status: its status messages.
+        clock: monotonic time [s].
+        wake: called when there is something to send.
+        send_at_once: sends a message if the socket takes it without waiting; returns True when it is sent.
+    """
+
+    node: Node
+    graph: Graph
+    session: Session
+    limits: Limits
+    translator: MessageTranslator
+    status: ClientStatus
+    clock: Callable[[], float]
+    wake: Callable[[], None]
+    send_at_once: Callable[[Parcel], bool]
+
+    def send(self, fields: dict[str, Any]) -> None:
+        """Send the client an operation, which is never dropped."""
+        self.session.reply(fields)
+        self.wake()
+
+    def send_request(self, fields: dict[str, Any]) -> bool:
+        """Send the client a call or a goal; return False when the client has no room for it."""
+        has_room = self.session.ask(fields)
+        self.wake()
+        return has_room
+
+    def send_feedback(self, fields: dict[str, Any]) -> None:
+        """Send an operation that may be dropped when the client reads too slowly."""
+        self.session.feedback(fields)
+        self.wake()

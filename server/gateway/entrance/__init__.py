@@ -1,1 +1,0 @@
-"""Who may connect: the port, the door, and how many there may be."""

@@ -1,0 +1,297 @@
+"""WebSocket connection that hands messages over as they come, in turns that leave time to other connections.
+
+Of websockets it uses, beyond the documented interface: ``ServerConnection.process_event`` (overridden), ``drain``,
+``recv_messages`` with its ``frames``, ``pause`` and ``resume``, and ``protocol.max_message_size``. The tests of this
+module and of :mod:`server.gateway.connection` cover each use.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import socket
+import struct
+import time
+from collections.abc import Callable
+from typing import Any, cast
+
+from websockets.asyncio.server import Server, ServerConnection
+from websockets.frames import Frame, Opcode
+from websockets.protocol import State
+from websockets.server import ServerProtocol
+
+from protocol.publication import Parcel
+from server.access.permissions import ANYONE, Identity
+from server.gateway.connection_limits import ConnectionLimiter, ConnectionSlot
+
+# Looking a member of an enumeration up takes as long as calling a function.
+_OPEN, _TEXT, _BINARY = State.OPEN, Opcode.TEXT, Opcode.BINARY
+
+# Messages that follow one another more quickly than this leave together: less than a round trip between two clients,
+# which is not to be delayed, and more than a message of a flood takes.
+BURST_S = 0.0001
+
+# While more than this waits for the socket to take it, the rest waits where it can be dropped. It is where websockets'
+# writer has itself paused (its default write_limit), so `drain` waits exactly then.
+WRITE_LIMIT_BYTES = 32_768
+
+# Messages of one client are carried out for no longer than this before others have their turn.
+TURN_S = 0.0005
+
+# What the socket has received, up to 256 kB, is read in pieces of this size: of small frames each takes a millisecond
+# or two at most, and smaller pieces cost a flood a quarter of its rate. A piece without a message's end is followed by
+# one four times as large.
+PIECE_BYTES = 8192
+GROWTH = 4
+
+# Clients send their request at once; one that takes longer only holds the connection (slow loris).
+REQUEST_TIMEOUT_S = 10.0
+
+# SO_LINGER of no time: the connection is reset, and leaves no TIME_WAIT of two minutes in the kernel's table, which a
+# flood would fill.
+_RESET = struct.pack("ii", 1, 0)
+
+
+class WebSocket(ServerConnection):
+    """Connection of one client.
+
+    Waking a task for each message costs as much as all else that is done for a short one. So a message that comes when
+    none waits is handed over at once; what comes after the client's turn is over waits for the task that iterates over
+    the connection, as with websockets' own class.
+
+    Args:
+        protocol: Sans-I/O connection of websockets.
+        server: websockets' server.
+        limiter: counter of connections.
+        connections: every connection of the listener; this one is in it from ``connection_made`` to
+            ``connection_lost``.
+        options: further arguments of :class:`ServerConnection`.
+
+    Attributes:
+        slot: its place among all connections; None for a connection that is closed without an answer.
+        identity: identity of the client; None until it has authenticated.
+        received_bytes: bytes received, those of the handshake included.
+        sent_messages: WebSocket messages sent; a fragment is one.
+        sent_bytes: bytes of these messages.
+    """
+
+    # Beside those of websockets' own class there is no room in a dictionary whose keys all connections share.
+    __slots__ = (
+        "_connections",
+        "_full",
+        "_heard",
+        "_last_sent_s",
+        "_limiter",
+        "_on_message",
+        "_request_timer",
+        "_turn_ends_s",
+        "_unread",
+        "_unsent",
+        "_unsent_bytes",
+        "identity",
+        "received_bytes",
+        "sent_bytes",
+        "sent_messages",
+        "slot",
+    )
+
+    def __init__(
+        self,
+        protocol: ServerProtocol,
+        server: Server,
+        *,
+        limiter: ConnectionLimiter,
+        connections: set[WebSocket],
+        **options: Any,
+    ) -> None:
+        super().__init__(protocol, server, **options)
+        self._limiter = limiter
+        self._connections = connections
+        self.slot: ConnectionSlot | None = None
+        self.identity: Identity | None = ANYONE
+        self._request_timer: asyncio.TimerHandle | None = None
+        self._on_message: Callable[[str | bytes], None] | None = None
+        self.received_bytes = 0
+        self.sent_messages = 0
+        self.sent_bytes = 0
+        self._turn_ends_s = 0.0
+        # Bytes still to be read, a queue of messages that is full, and a message that ended in the latest piece.
+        self._unread = b""
+        self._full = False
+        self._heard = False
+        self._last_sent_s = -math.inf
+        self._unsent: list[bytes] = []
+        self._unsent_bytes = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take a place among the connections, and limit the time for the request."""
+        peer = transport.get_extra_info("peername")
+        self.slot = self._limiter.acquire(_address_and_port(peer)[0], time.monotonic())
+        if self.slot is None:
+            # websockets, which would make a task for the handshake, is not told of it.
+            transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            cast(asyncio.Transport, transport).abort()
+            return
+        super().connection_made(transport)
+        self._connections.add(self)
+        self.recv_messages.pause = self._pause_reading
+        self.recv_messages.resume = self._resume_reading
+        self._request_timer = self.loop.call_later(REQUEST_TIMEOUT_S, self.transport.abort)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Release the place."""
+        if self.slot is None:
+            return
+        self._end_request_timer()
+        self._unread = b""
+        self._connections.discard(self)
+        self.slot.release()
+        super().connection_lost(exc)
+
+    def eof_received(self) -> None:
+        """End a connection that may stay, as websockets does."""
+        if self.slot is not None:
+            super().eof_received()
+
+    def forget_handshake(self) -> None:
+        """Free the headers of request and response: they take as much memory as all else of an idle client."""
+        if self.request is not None:
+            # websockets itself holds on to the request.
+            self.request.headers.clear()
+        self.response = None
+
+    def start_delivery(self, on_message: Callable[[str | bytes], None]) -> None:
+        """Hand messages over as they come.
+
+        Args:
+            on_message: called with a message, text or bytes; must not raise.
+        """
+        self._on_message = on_message
+
+    def stop_delivery(self) -> None:
+        """Leave messages to the task that iterates over the connection."""
+        self._on_message = None
+
+    def _end_request_timer(self) -> None:
+        if self._request_timer is not None:
+            self._request_timer.cancel()
+            self._request_timer = None
+
+    @property
+    def takes_more(self) -> bool:
+        """True while the socket takes a message without waiting."""
+        # The order counts: the transport of a connection that is lost can be asked nothing.
+        if self.protocol.state is not _OPEN:
+            return False
+        return bool(self.transport.get_write_buffer_size() + self._unsent_bytes <= WRITE_LIMIT_BYTES)
+
+    def send_at_once(self, parcel: Parcel) -> bool:
+        """Send a message, in order of calling, if the socket takes it without waiting; return True when it is sent.
+
+        A task and an event for each message would cost more than the message, and so would making its frame anew for
+        each client. Messages that follow closely upon another leave together, at the end of the event loop's turn: in a
+        flood, one call of the kernel a message is a tenth of all that is spent.
+        """
+        if not self.takes_more:
+            return False
+        on_wire = parcel.on_wire
+        self.sent_messages += len(parcel.frames)
+        self.sent_bytes += len(on_wire)
+        if not self._unsent:
+            now_s = time.monotonic()
+            if now_s - self._last_sent_s > BURST_S:
+                self._last_sent_s = now_s
+                self.transport.write(on_wire)
+                return True
+            self.loop.call_soon(self._write_unsent)
+        self._unsent.append(on_wire)
+        self._unsent_bytes += len(on_wire)
+        return True
+
+    def _write_unsent(self) -> None:
+        if self.protocol.state is _OPEN:
+            self.transport.writelines(self._unsent)
+        self._unsent.clear()
+        self._unsent_bytes = 0
+
+    def data_received(self, data: bytes) -> None:
+        """Begin a turn with the bytes that the socket has received."""
+        if self.slot is None:
+            return
+        self.received_bytes += len(data)
+        if self._unread or self._full:
+            self._unread += data
+        else:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
+        """Read until the turn is over; the rest waits for the next turn, and the socket with it."""
+        self._turn_ends_s = time.monotonic() + TURN_S
+        begin, size = 0, PIECE_BYTES
+        while begin < len(data) and not self._full:
+            self._heard = False
+            super().data_received(data[begin : begin + size] if begin or size < len(data) else data)
+            begin += size
+            size = PIECE_BYTES if self._heard else GROWTH * size
+            if time.monotonic() >= self._turn_ends_s:
+                break
+        self._unread = data[begin:]
+        if self._unread:
+            self._stop_reading()
+            if not self._full:
+                self.loop.call_soon(self._go_on)
+
+    def _go_on(self) -> None:
+        data, self._unread = self._unread, b""
+        if self.transport.is_closing():
+            return
+        self._take(data)
+        if not self._unread and not self._full:
+            self.transport.resume_reading()
+
+    def _pause_reading(self) -> None:
+        """Stop reading while too many messages wait."""
+        self._full = True
+        self._stop_reading()
+
+    def _resume_reading(self) -> None:
+        self._full = False
+        self.loop.call_soon(self._go_on)
+
+    def _stop_reading(self) -> None:
+        if not self.transport.is_closing():
+            self.transport.pause_reading()
+
+    def process_event(self, event: Any) -> None:
+        """Hand a message over, or leave it to the queue."""
+        self._heard = True
+        # The first event is the request.
+        if self._request_timer is not None:
+            self._end_request_timer()
+        if self._on_message is None or not _is_message(event) or not self._may_go_first():
+            super().process_event(event)
+            return
+        try:
+            message = event.data.decode() if event.opcode is _TEXT else bytes(event.data)
+        except UnicodeDecodeError:
+            # websockets closes the connection with 1007 when the message is read from its queue.
+            super().process_event(event)
+            return
+        self._on_message(message)
+
+    def _may_go_first(self) -> bool:
+        return not len(self.recv_messages.frames) and time.monotonic() < self._turn_ends_s
+
+
+def address_of(websocket: ServerConnection) -> tuple[str, int]:
+    """Return IP address and port of the client; a connection that broke off at once has none any more."""
+    return _address_and_port(websocket.remote_address)
+
+
+def _address_and_port(peer: object) -> tuple[str, int]:
+    return (str(peer[0]), int(peer[1])) if isinstance(peer, tuple) else ("unknown", 0)
+
+
+def _is_message(event: Any) -> bool:
+    """Return True for a whole message, False for a fragment, a control frame or the request."""
+    return isinstance(event, Frame) and event.fin and (event.opcode is _TEXT or event.opcode is _BINARY)

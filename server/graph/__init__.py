@@ -1,0 +1,1 @@
+"""The ROS graph inside the server: topics, services and actions, and the nodes that take part."""

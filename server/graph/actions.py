@@ -1,0 +1,296 @@
+"""One goal of an action on its way, from the goal to its one result.
+
+Actions in one process: a local part and a remote client offer them and send goals alike.
+
+Whoever sends a goal gets exactly one result: the provider's, or the reason why there is none.
+"""
+
+from __future__ import annotations
+
+import enum
+import logging
+import uuid
+from base64 import b64encode
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from protocol.errors import InterfaceError, MessageError
+from server.errors import GraphError
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
+from server.graph.providers import Directory, Offer, Offers, Pending
+from server.graph.services import Services
+from server.timers import CallLater
+
+
+class GoalStatus(enum.IntEnum):
+    """How a goal ended: values of action_msgs/GoalStatus."""
+
+    # The goal was never taken on.
+    UNKNOWN = 0
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+
+@dataclass(frozen=True)
+class Result:
+    """The end of a goal.
+
+    Attributes:
+        ok: whether there is a result message.
+        status: a value of `GoalStatus`.
+        values: the complete result message; without one a sentence, or what the provider gave.
+    """
+
+    ok: bool
+    status: int
+    values: Any
+
+
+class Goal(Pending[Result]):
+    """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
+
+    Args:
+        action: fully qualified name.
+        type_name: canonical name of the action's type.
+        request: the complete goal message.
+        interfaces: to complete feedback and result.
+        on_feedback: gets the complete feedback messages, None when nobody wants them.
+        sender: who sent it.
+
+    Attributes:
+        action: as given.
+        type_name: as given.
+        request: as given.
+        sender: as given.
+        goal_id: sixteen octets that no other goal has.
+        cancel_requested: whether somebody has asked for the end of the goal.
+    """
+
+    def __init__(
+        self,
+        action: str,
+        type_name: str,
+        request: dict[str, Any],
+        interfaces: Interfaces,
+        on_feedback: Callable[[dict[str, Any]], None] | None,
+        sender: Node,
+    ) -> None:
+        super().__init__()
+        self.sender = sender
+        self.action = action
+        self.type_name = type_name
+        self.request = request
+        self.goal_id = uuid.uuid4().bytes
+        self.cancel_requested = False
+        self._interfaces = interfaces
+        self._on_feedback = on_feedback
+        self._when_canceled: list[Callable[[], None]] = []
+
+    def feedback(self, values: object) -> None:
+        """Tell how the goal goes; what the message leaves out gets its default.
+
+        Raises:
+            MessageError: the values do not fit the action's type.
+        """
+        completed = self._interfaces.complete(f"{self.type_name}_Feedback", values)
+        if self._on_feedback is not None and not self.ended:
+            self._on_feedback(completed)
+
+    def finish(self, status: GoalStatus, values: object) -> None:
+        """End the goal with a result message; what it leaves out gets its default.
+
+        Raises:
+            MessageError: the values do not fit the action's type; the sender has been told that the goal failed.
+        """
+        try:
+            completed = self._interfaces.complete(f"{self.type_name}_Result", values)
+        except MessageError as error:
+            self.fail(f"Action {self.action} gave a result that does not fit {self.type_name}: {error}")
+            raise
+        self._end(Result(ok=True, status=status, values=completed))
+
+    def fail(self, values: object, status: int = GoalStatus.ABORTED) -> None:
+        """End the goal without a result message, with a sentence or with what the provider gave."""
+        self._end(Result(ok=False, status=status, values=values))
+
+    def when_canceled(self, callback: Callable[[], None]) -> None:
+        """Have this called when somebody asks for the end of the goal; at once when somebody has."""
+        self._when_canceled.append(callback)
+        if self.cancel_requested:
+            callback()
+
+    def cancel(self) -> None:
+        """Ask the provider to end the goal, which still ends as the provider says."""
+        if self.cancel_requested or self.ended:
+            return
+        self.cancel_requested = True
+        for callback in self._when_canceled:
+            callback()
+
+    def forget_sender(self) -> None:
+        """Tell nobody of feedback any more, for the one who wanted it has left."""
+        self._on_feedback = None
+
+
+log = logging.getLogger("armbridge.graph")
+
+# A goal may take long; one whose provider has forgotten it must end nevertheless.
+MAX_GOAL_S = 3600.0
+
+# As for topics: far more than any robot has.
+MAX_ACTIONS = 1_000
+
+# action_msgs/srv/CancelGoal: what it answers, and the goal id that stands for all goals.
+CANCEL_ACCEPTED, CANCEL_UNKNOWN_GOAL = 0, 2
+ALL_GOALS = b64encode(bytes(16)).decode()
+
+
+@dataclass(eq=False)
+class Sender:
+    """Who sent a goal, and what it wants to hear; nothing once it has left."""
+
+    node: Node
+    on_result: Callable[[Result], None] | None
+
+
+@dataclass(eq=False)
+class ActionOffer(Offer):
+    """An action that somebody offers.
+
+    Attributes:
+        start: gets each goal.
+        goals: those in flight, each with its sender.
+    """
+
+    start: Callable[[Goal], None]
+    goals: dict[Goal, Sender] = field(default_factory=dict)
+
+
+class Actions(Directory[ActionOffer]):
+    """All actions.
+
+    Args:
+        interfaces: action types.
+        services: where each action gets its service ``<action>/_action/cancel_goal``.
+        call_later: does something after a delay.
+    """
+
+    def __init__(self, interfaces: Interfaces, services: Services, call_later: CallLater) -> None:
+        super().__init__(Offers("action", MAX_ACTIONS, interfaces, self._end_goals))
+        self._interfaces = interfaces
+        self._services = services
+        self._call_later = call_later
+
+    def offer(self, node: Node, name: str, type_name: str, start: Callable[[Goal], None]) -> None:
+        """Offer an action; a client takes the place of a client that offered it before.
+
+        Args:
+            node: who offers it.
+            name: fully qualified name.
+            type_name: the action's type.
+            start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
+                `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
+
+        Raises:
+            GraphError: the type is unknown, or the name is taken by a part of the server.
+        """
+        offer = ActionOffer(node, name, self._offers.claim(node, name, type_name), start)
+        self._services.offer(
+            node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
+        )
+        self._offers.add(offer)
+
+    def withdraw(self, node: Node, name: str) -> None:
+        """End an offer of this node; goals in flight end. Nothing happens when it offers no such action."""
+        self._offers.withdraw(node, name)
+
+    def remove(self, node: Node) -> None:
+        """Forget a node that has left: its actions end; goals that it has sent are not told any more.
+
+        They go on, as in ROS, unless the node takes them along.
+        """
+        for offer in self._offers.all():
+            for goal, sender in list(offer.goals.items()):
+                if sender.node is node:
+                    sender.on_result = None
+                    goal.forget_sender()
+                    if node.takes_goals_along:
+                        goal.cancel()
+            self._offers.withdraw(node, offer.name)
+
+    def send_goal(
+        self,
+        sender: Node,
+        name: str,
+        type_name: str,
+        arguments: object,
+        on_result: Callable[[Result], None],
+        on_feedback: Callable[[dict[str, Any]], None] | None = None,
+    ) -> Goal | None:
+        """Send a goal.
+
+        Args:
+            sender: who sends it.
+            name: fully qualified name of the action.
+            type_name: the action's type, as the sender knows it.
+            arguments: the goal message, as in `Interfaces.complete_arguments`.
+            on_result: called once, perhaps before this returns; not if the sender leaves before.
+            on_feedback: called with every feedback message.
+
+        Returns:
+            The goal, to be cancelled perhaps; None when it was not taken on.
+        """
+        try:
+            offer = self._offer(name, type_name)
+            request = self._interfaces.complete_arguments(f"{offer.type_name}_Goal", arguments)
+        except (GraphError, InterfaceError, MessageError) as error:
+            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
+            return None
+        goal = Goal(name, offer.type_name, request, self._interfaces, on_feedback, sender)
+        self._start(goal, offer, Sender(sender, on_result))
+        return goal
+
+    def _offer(self, name: str, type_name: str) -> ActionOffer:
+        offer = self._offers.get(name)
+        if offer is None:
+            raise GraphError("action", name, "does not exist")
+        if self._interfaces.canonical(type_name, "action") != offer.type_name:
+            raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
+        return offer
+
+    def _start(self, goal: Goal, offer: ActionOffer, sender: Sender) -> None:
+        offer.goals[goal] = sender
+        goal.when_ended(lambda _result: offer.goals.pop(goal))
+        timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
+        goal.when_ended(lambda _result: timer.cancel())
+        goal.when_ended(lambda result: sender.on_result(result) if sender.on_result else None)
+        try:
+            offer.start(goal)
+        except Exception as error:  # a bug in an action must not leave its client waiting
+            log.exception("action %s failed", goal.action)
+            goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
+
+    def _end_goals(self, offer: ActionOffer) -> None:
+        self._services.withdraw(offer.node, _cancel_service(offer.name))
+        for goal in list(offer.goals):
+            goal.fail(f"Action {offer.name} was withdrawn by its provider")
+
+
+def _cancel_service(action: str) -> str:
+    return f"{action}/_action/cancel_goal"
+
+
+def _cancel(offer: ActionOffer, request: dict[str, Any]) -> dict[str, Any]:
+    """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
+    wanted = request["goal_info"]["goal_id"]["uuid"]
+    ids = {goal: b64encode(goal.goal_id).decode() for goal in offer.goals if not goal.cancel_requested}
+    canceling = {goal: goal_id for goal, goal_id in ids.items() if wanted in (ALL_GOALS, goal_id)}
+    for goal in canceling:
+        goal.cancel()
+    return {
+        "return_code": CANCEL_ACCEPTED if canceling or wanted == ALL_GOALS else CANCEL_UNKNOWN_GOAL,
+        "goals_canceling": [{"goal_id": {"uuid": goal_id}} for goal_id in canceling.values()],
+    }

@@ -1,0 +1,35 @@
+"""Who takes part in the graph."""
+
+from __future__ import annotations
+
+from server.access.permissions import ANYONE, Identity
+
+
+class Node:
+    """Anyone who publishes, subscribes, offers or calls: a connection, or a part of the server.
+
+    Args:
+        name: how logs call it.
+        remote: whether it is a client, which may not take the place of a part of the server.
+        takes_goals_along: whether the goals that it has sent to actions are cancelled when it leaves.
+        identity: who it is; None for a client that has yet to say so.
+        address: where a client connects from; empty where that does not matter.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        remote: bool = False,
+        takes_goals_along: bool = False,
+        identity: Identity | None = ANYONE,
+        address: str = "",
+    ) -> None:
+        self.name = name
+        self.remote = remote
+        self.takes_goals_along = takes_goals_along
+        self.identity = identity
+        self.address = address
+
+    def __repr__(self) -> str:
+        return self.name

@@ -1,0 +1,157 @@
+"""Work that somebody waits for: it ends once, whoever ends it.
+
+Who offers what under which name: the one table behind services and behind actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeAlias, TypeVar
+
+from protocol.errors import InterfaceError
+from protocol.registry import Kind
+from server.errors import GraphError
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
+
+End = TypeVar("End")
+
+
+class Pending(Generic[End]):
+    """Base of calls and goals on their way.
+
+    Attributes:
+        ended: whether it has ended; another end goes nowhere.
+    """
+
+    def __init__(self) -> None:
+        self.ended = False
+        self._when_ended: list[Callable[[End], object]] = []
+
+    def when_ended(self, callback: Callable[[End], object]) -> None:
+        """Have this called with the end, in whatever way it comes; in order of asking."""
+        self._when_ended.append(callback)
+
+    def _end(self, end: End) -> None:
+        if self.ended:
+            return
+        self.ended = True
+        for callback in self._when_ended:
+            callback(end)
+
+
+OfferedKind: TypeAlias = Literal["service", "action"]
+
+_TYPE_KINDS: dict[OfferedKind, Kind] = {"service": "srv", "action": "action"}
+
+
+@dataclass(eq=False)
+class Offer:
+    """What somebody offers.
+
+    Attributes:
+        node: who offers it.
+        name: fully qualified name.
+        type_name: canonical name of its type.
+    """
+
+    node: Node
+    name: str
+    type_name: str
+
+
+AnOffer = TypeVar("AnOffer", bound=Offer)
+
+
+class Offers(Generic[AnOffer]):
+    """All offers of one kind, one a name.
+
+    Args:
+        kind: what is offered, for errors.
+        limit: greatest number of offers.
+        interfaces: types.
+        end: called with an offer that has just been withdrawn or replaced, to end what is on its way.
+    """
+
+    def __init__(self, kind: OfferedKind, limit: int, interfaces: Interfaces, end: Callable[[AnOffer], None]) -> None:
+        self._kind = kind
+        self._limit = limit
+        self._interfaces = interfaces
+        self._end = end
+        self._offers: dict[str, AnOffer] = {}
+
+    def get(self, name: str) -> AnOffer | None:
+        """Return the offer of a fully qualified name; None when there is none."""
+        return self._offers.get(name)
+
+    def all(self) -> list[AnOffer]:
+        """Return every offer; the table may change meanwhile."""
+        return list(self._offers.values())
+
+    def types(self) -> dict[str, str]:
+        """Canonical type of every offer, by name."""
+        return {name: offer.type_name for name, offer in self._offers.items()}
+
+    def claim(self, node: Node, name: str, type_name: str) -> str:
+        """See that a node may offer something, and end the offer that is there; `add` the new one afterwards.
+
+        A client takes the place of a client that offered the same before.
+
+        Returns:
+            The type's canonical name.
+
+        Raises:
+            GraphError: the type is unknown, the name is taken by a part of the server, or there are too many offers.
+        """
+        try:
+            canonical = self._interfaces.canonical(type_name, _TYPE_KINDS[self._kind])
+        except InterfaceError as error:
+            raise GraphError(self._kind, name, str(error)) from error
+        present = self._offers.get(name)
+        if present is not None:
+            if present.node is not node and not present.node.remote:
+                raise GraphError(self._kind, name, "is offered by the server itself")
+            self._remove(present)
+        elif len(self._offers) >= self._limit:
+            raise GraphError(self._kind, name, f"cannot be added: there are {self._limit} {self._kind}s already")
+        return canonical
+
+    def add(self, offer: AnOffer) -> None:
+        """Enter an offer whose name has been claimed."""
+        self._offers[offer.name] = offer
+
+    def withdraw(self, node: Node, name: str) -> None:
+        """End an offer of this node; nothing happens when it offers no such thing."""
+        offer = self._offers.get(name)
+        if offer is not None and offer.node is node:
+            self._remove(offer)
+
+    def _remove(self, offer: AnOffer) -> None:
+        del self._offers[offer.name]
+        self._end(offer)
+
+
+class Directory(Generic[AnOffer]):
+    """Who offers what, for whoever asks.
+
+    Args:
+        offers: the table.
+    """
+
+    def __init__(self, offers: Offers[AnOffer]) -> None:
+        self._offers = offers
+
+    def types(self) -> dict[str, str]:
+        """Canonical type of everything that is offered, by name."""
+        return self._offers.types()
+
+    def type_of(self, name: str) -> str | None:
+        """Canonical type of what is offered under a fully qualified name; None when nothing is."""
+        offer = self._offers.get(name)
+        return None if offer is None else offer.type_name
+
+    def provider(self, name: str) -> Node | None:
+        """Who offers a fully qualified name; None when nobody does."""
+        offer = self._offers.get(name)
+        return None if offer is None else offer.node

@@ -1,0 +1,267 @@
+"""One call of a service on its way, from the request to its one response.
+
+Services in one process: a local part and a remote client offer and call them alike.
+
+Whoever calls gets exactly one response: the provider's, or the reason why there is none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import inspect
+import logging
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from protocol.dialect import Dialect
+from protocol.errors import MessageError
+from server.errors import ServiceError
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
+from server.graph.providers import Directory, Offer, Offers, Pending
+from server.timers import CallLater
+
+log = logging.getLogger("armbridge.graph")
+
+# Offered by a local part: request in, response out, both in ROS 2 spelling.
+ServiceFunction: TypeAlias = Callable[[dict[str, Any]], Mapping[str, Any] | Awaitable[Mapping[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Response:
+    """The end of a call.
+
+    Attributes:
+        ok: whether the service succeeded.
+        values: the complete response message; of a call that failed a sentence, or what the provider gave.
+    """
+
+    ok: bool
+    values: Any
+
+
+class Call(Pending[Response]):
+    """A call that its provider is to end with :meth:`succeed` or :meth:`fail`; only the first end counts.
+
+    Args:
+        service: fully qualified name.
+        type_name: canonical name of the service's type.
+        request: the complete request.
+        interfaces: to complete the response.
+        caller: who calls.
+        dialect: which generation of ROS the caller wants to be told about; messages are in ROS 2 spelling all the same.
+
+    Attributes:
+        service: as given.
+        type_name: as given.
+        request: as given.
+        caller: as given.
+        dialect: as given.
+    """
+
+    def __init__(
+        self,
+        service: str,
+        type_name: str,
+        request: dict[str, Any],
+        interfaces: Interfaces,
+        caller: Node,
+        dialect: Dialect = "ros2",
+    ) -> None:
+        super().__init__()
+        self.service = service
+        self.type_name = type_name
+        self.request = request
+        self.caller = caller
+        self.dialect = dialect
+        self._interfaces = interfaces
+
+    def succeed(self, values: object) -> None:
+        """Answer with a response message; what it leaves out gets its default.
+
+        Raises:
+            MessageError: the values do not fit the service's type; the caller has been told that the call failed.
+        """
+        try:
+            completed = self._interfaces.complete(f"{self.type_name}_Response", values)
+        except MessageError as error:
+            self.fail(f"Service {self.service} gave a response that does not fit {self.type_name}: {error}")
+            raise
+        self._end(Response(ok=True, values=completed))
+
+    def succeed_as_it_is(self, response: Mapping[str, Any]) -> None:
+        """Answer with a response message that is complete and valid already.
+
+        For a large one of the server's own, of which most has been told before. Nobody may change it from here on.
+        """
+        self._end(Response(ok=True, values=response))
+
+    def fail(self, values: object) -> None:
+        """Answer that it failed, with a sentence or with what the provider gave."""
+        self._end(Response(ok=False, values=values))
+
+
+def answer(call: Call, function: ServiceFunction) -> None:
+    """Have a local part's function answer a call; what it answers at once costs no task."""
+    with _failure_told(call):
+        values = function(call.request)
+        if inspect.isawaitable(values):
+            task = asyncio.ensure_future(_answer_later(call, values))
+            # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
+            call.when_ended(lambda _response: task.cancel())
+        else:
+            call.succeed(values)
+
+
+async def _answer_later(call: Call, values: Awaitable[Mapping[str, Any]]) -> None:
+    with _failure_told(call):
+        call.succeed(await values)
+
+
+@contextlib.contextmanager
+def _failure_told(call: Call) -> Iterator[None]:
+    try:
+        yield
+    except ServiceError as error:
+        call.fail(str(error))
+    except Exception:  # a bug in a service must not leave its caller waiting
+        log.exception("service %s failed", call.service)
+        call.fail(f"Service {call.service} failed inside the server")
+
+
+# rosbridge_server's default_call_service_timeout, for services of clients.
+DEFAULT_TIMEOUT_S = 5.0
+
+# A local part may plan a motion meanwhile; the planners' own deadline is shorter.
+LOCAL_TIMEOUT_S = 60.0
+
+# For callers that want to wait for as long as they may.
+MAX_TIMEOUT_S = 3600.0
+
+# As for topics: far more than any robot has.
+MAX_SERVICES = 10_000
+
+
+@dataclass(eq=False)
+class ServiceOffer(Offer):
+    """A service that somebody offers.
+
+    Attributes:
+        start: gets each call.
+        timeout_s: how long a call may take that names no time of its own [s].
+        calls: those in flight, each with its caller.
+    """
+
+    start: Callable[[Call], None]
+    timeout_s: float
+    calls: dict[Call, Node] = field(default_factory=dict)
+
+
+class Services(Directory[ServiceOffer]):
+    """All services.
+
+    Args:
+        interfaces: service types.
+        call_later: does something after a delay.
+    """
+
+    def __init__(self, interfaces: Interfaces, call_later: CallLater) -> None:
+        super().__init__(Offers("service", MAX_SERVICES, interfaces, _fail_calls))
+        self._interfaces = interfaces
+        self._call_later = call_later
+
+    def offer(
+        self, node: Node, name: str, type_name: str, function: ServiceFunction, timeout_s: float = LOCAL_TIMEOUT_S
+    ) -> None:
+        """Offer a service of a local part.
+
+        Args:
+            node: who offers it.
+            name: fully qualified name.
+            type_name: the service's type.
+            function: gets the complete request and returns the response, at once or when awaited. It raises
+                ServiceError with the reason when it cannot.
+            timeout_s: how long a call may take that names no time of its own [s].
+
+        Raises:
+            GraphError: the type is unknown, or the name is taken by another part of the server.
+        """
+        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s)
+
+    def offer_calls(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        start: Callable[[Call], None],
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+    ) -> None:
+        """Offer a service whose calls are handed over one by one, to be ended by `Call.succeed` or `Call.fail`.
+
+        A client takes the place of a client that offered the service before.
+
+        Raises:
+            GraphError: the type is unknown, or the name is taken by a part of the server.
+        """
+        canonical = self._offers.claim(node, name, type_name)
+        self._offers.add(ServiceOffer(node, name, canonical, start, timeout_s))
+
+    def withdraw(self, node: Node, name: str) -> None:
+        """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""
+        self._offers.withdraw(node, name)
+
+    def remove(self, node: Node) -> None:
+        """Forget a node that has left: its services, and what it has called."""
+        for offer in self._offers.all():
+            for call in [call for call, caller in offer.calls.items() if caller is node]:
+                call.fail("the caller has left")
+            self._offers.withdraw(node, offer.name)
+
+    def call(
+        self,
+        caller: Node,
+        name: str,
+        arguments: object,
+        on_response: Callable[[Response], None],
+        timeout_s: float | None = None,
+        dialect: Dialect = "ros2",
+    ) -> None:
+        """Call a service.
+
+        Args:
+            caller: who calls.
+            name: fully qualified name.
+            arguments: the request, as in `Interfaces.complete_arguments`.
+            on_response: called once, perhaps before this returns.
+            timeout_s: how long to wait [s], 0 for `MAX_TIMEOUT_S`, None for what the service's offer says.
+            dialect: which generation of ROS the caller wants to be told about.
+        """
+        offer = self._offers.get(name)
+        if offer is None:
+            # The words of rosbridge_library (internal/services.py), which clients look for.
+            on_response(Response(ok=False, values=f"Service {name} does not exist"))
+            return
+        try:
+            request = self._interfaces.complete_arguments(f"{offer.type_name}_Request", arguments)
+        except MessageError as error:
+            on_response(Response(ok=False, values=f"Service {name}: {error}"))
+            return
+        call = Call(name, offer.type_name, request, self._interfaces, caller, dialect)
+        self._bound(call, offer, caller, timeout_s)
+        call.when_ended(on_response)
+        offer.start(call)
+
+    def _bound(self, call: Call, offer: ServiceOffer, caller: Node, timeout_s: float | None) -> None:
+        """Keep account of a call until it ends, which it does in time."""
+        bound_s = offer.timeout_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
+        offer.calls[call] = caller
+        call.when_ended(lambda _response: offer.calls.pop(call))
+        timer = self._call_later(bound_s, lambda: call.fail(f"Service {call.service} did not answer in {bound_s:g} s"))
+        call.when_ended(lambda _response: timer.cancel())
+
+
+def _fail_calls(offer: ServiceOffer) -> None:
+    for call in list(offer.calls):
+        call.fail(f"Service {offer.name} was withdrawn by its provider")

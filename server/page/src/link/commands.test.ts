@@ -1,0 +1,49 @@
+import { expect, test, vi } from "vitest";
+import { emptyState } from "../state/state";
+import { Store } from "../state/store";
+import { StopCommand } from "./commands";
+import type { Connection } from "./connection";
+
+function stopCommand(link: Partial<Connection>): { press: () => Promise<void>; phase: () => string; text: () => string; cancelled: () => number } {
+  const store = new Store(emptyState("ws://here"));
+  const cancel = vi.fn();
+  const stop = new StopCommand({ publish: () => undefined, ...link } as unknown as Connection, store, cancel);
+  return {
+    press: () => stop.stop(),
+    phase: () => store.state.stop.phase,
+    text: () => store.state.stop.text,
+    cancelled: () => cancel.mock.calls.length,
+  };
+}
+
+test("is published first, then called, and acknowledged by the answer", async () => {
+  const order: string[] = [];
+  const s = stopCommand({
+    publish: (topic: string) => void order.push(topic),
+    call: ((service: string) => Promise.resolve(order.push(service) && { success: true, message: "the arm stands" })) as Connection["call"],
+  });
+  const pressed = s.press();
+  expect(s.phase()).toBe("asked");
+  await pressed;
+  expect(order).toEqual(["/stop", "/arm/stop"]);
+  expect([s.phase(), s.text()]).toEqual(["acknowledged", "stopped, acknowledged: the arm stands"]);
+  expect(s.cancelled()).toBe(1);
+});
+
+test("says that it was not acknowledged, and what stops the arm then", async () => {
+  const s = stopCommand({
+    publish: () => {
+      throw new Error("the server cannot be reached");
+    },
+  });
+  await s.press();
+  expect(s.phase()).toBe("failed");
+  expect(s.text()).toContain("not acknowledged: the server cannot be reached");
+  expect(s.text()).toContain("power switch");
+});
+
+test("says when the arm did not stop", async () => {
+  const s = stopCommand({ call: (() => Promise.resolve({ success: false, message: "it is disconnected" })) as Connection["call"] });
+  await s.press();
+  expect([s.phase(), s.text()]).toEqual(["failed", "not stopped: it is disconnected"]);
+});

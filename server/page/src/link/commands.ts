@@ -1,0 +1,143 @@
+import type { JointValues, State, SuggestedGoal } from "../state/state";
+import { setNotice, type PageStore } from "../state/store";
+import { STATUS_ABORTED, type Connection } from "./connection";
+import { gripperGoal, jointJog, type TriggerResponse } from "./messages";
+
+/** Requests of the user other than planned motions; every rejection becomes a notice. */
+export class ArmCommands {
+  /**
+   * @param connection - connection to the server.
+   * @param store - updated with notices.
+   */
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: PageStore,
+  ) {}
+
+  /** Publish the goal that the server suggested in place of a rejected one. */
+  publishSuggestion({ topic, type, msg }: SuggestedGoal): void {
+    this.attempt(() => this.connection.publish(topic, type, msg));
+  }
+
+  /** Save the arm's present pose under a name. */
+  async savePose(name: string): Promise<boolean> {
+    return this.attempt(async () => {
+      const request = { name, robot: "", state: {} };
+      const { success } = await this.connection.call<{ success: boolean }>("/save_robot_state", request);
+      const text = success ? `“${name}” is saved` : `“${name}” could not be saved; the log says why`;
+      setNotice(this.store, "save", text);
+      return success;
+    });
+  }
+
+  /** Delete a saved pose. */
+  async deletePose(name: string): Promise<void> {
+    await this.attempt(() => this.connection.call("/delete_robot_state", { name, robot: "" }));
+  }
+
+  /** Call one of the arm's Trigger services, such as `/arm/relax`; return its success. */
+  async trigger(service: string): Promise<boolean> {
+    return this.attempt(async () => {
+      const { success, message } = await this.connection.call<TriggerResponse>(service, {});
+      setNotice(this.store, "order", success ? "" : `${service}: ${message}`);
+      return success;
+    });
+  }
+
+  /** Take control of the arm from another client. */
+  async takeOver(): Promise<void> {
+    if (await this.trigger("/arm/release_control")) await this.trigger("/arm/take_control");
+  }
+
+  /** Set the speed along the path, of the present motion and of later ones. */
+  setSpeedFactor(factor: number): void {
+    this.attempt(() => this.connection.publish("/arm/speed_factor", "std_msgs/Float64", { data: factor }));
+  }
+
+  /** Move the gripper to a position. */
+  async moveGripper(position_rad: number): Promise<void> {
+    await this.attempt(async () => {
+      const action = "/gripper_controller/gripper_cmd";
+      const type = "control_msgs/action/GripperCommand";
+      const { status, values, reason } = await this.connection.goal(action, type, gripperGoal(position_rad)).result;
+      const refused = status === STATUS_ABORTED || values === null;
+      setNotice(this.store, "gripper", refused ? `Gripper: ${reason || "the goal was aborted; the log says why"}` : "");
+    });
+  }
+
+  /** Add, move or remove an object of the planning scene. */
+  publishCollisionObject(object: object): void {
+    this.attempt(() => this.connection.publish("/collision_object", "moveit_msgs/CollisionObject", object));
+  }
+
+  /** Jog joints until shortly after the last call: fractions of the joint speed, -1 to 1. */
+  jog(velocities: JointValues): void {
+    const message = jointJog(velocities);
+    this.attempt(() => this.connection.publish("/servo_node/delta_joint_cmds", "control_msgs/JointJog", message));
+  }
+
+  /** Cancel one goal, executing or queued, of any client. */
+  cancelGoal(id: string): void {
+    this.attempt(() => this.connection.publish("/moveit_goal_cancel", "std_msgs/String", { data: id }));
+  }
+
+  private async attempt(act: () => unknown): Promise<boolean> {
+    try {
+      return (await act()) !== false;
+    } catch (error) {
+      setNotice(this.store, "link", (error as Error).message);
+      return false;
+    }
+  }
+}
+
+/** Time for the answer of /arm/stop [s]; the server answers within 6 s, when the arm stands. */
+const STOP_TIMEOUT_S = 7;
+
+/** Time that the acknowledgement stays on the button [ms]. */
+const ACKNOWLEDGEMENT_MS = 4000;
+
+/** Stop of the arm, with the server's acknowledgement. */
+export class StopCommand {
+  private presses = 0;
+
+  /**
+   * @param connection - connection to the server.
+   * @param store - updated with the acknowledgement.
+   * @param cancel - cancels this page's goal.
+   */
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: PageStore,
+    private readonly cancel: () => void,
+  ) {}
+
+  /** Stop by a message, which is fastest, and by a service call, which is acknowledged. */
+  async stop(): Promise<void> {
+    this.presses += 1;
+    const press = this.presses;
+    this.store.set({ stop: { phase: "asked", text: "stopping…" } });
+    const stop = await this.request();
+    // A later press shows its own answer.
+    if (press !== this.presses) return;
+    this.store.set({ stop });
+    if (stop.phase === "acknowledged") setTimeout(() => this.reset(press), ACKNOWLEDGEMENT_MS);
+  }
+
+  private async request(): Promise<State["stop"]> {
+    try {
+      this.connection.publish("/stop", "std_msgs/Empty", {});
+      this.cancel();
+      const { success, message } = await this.connection.call<TriggerResponse>("/arm/stop", {}, STOP_TIMEOUT_S);
+      if (success) return { phase: "acknowledged", text: `stopped, acknowledged: ${message || "the arm stands"}` };
+      return { phase: "failed", text: `not stopped: ${message}` };
+    } catch (error) {
+      const why = (error as Error).message;
+      return { phase: "failed", text: `not acknowledged: ${why}. The arm's power switch always stops it.` };
+    }
+  }
+
+  private reset(press: number): void {
+    if (press === this.presses) this.store.set({ stop: { phase: "ready", text: "" } });
+  }
+}

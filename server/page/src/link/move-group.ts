@@ -1,0 +1,159 @@
+import { currentPositions } from "../logic/joints";
+import { duration_s, samplePlan } from "../logic/trajectory";
+import { noGoal, type PendingRequest, type Plan, type State } from "../state/state";
+import type { PageStore } from "../state/store";
+import type { Connection, GoalHandle } from "./connection";
+import {
+  goalConstraints,
+  moveGroupGoal,
+  PREEMPTED,
+  readPlan,
+  SUCCESS,
+  type DisplayTrajectory,
+  type MotionResult,
+  type RobotTrajectory,
+} from "./messages";
+
+/** Client of MoveIt's actions; every rejection becomes the message of the shown goal. */
+export class MoveGroupClient {
+  private handle: GoalHandle<MotionResult> | null = null;
+  /** Trajectories of the shown plans as the server sent them, which are those to execute. */
+  private readonly sent_trajectories = new WeakMap<Plan, RobotTrajectory>();
+
+  /**
+   * @param connection - connection to the server.
+   * @param store - updated with plans and results.
+   */
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: PageStore,
+  ) {}
+
+  /** Plan to the selected goal, and show the plan. */
+  async plan(): Promise<void> {
+    const result = await this.sendMoveGroupGoal("plan", true);
+    if (result?.error_code.val !== SUCCESS || !result.planned_trajectory) return;
+    if (!this.showPlan(result.planned_trajectory)) this.report(SUCCESS, "the arm is there already");
+  }
+
+  /** Show a trajectory, which execute() then sends; return false when it has no points. */
+  showPlan(sent: RobotTrajectory): boolean {
+    const trajectory = readPlan(sent);
+    if (!trajectory) return false;
+    this.sent_trajectories.set(trajectory, sent);
+    const message = `A motion of ${duration_s(trajectory).toFixed(1)} s is planned; Move carries it out.`;
+    const { goal } = this.store.state;
+    const in_progress = ["planning", "executing"].includes(goal.state);
+    const shown = in_progress ? goal : { ...noGoal(), state: "planned", message };
+    this.store.set({ goal: shown, plan: { trajectory, tool_path: [], scrub_s: null } });
+    return true;
+  }
+
+  /** Execute the plan that is shown. */
+  async execute(): Promise<void> {
+    const { trajectory } = this.store.state.plan;
+    const sent = trajectory && this.sent_trajectories.get(trajectory);
+    if (!sent) return this.report(null, "There is no plan to carry out: press Plan first.");
+    const goal = { trajectory: sent, controller_names: [] };
+    await this.sendGoal("move", "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", goal);
+  }
+
+  /** Plan to the selected goal, and execute the plan at once. */
+  async planAndExecute(): Promise<void> {
+    await this.sendMoveGroupGoal("move", false);
+  }
+
+  /** Cancel this page's goal, if there is one. */
+  cancel(): void {
+    this.handle?.cancel();
+  }
+
+  private async sendMoveGroupGoal(pending_request: PendingRequest, plan_only: boolean): Promise<MotionResult | null> {
+    const constraints = goalConstraints(this.store.state);
+    if (!constraints) {
+      this.report(null, "Choose first where to go: a named pose, joints, or the target.");
+      return null;
+    }
+    const goal = moveGroupGoal(constraints, this.store.state.settings.speed, plan_only);
+    return this.sendGoal(pending_request, "/move_action", "moveit_msgs/action/MoveGroup", goal);
+  }
+
+  private async sendGoal(
+    pending_request: PendingRequest,
+    action: string,
+    type: string,
+    goal: object,
+  ): Promise<MotionResult | null> {
+    let handle: GoalHandle<MotionResult> | null = null;
+    try {
+      handle = this.connection.goal<MotionResult>(action, type, goal);
+      this.handle = handle;
+      this.store.set({ pending_request, goal: noGoal() });
+      const { values, reason } = await handle.result;
+      // The result of a goal that a newer one has replaced must not hide that of the newer one.
+      if (this.handle !== handle) return null;
+      this.reportResult(pending_request, values, reason);
+      return values;
+    } catch (error) {
+      this.report(null, (error as Error).message);
+      return null;
+    } finally {
+      if (this.handle === handle) this.finished();
+    }
+  }
+
+  private finished(): void {
+    this.handle = null;
+    this.store.set({ pending_request: "nothing" });
+  }
+
+  private reportResult(pending_request: PendingRequest, result: MotionResult | null, reason: string): void {
+    const code = result?.error_code;
+    if (!code) this.report(null, reason || "the server gave no result");
+    else if (code.val !== SUCCESS) this.report(code.val, code.message || "the server gave no reason");
+    else if (pending_request === "move") this.report(code.val, code.message || "the arm is there");
+  }
+
+  /** Show a result, with the suggestion that the status of the same goal contained. */
+  private report(code: number | null, message: string): void {
+    const { goal } = this.store.state;
+    const same = goal.state === "done" && goal.message.startsWith(message) && goal.code !== PREEMPTED;
+    const suggestion = same ? goal.suggestion : null;
+    this.store.set({ goal: { ...noGoal(), id: goal.id, state: "done", code, message, suggestion } });
+  }
+}
+
+/** Distance of the start of a trajectory from the arm beyond which the server rejects it [rad]. */
+const START_TOLERANCE_RAD = 0.05;
+
+/** Show also the plans of other clients, where they start at the current state and so can be executed. */
+export function subscribeDisplayedPlans(connection: Connection, store: PageStore, moveGroup: MoveGroupClient): void {
+  let pending: RobotTrajectory | null = null;
+  const show = (): void => {
+    if (!pending || store.state.joints.names.length === 0) return;
+    const plan = readPlan(pending);
+    const is_planning = store.state.pending_request === "plan";
+    if (!is_planning && plan && startsAtCurrentState(plan, store.state)) moveGroup.showPlan(pending);
+    pending = null;
+  };
+  const take = ({ trajectory }: DisplayTrajectory): void => {
+    // Several trajectories are a sequence, which ExecuteTrajectory cannot take.
+    pending = trajectory.length === 1 ? (trajectory[0] ?? null) : null;
+    show();
+  };
+  connection.subscribe<DisplayTrajectory>("/display_planned_path", "moveit_msgs/DisplayTrajectory", take);
+  // The latched plan comes before the first joint state.
+  store.subscribe((state) => state.joints, show);
+}
+
+/** Return true when a plan starts at the arm's current state, and ends elsewhere. */
+export function startsAtCurrentState(plan: Plan, state: Pick<State, "joints" | "arm">): boolean {
+  if (state.arm.mode === "moving") return false;
+  const current = currentPositions(state);
+  const distance_rad = (time_s: number): number => {
+    const planned = samplePlan(plan, time_s);
+    const distances = Object.entries(planned).map(([name, value]) => Math.abs(value - (current[name] ?? Infinity)));
+    return Math.max(0, ...distances);
+  };
+  return distance_rad(0) <= START_TOLERANCE_RAD && distance_rad(duration_s(plan)) > START_TOLERANCE_RAD;
+}

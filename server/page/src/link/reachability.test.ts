@@ -1,0 +1,54 @@
+import { expect, test, vi } from "vitest";
+import { emptyState } from "../state/state";
+import { selectGoal, selectTarget, Store, type PageStore } from "../state/store";
+import type { Connection } from "./connection";
+import { checkReachability, LatestRequestQueue } from "./reachability";
+
+test("one question at a time, and of those that wait only the newest", async () => {
+  const asked: number[] = [];
+  const answers: (() => void)[] = [];
+  const queue = new LatestRequestQueue<number>((request) => {
+    asked.push(request);
+    return new Promise((resolve) => answers.push(resolve));
+  });
+  for (const request of [1, 2, 3, 4]) queue.put(request);
+  expect(asked).toEqual([1]);
+  expect(queue.superseded).toBe(true);
+  answers[0]?.();
+  await Promise.resolve();
+  await Promise.resolve();
+  expect(asked).toEqual([1, 4]);
+  expect(queue.superseded).toBe(false);
+});
+
+function checked(): { store: PageStore; asked: () => number; link: { isConnected: boolean } } {
+  const store = new Store(emptyState("ws://here"));
+  const call = vi.fn(() => Promise.resolve({ results: [] }));
+  const link = { isConnected: true, call };
+  checkReachability(link as unknown as Connection, store);
+  return { store, asked: () => call.mock.calls.length, link };
+}
+
+const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve));
+
+test("a target that nobody could answer for is asked about when the server is back", async () => {
+  const { store, asked, link } = checked();
+  link.isConnected = false;
+  selectTarget(store, [0.2, 0, 0.2]);
+  await settled();
+  expect(asked()).toBe(0);
+  link.isConnected = true;
+  store.patch("link", { connected: true });
+  await settled();
+  expect(asked()).toBe(1);
+});
+
+test("a point that is no target any more is not", async () => {
+  const { store, asked } = checked();
+  selectTarget(store, [0.2, 0, 0.2]);
+  await settled();
+  selectGoal(store, "none", null);
+  store.patch("link", { connected: true });
+  await settled();
+  expect(asked()).toBe(1);
+});

@@ -1,0 +1,80 @@
+import type { Point, State } from "../state/state";
+import type { PageStore } from "../state/store";
+import type { Connection } from "./connection";
+import { checkGoalsRequest, valuesByJoint, type GoalCheck } from "./messages";
+
+/** Queue of one: one request is sent at a time, and after it only the newest of those made meanwhile. */
+export class LatestRequestQueue<Request> {
+  private busy = false;
+  private next: { request: Request } | null = null;
+
+  /** @param send - sends a request and handles its answer; must not reject. */
+  constructor(private readonly send: (request: Request) => Promise<void>) {}
+
+  /** True while a newer request waits for the answer to the present one. */
+  get superseded(): boolean {
+    return this.next !== null;
+  }
+
+  /** Send a request, now or after the answer to the present one. */
+  put(request: Request): void {
+    this.next = { request };
+    if (!this.busy) void this.run();
+  }
+
+  private async run(): Promise<void> {
+    this.busy = true;
+    while (this.next) {
+      const { request } = this.next;
+      this.next = null;
+      await this.send(request);
+    }
+    this.busy = false;
+  }
+}
+
+/** Time for an answer of /check_goals [s], which takes 5 ms: a server that needs longer is gone. */
+const CHECK_TIMEOUT_S = 3;
+
+/** Distance of the tip from a point within which the point counts as reached [m], as for /moveit_goal_pose. */
+const REACHED_TOLERANCE_M = 0.01;
+
+/** Check with the server that the arm can reach each new target; skip targets that are replaced meanwhile. */
+export function checkReachability(connection: Connection, store: PageStore): void {
+  const checks = new LatestRequestQueue<Point>(async (position_m) => {
+    if (!connection.isConnected) return;
+    try {
+      const request = checkGoalsRequest(position_m);
+      const { results } = await connection.call<{ results: GoalCheck[] }>("/check_goals", request, CHECK_TIMEOUT_S);
+      if (results[0]) store.set(applyGoalCheck(store.state, position_m, results[0]));
+    } catch {
+      store.patch("target", { reachable: null });
+    }
+  });
+  store.subscribe(
+    (state) => state.target.position_m,
+    (position_m) => position_m && checks.put(position_m),
+  );
+  // A target set while the server was away has no answer, and a restarted server may answer differently.
+  store.subscribe(
+    (state) => state.link.connected,
+    (connected, { selection, target: { position_m } }) => {
+      if (connected && selection.kind === "target" && position_m) checks.put(position_m);
+    },
+  );
+}
+
+/** Return the changes of the state after a check of a point, which may no longer be the target. */
+export function applyGoalCheck(state: State, checked_m: Point, check: GoalCheck): Partial<State> {
+  const found = valuesByJoint(check.solution.name, check.solution.position);
+  const joints_rad = Object.keys(found).length > 0 ? found : state.target.joints_rad;
+  const is_far = check.position_error_m > REACHED_TOLERANCE_M;
+  const target = {
+    ...state.target,
+    joints_rad,
+    reachable: check.reachable && check.free && !is_far,
+    distance_m: Math.max(0, check.position_error_m),
+  };
+  // During a drag the ghost follows with the solution of the previous point.
+  return target.position_m === checked_m || target.dragging ? { target } : {};
+}

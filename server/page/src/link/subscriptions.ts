@@ -1,0 +1,148 @@
+import { noGoal, type GoalState, type State } from "../state/state";
+import { setNotice, type PageStore } from "../state/store";
+import type { Connection } from "./connection";
+import {
+  PREEMPTED,
+  readArmState,
+  readControl,
+  readGoal,
+  readIdentity,
+  readJoints,
+  readLimits,
+  readLogEntry,
+  readNamedStates,
+  readServos,
+  SUCCESS,
+  valuesByJoint,
+  type ControllerState,
+  type DiagnosticArray,
+  type DiagnosticStatus,
+  type JointState,
+  type KinematicSolverInfo,
+  type LogMessage,
+  type PlanningScene,
+  type StringMessage,
+  type TriggerResponse,
+} from "./messages";
+import { applyPlanningScene, drawableObjects } from "./planning-scene";
+
+/** Least time between two messages that are drawn [ms]: 30 per second look smooth. */
+const REDRAW_PERIOD_MS = 33;
+
+const NO_PLAN: State["plan"] = { trajectory: null, tool_path: [], scrub_s: null };
+
+/** Number of log entries that are kept. */
+const MAX_LOG_ENTRIES = 500;
+
+/** Subscribe to the topics that every page shows. */
+export function subscribeTopics(connection: Connection, store: PageStore): void {
+  subscribeRobot(connection, store);
+  const joints = (message: JointState): void => store.set({ joints: readJoints(message) });
+  connection.subscribe<JointState>("/joint_states", "sensor_msgs/JointState", joints, REDRAW_PERIOD_MS);
+  connection.subscribe<DiagnosticStatus>("/moveit_goal_status", "diagnostic_msgs/DiagnosticStatus", (status) => {
+    store.set(applyGoalStatus(store.state, readGoal(status)));
+  });
+  connection.subscribe<LogMessage>("/rosout", "rcl_interfaces/Log", (message) => {
+    store.set({ log: [...store.state.log.slice(1 - MAX_LOG_ENTRIES), readLogEntry(message)] });
+  });
+  connection.subscribe<DiagnosticArray>("/diagnostics", "diagnostic_msgs/DiagnosticArray", ({ status }) => {
+    store.set({ servos: readServos(status) });
+  });
+  connection.subscribe<PlanningScene>("/monitored_planning_scene", "moveit_msgs/PlanningScene", (scene) => {
+    const { objects, problems } = drawableObjects(applyPlanningScene(store.state.objects, scene));
+    store.set({ objects });
+    setNotice(store, "scene", problems.join(" "));
+  });
+}
+
+function subscribeRobot(connection: Connection, store: PageStore): void {
+  connection.subscribe<StringMessage>("/robot_description", "std_msgs/String", ({ data }) => store.set({ urdf: data }));
+  connection.subscribe<StringMessage>("/robot_description_semantic", "std_msgs/String", ({ data }) => {
+    store.set({ srdf: data });
+  });
+  connection.subscribe<KinematicSolverInfo>("/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", (message) => {
+    store.set({ limits: readLimits(message) });
+  });
+  connection.subscribe<StringMessage>("/named_states", "std_msgs/String", ({ data }) => {
+    store.set({ named: readNamedStates(data) });
+  });
+  connection.subscribe<DiagnosticStatus>("/arm/state", "diagnostic_msgs/DiagnosticStatus", (status) => {
+    store.set({ arm: readArmState(status) });
+  });
+}
+
+/**
+ * Subscribe to the commanded joint positions, on the state topic of the arm's controller.
+ *
+ * @param subscribed_topics - topics of earlier calls; each is subscribed once, as the connection restores them.
+ */
+export async function subscribeControllerState(
+  connection: Connection,
+  store: PageStore,
+  subscribed_topics: Set<string>,
+): Promise<void> {
+  const type = "control_msgs/msg/JointTrajectoryControllerState";
+  const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
+  const topic = topics.find((name) => name.endsWith("/controller_state")) ?? topics[0];
+  if (topic === undefined || subscribed_topics.has(topic)) return;
+  subscribed_topics.add(topic);
+  const onState = ({ joint_names, reference }: ControllerState): void => {
+    store.set({ commanded_rad: valuesByJoint(joint_names, reference.positions) });
+  };
+  connection.subscribe<ControllerState>(topic, type, onState, REDRAW_PERIOD_MS);
+}
+
+/** Forget goals and commands that may have ended while the page was disconnected. */
+export function resetAfterReconnect(store: PageStore): void {
+  const in_progress = ["queued", "planning", "executing"].includes(store.state.goal.state);
+  store.set({ active_goals: [], commanded_rad: {}, goal: in_progress ? noGoal() : store.state.goal });
+  setNotice(store, "link", "");
+}
+
+/** Return the changes of the state after a status of a goal: the goal that is shown, and all active goals. */
+export function applyGoalStatus(state: State, goal: GoalState): Partial<State> {
+  const others = state.active_goals.filter(({ id }) => id !== goal.id);
+  const done = goal.state === "done";
+  const active_goals = done ? others : [...others, { id: goal.id, name: goal.source, state: goal.state }];
+  const in_progress = state.active_goals.some(({ id, state: stage }) => id === state.goal.id && stage !== "queued");
+  // A goal that joins or leaves the queue must not hide the one that moves the arm.
+  const is_queued = in_progress && goal.id !== state.goal.id && (goal.state === "queued" || done);
+  const was_preempted = done && goal.code === PREEMPTED && active_goals.length > 0;
+  if (is_queued || was_preempted) return { active_goals };
+  const begins = goal.state === "executing" && !(state.goal.id === goal.id && state.goal.state === "executing");
+  if (!done) return { active_goals, goal, ...(begins && { executing_selection: state.selection }) };
+  if (goal.code === SUCCESS) return { active_goals, goal, ...clearSelection(state) };
+  // The arm stands somewhere on the path, and the plan does not start there.
+  const stopped_on_path = state.goal.id === goal.id && state.goal.state === "executing";
+  return stopped_on_path ? { active_goals, goal, plan: NO_PLAN } : { active_goals, goal };
+}
+
+/** Clear the selection that a motion has reached; one that the user has made meanwhile stays. */
+function clearSelection(state: State): Partial<State> {
+  if (state.target.dragging || state.selection !== state.executing_selection) return {};
+  return { selection: { kind: "none", joints_rad: null }, plan: NO_PLAN };
+}
+
+/** Subscribe to the control of the arm, and fetch this page's identity after every connection. */
+export function subscribeControl(connection: Connection, store: PageStore): void {
+  connection.subscribe<DiagnosticStatus>("/arm/control", "diagnostic_msgs/DiagnosticStatus", (status) => {
+    store.set({ control: readControl(status) });
+  });
+  store.subscribe(
+    (state) => state.link.connected,
+    (connected) => {
+      // The identity contains the port of the connection, which changes with each one.
+      store.set({ identity: null });
+      if (connected) void fetchIdentity(connection, store);
+    },
+  );
+}
+
+async function fetchIdentity(connection: Connection, store: PageStore): Promise<void> {
+  try {
+    const { message } = await connection.call<TriggerResponse>("/arm/who_am_i", {});
+    store.set({ identity: readIdentity(message) });
+  } catch {
+    // Without an identity every control stays enabled; the server itself rejects forbidden requests.
+  }
+}

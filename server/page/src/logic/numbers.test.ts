@@ -1,0 +1,45 @@
+import { describe, expect, it, test } from "vitest";
+import { angleText, distanceText, fromUnit, parseNumber, toUnit } from "./numbers";
+
+test("there and back is the same angle", () => {
+  expect(fromUnit(toUnit(1.234, "deg"), "deg")).toBeCloseTo(1.234, 12);
+  expect(toUnit(Math.PI, "deg")).toBeCloseTo(180, 12);
+  expect(toUnit(1.5, "rad")).toBe(1.5);
+});
+
+test("texts have the digits that matter, no minus before nought, and a dash for what is no number", () => {
+  expect(angleText(Math.PI / 2, "deg")).toBe("90.0");
+  expect(angleText(0.12345, "rad")).toBe("0.123");
+  expect(angleText(-0.0001, "deg")).toBe("0.0");
+  expect(angleText(Number.NaN, "deg")).toBe("–");
+});
+
+describe("distanceText", () => {
+  it("takes millimetres below a centimetre", () => {
+    expect(distanceText(0.0034)).toBe("3 mm");
+    expect(distanceText(0.0001)).toBe("1 mm");
+    expect(distanceText(0.1234)).toBe("12.3 cm");
+  });
+});
+
+const range = { name: "elbow_flex", lower: -90, upper: 90, unit: "°", digits: 1 };
+
+test("a number within the limits is taken, with a comma too", () => {
+  expect(parseNumber(" 12,5 ", range)).toEqual({ value: 12.5, message: "" });
+  expect(parseNumber("-90", range)).toEqual({ value: -90, message: "" });
+  expect(parseNumber("1e1", range)).toEqual({ value: 10, message: "" });
+});
+
+test("beyond a limit it goes to the limit, and the limit is named", () => {
+  expect(parseNumber("120", range)).toEqual({
+    value: 90,
+    message: "elbow_flex: 120° is beyond the upper limit, 90°",
+  });
+  expect(parseNumber("-100.04", range).message).toBe("elbow_flex: -100° is beyond the lower limit, -90°");
+});
+
+test.each(["", "abc", "NaN", "Infinity", "1e999", "0x10", "--3"])("%j is no number: what was there comes back", (text) => {
+  const typed = parseNumber(text, range);
+  expect(typed.value).toBeNull();
+  expect(typed.message).toContain("is no number");
+});

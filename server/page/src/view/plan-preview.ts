@@ -1,0 +1,193 @@
+import { CatmullRomCurve3, Mesh, TubeGeometry, Vector3, type Camera, type Scene } from "three";
+import { jointReport } from "../logic/joints";
+import { distanceText } from "../logic/numbers";
+import { ghostPose, samplePlan, sampleTimes_s, type GhostPose } from "../logic/trajectory";
+import type { Joints, JointValues, Plan, Point, State } from "../state/state";
+import type { PageStore } from "../state/store";
+import type { Materials } from "./appearance";
+import type { Robot } from "./robot";
+import type { RobotModel } from "./robot-model";
+import type { SceneComponent } from "./viewer";
+
+// Offset that keeps the label clear of the marker's arrows.
+const ASIDE_PX = 16;
+const ABOVE_PX = 24;
+
+/** Short text beside a point of the scene. */
+export class Label {
+  private readonly element = document.createElement("div");
+  private anchor: Vector3 | null = null;
+
+  /**
+   * @param canvas - canvas below the text.
+   * @param camera - camera of the scene.
+   */
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly camera: Camera,
+  ) {
+    this.element.className = "view-label";
+    this.element.dataset["testid"] = "target-distance";
+    this.element.setAttribute("role", "status");
+    this.element.hidden = true;
+    canvas.parentElement?.append(this.element);
+  }
+
+  /** Show a text at a point; an empty text hides it. */
+  show(text: string, at: Vector3): void {
+    this.element.hidden = text === "";
+    if (this.element.textContent !== text) this.element.textContent = text;
+    this.anchor = text === "" ? null : at.clone();
+    this.place();
+  }
+
+  /** Move the text to the present place of its point on the screen. */
+  place(): void {
+    if (this.anchor === null) return;
+    const projected = this.anchor.clone().project(this.camera);
+    const x_px = ((projected.x + 1) / 2) * this.canvas.clientWidth;
+    const y_px = ((1 - projected.y) / 2) * this.canvas.clientHeight;
+    // For a point outside of the picture it stays at the edge, as it must not cover the panel.
+    const x_inside_px = clamp(x_px + ASIDE_PX, this.canvas.clientWidth - this.element.offsetWidth);
+    const y_inside_px = clamp(y_px - ABOVE_PX, this.canvas.clientHeight - this.element.offsetHeight);
+    this.element.style.transform = `translate(${Math.round(x_inside_px)}px, ${Math.round(y_inside_px)}px)`;
+  }
+}
+
+function clamp(value: number, upper: number): number {
+  return Math.max(0, Math.min(value, upper));
+}
+
+/** Translucent arm in its future pose: on the plan, or as near to the target as it gets. */
+export class Ghost implements SceneComponent {
+  /** Position of its tool; null while there is no ghost. */
+  tool_m: Point | null = null;
+  private model: RobotModel | null = null;
+  private arm: RobotModel | null = null;
+  private shown: [unknown, unknown, unknown, unknown] | null = null;
+
+  /**
+   * @param robot - robot that is shown.
+   * @param materials - material of the ghost.
+   * @param label - shows the distance from a target out of reach.
+   */
+  constructor(
+    private readonly robot: Robot,
+    private readonly materials: Materials,
+    private readonly label: Label,
+  ) {}
+
+  update(state: State): void {
+    if (this.robot.arm === null) return;
+    if (this.robot.arm !== this.arm) this.drop();
+    const pose = ghostPose(state);
+    const inputs: [unknown, unknown, unknown, unknown] = [state.plan, state.target, state.selection, state.joints];
+    // Joints outside of the goal are drawn at their measured position, so the ghost follows /joint_states too.
+    if (this.shown?.every((input, index) => input === inputs[index])) return;
+    this.shown = inputs;
+    if (pose === null) this.hide();
+    else this.show(pose, state);
+  }
+
+  private show(pose: GhostPose, state: State): void {
+    this.model ??= this.robot.createModel("visual", () => this.materials.ghost);
+    if (this.model === null) return;
+    this.model.robot.visible = true;
+    this.model.setJoints({ ...knownPositions(state.joints, this.model), ...finite(pose.joints_rad) });
+    this.tool_m = this.model.linkPosition_m(this.robot.tip);
+    this.materials.setOffTarget(pose.off_target_m !== null);
+    const off = pose.off_target_m;
+    const at = state.target.position_m ?? this.tool_m;
+    this.label.show(off === null || at === null ? "" : `${distanceText(off)} off`, new Vector3(...(at ?? [0, 0, 0])));
+  }
+
+  private hide(): void {
+    if (this.model !== null) this.model.robot.visible = false;
+    this.tool_m = null;
+    this.label.show("", new Vector3());
+  }
+
+  private drop(): void {
+    this.arm = this.robot.arm;
+    this.model?.dispose();
+    this.model = null;
+    this.shown = null;
+  }
+}
+
+function knownPositions(joints: Joints, model: RobotModel): JointValues {
+  return jointReport(joints, model.joint_names).values;
+}
+
+function finite(values: JointValues): JointValues {
+  return Object.fromEntries(Object.entries(values).filter(([, value]) => Number.isFinite(value)));
+}
+
+// On a path of half a metre the points are then 4 mm apart, and the curve looks smooth.
+const SAMPLES = 120;
+const RADIUS_M = 0.0015;
+const SIDES = 5;
+// TubeGeometry needs points that differ.
+const MIN_STEP_M = 1e-4;
+
+/** Path of the tool along the plan, from the kinematics of the robot description. */
+export class ToolPath implements SceneComponent {
+  private line: Mesh | null = null;
+  private plan: Plan | null = null;
+  private arm: RobotModel | null = null;
+
+  /**
+   * @param scene - scene to add the line to.
+   * @param robot - robot that is shown.
+   * @param store - updated with the path.
+   * @param materials - material of the line.
+   */
+  constructor(
+    private readonly scene: Scene,
+    private readonly robot: Robot,
+    private readonly store: PageStore,
+    private readonly materials: Materials,
+  ) {}
+
+  update(state: State): void {
+    const plan = state.plan.trajectory;
+    if (plan === this.plan && this.robot.arm === this.arm) return;
+    this.plan = plan;
+    this.arm = this.robot.arm;
+    const path = plan === null ? [] : this.path(plan);
+    this.draw(path);
+    this.store.patch("plan", { tool_path: path });
+  }
+
+  private path(plan: Plan): Point[] {
+    const model = this.robot.arm;
+    if (model === null) return [];
+    const before = model.jointValues();
+    const points = sampleTimes_s(plan, SAMPLES).map((time_s) => {
+      model.setJoints(samplePlan(plan, time_s));
+      return model.linkPosition_m(this.robot.tip);
+    });
+    model.setJoints(before);
+    return points.filter((point): point is Point => point !== null && point.every(Number.isFinite));
+  }
+
+  private draw(path: Point[]): void {
+    this.line?.removeFromParent();
+    this.line?.geometry.dispose();
+    this.line = null;
+    const points = distinctPoints(path);
+    if (points.length < 2) return;
+    const curve = new CatmullRomCurve3(points, false, "centripetal");
+    this.line = new Mesh(new TubeGeometry(curve, points.length * 2, RADIUS_M, SIDES), this.materials.path);
+    this.scene.add(this.line);
+  }
+}
+
+function distinctPoints(path: Point[]): Vector3[] {
+  const points: Vector3[] = [];
+  for (const point of path.map((values) => new Vector3(...values))) {
+    const last = points.at(-1);
+    if (last === undefined || last.distanceTo(point) > MIN_STEP_M) points.push(point);
+  }
+  return points;
+}

@@ -1,0 +1,120 @@
+import { Matrix4, Mesh, Quaternion, Vector3, type Material, type Object3D } from "three";
+import URDFLoader, { type URDFRobot, type URDFVisual } from "urdf-loader";
+import type { JointValues, Point } from "../state/state";
+import type { Meshes } from "./meshes";
+import type { Description } from "./robot-description";
+
+/** Function that returns the material of a link's shape; null keeps that of the description. */
+export type MaterialSelector = (shape: Element | null, link_index: number) => Material | null;
+
+/** Geometry of a URDF link: its visuals, or the shapes that are checked for collisions. */
+export type GeometryKind = "visual" | "collision";
+
+/** Model of the robot in a pose of its own. */
+export class RobotModel {
+  /** Object to add to a scene. */
+  readonly robot: URDFRobot;
+  /** Joints that can move by themselves. */
+  readonly joint_names: ReadonlySet<string>;
+
+  /**
+   * @param description - description of the robot.
+   * @param meshes - source of its meshes.
+   * @param geometry_kind - kind of geometry to draw.
+   * @param selectMaterial - selects the material of each shape.
+   * @param changed - called when a mesh has been loaded.
+   */
+  constructor(
+    description: Description,
+    meshes: Meshes,
+    geometry_kind: GeometryKind,
+    selectMaterial: MaterialSelector,
+    changed: () => void,
+  ) {
+    const loader = new URDFLoader();
+    loader.parseVisual = geometry_kind === "visual";
+    loader.parseCollision = geometry_kind === "collision";
+    // Meshes resolves package names, as it knows the paths that the server permits.
+    loader.packages = (name) => `package://${name}`;
+    loader.loadMeshCb = (uri, _manager, material, loaded) => {
+      void meshes.get(uri).then((mesh) => {
+        if (mesh.name !== "placeholder") applyDescriptionMaterial(mesh, material);
+        loaded(mesh);
+        // A description in millimetres scales its meshes; the placeholder has metres.
+        if (mesh.name === "placeholder" && mesh.parent) mesh.scale.divide(mesh.parent.scale);
+        applyMaterials(this.robot, selectMaterial);
+        changed();
+      });
+    };
+    this.robot = loader.parse(description.document);
+    const movable = Object.values(this.robot.joints).filter((joint) => joint.jointType !== "fixed");
+    // The arm is drawn at its measured position, also beyond a limit.
+    for (const joint of movable) joint.ignoreLimits = true;
+    this.joint_names = new Set(movable.map((joint) => joint.name));
+    applyMaterials(this.robot, selectMaterial);
+  }
+
+  /** Set some joint values; the others stay. */
+  setJoints(values: JointValues): void {
+    this.robot.setJointValues(values);
+  }
+
+  /** Return the joint values that are drawn. */
+  jointValues(): JointValues {
+    return Object.fromEntries([...this.joint_names].map((name) => [name, this.robot.joints[name]?.angle ?? 0]));
+  }
+
+  /** Return the position of a link in the root link's frame; null for an unknown link. */
+  linkPosition_m(link: string): Point | null {
+    const pose = this.linkPose(link);
+    if (pose === null) return null;
+    const { x, y, z } = new Vector3().setFromMatrixPosition(pose);
+    return [x, y, z];
+  }
+
+  /** Remove it from its scene, and free its shapes. */
+  dispose(): void {
+    this.robot.removeFromParent();
+    this.robot.traverse((node) => {
+      if (node instanceof Mesh && !isFetched(node)) node.geometry.dispose();
+    });
+  }
+
+  private linkPose(link: string): Matrix4 | null {
+    const node = this.robot.links[link];
+    if (node === undefined) return null;
+    node.updateWorldMatrix(true, false);
+    return new Matrix4().copy(this.robot.matrixWorld).invert().multiply(node.matrixWorld);
+  }
+}
+
+/** Convert an orientation x, y, z, w to three's quaternion of length 1. */
+export function toQuaternion(orientation: readonly [number, number, number, number]): Quaternion {
+  return new Quaternion(...orientation).normalize();
+}
+
+function applyDescriptionMaterial(mesh: Object3D, material: Material): void {
+  mesh.userData["fetched"] = true;
+  mesh.traverse((node) => {
+    // A Collada file has its own colours; other files take those of the description.
+    if (node instanceof Mesh && (node.material as Material).name === "") node.material = material;
+  });
+}
+
+function isFetched(node: Object3D): boolean {
+  for (let at: Object3D | null = node; at !== null; at = at.parent) if (at.userData["fetched"] === true) return true;
+  return false;
+}
+
+function applyMaterials(robot: URDFRobot, selectMaterial: MaterialSelector): void {
+  Object.values(robot.links).forEach((link, index) => {
+    for (const part of link.children) {
+      if (!("isURDFVisual" in part) && !("isURDFCollider" in part)) continue;
+      const element = (part as unknown as URDFVisual).urdfNode;
+      part.traverse((node) => {
+        if (!(node instanceof Mesh) || node.name === "placeholder") return;
+        node.material = selectMaterial(element, index) ?? node.material;
+      });
+    }
+  });
+}

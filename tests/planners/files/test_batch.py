@@ -1,0 +1,210 @@
+"""Batches planned by the workers of Dask clusters, each a scheduler and workers on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from planners.errors import BatchError
+from planners.files import batch, problem_file
+from planners.problem import MoveItErrorCode, PlanningFailure
+from robot.description import model
+from tests.helpers.certificates import make_pair
+from tests.helpers.dask_cluster import DaskCluster
+from tests.helpers.server import free_port
+
+distributed = pytest.importorskip("distributed", reason="the extra [dask] is not installed")
+
+ROOT = Path(__file__).parents[3]
+GAP, CLUTTER = (ROOT / "benchmarks" / "scenes" / f"{name}.json" for name in ("gap", "clutter"))
+TIMEOUT_S = 120.0
+
+# Long enough that the first of them is answered while most are not.
+SLOWLY = ("--optimize", "1")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[DaskCluster]:
+    running = DaskCluster(2)
+    yield running
+    running.close()
+
+
+@pytest.fixture
+def mortal_cluster() -> Iterator[DaskCluster]:
+    """One of which parts are ended."""
+    running = DaskCluster(2)
+    yield running
+    running.close()
+
+
+class Command:
+    """``armbridge plan`` in a process of its own."""
+
+    def __init__(self, *arguments: str | Path, **environment: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "server.cli", "plan", *map(str, arguments)],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.lines: list[str] = []
+
+    def wait_for_answers(self) -> None:
+        """Wait for the first row after the titles."""
+        assert self._process.stdout is not None
+        self.lines += [self._process.stdout.readline() for _ in range(2)]
+
+    def interrupt(self) -> None:
+        self._process.send_signal(signal.SIGINT)
+
+    def end(self) -> tuple[int, list[str], list[str]]:
+        """Exit code, and the lines of stdout and stderr."""
+        output, errors = self._process.communicate(timeout=TIMEOUT_S)
+        return self._process.returncode, [*self.lines, *output.splitlines()], errors.splitlines()
+
+
+def test_several_files_are_planned_as_here(cluster: DaskCluster, tmp_path: Path) -> None:
+    here, there = tmp_path / "here.json", tmp_path / "there.json"
+    local = Command(GAP, CLUTTER, "--seed", "3", "--json", here).end()
+    far = Command(GAP, CLUTTER, "--seed", "3", "--json", there, "--scheduler", cluster.address).end()
+    assert (far[0], far[1][-1], far[2]) == (local[0], local[1][-1], [])
+    assert json.loads(there.read_text()) == json.loads(here.read_text())
+    assert {line.split()[0] for line in far[1]} == {line.split()[0] for line in local[1]}
+
+
+def test_problems_of_a_worker_that_dies_are_planned_by_another(mortal_cluster: DaskCluster, tmp_path: Path) -> None:
+    answers = tmp_path / "out.json"
+    command = Command(GAP, "--all", *SLOWLY, "--json", answers, "--scheduler", mortal_cluster.address)
+    command.wait_for_answers()
+    mortal_cluster.kill(mortal_cluster.workers[0])
+    _, lines, errors = command.end()
+    assert errors == []
+    assert len(json.loads(answers.read_text())) == len(problem_file.read(GAP, model.builtin()).problems)
+    assert not any("CRASH" in line for line in lines)
+
+
+def test_a_scheduler_that_is_lost_ends_the_batch(mortal_cluster: DaskCluster) -> None:
+    command = Command(GAP, *SLOWLY, "--scheduler", mortal_cluster.address)
+    command.wait_for_answers()
+    mortal_cluster.kill(mortal_cluster.scheduler)
+    code, _, errors = command.end()
+    assert (code, errors) == (2, [f"armbridge: the Dask scheduler {mortal_cluster.address} was lost"])
+
+
+def test_an_interrupt_takes_back_what_is_not_planned(cluster: DaskCluster) -> None:
+    command = Command(GAP, CLUTTER, *SLOWLY, "--scheduler", cluster.address)
+    command.wait_for_answers()
+    command.interrupt()
+    code, _, errors = command.end()
+    assert (code, errors) == (1, ["armbridge: stopped before every problem was planned"])
+    with distributed.Client(cluster.address) as client:
+        assert client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.tasks)) == []
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line() -> None:
+    address = f"tcp://127.0.0.1:{free_port()}"
+    code, lines, (error,) = Command(GAP, "--scheduler", address).end()
+    assert (code, lines) == (2, [])
+    assert error.startswith(f"armbridge: the Dask scheduler {address} cannot be reached: ")
+
+
+def test_a_cluster_without_workers_is_one_line() -> None:
+    empty = DaskCluster(0)
+    try:
+        result = Command(GAP, "--scheduler", empty.address).end()
+    finally:
+        empty.close()
+    assert result == (2, [], [f"armbridge: the Dask scheduler {empty.address} has no workers"])
+
+
+def test_certificates_are_those_of_dasks_configuration(tmp_path: Path) -> None:
+    pair = make_pair(tmp_path)
+    files = {"CA_FILE": pair.certificate, "CLIENT__CERT": pair.certificate, "CLIENT__KEY": pair.key}
+    running = DaskCluster(1, pair)
+    try:
+        arguments = (GAP, "--id", "gap-j03", "--scheduler", running.address)
+        known = Command(*arguments, **{f"DASK_DISTRIBUTED__COMM__TLS__{key}": str(files[key]) for key in files}).end()
+        unknown = Command(*arguments).end()
+    finally:
+        running.close()
+    assert (known[0], known[2]) == (0, [])
+    assert (unknown[0], len(unknown[2])) == (2, 1)
+
+
+@pytest.fixture
+def other_version(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The version of this process, which is none of a worker's."""
+    monkeypatch.setattr(batch, "_SOURCES", ())
+    batch.version.cache_clear()
+    yield batch.version()
+    batch.version.cache_clear()
+
+
+def test_workers_with_another_armbridge_are_named_with_both_versions(cluster: DaskCluster, other_version: str) -> None:
+    with pytest.raises(BatchError) as raised:
+        next(batch.plan_on(cluster.address, []))
+    theirs, ours = str(raised.value).split("; install ")
+    assert theirs.startswith("the Dask worker tcp://127.0.0.1:")
+    assert "runs armbridge 0." in theirs
+    assert ours == f"armbridge {other_version} there, as here"
+
+
+def test_a_worker_that_joined_late_with_another_armbridge_plans_nothing() -> None:
+    setup = pickle.loads(batch._packed_setup(problem_file.read(GAP, model.builtin())))
+    with pytest.raises(BatchError, match="another armbridge"):
+        batch.answer(setup, b"", "0.0.1")
+
+
+def test_a_worker_keeps_a_planner_for_each_thread_and_file() -> None:
+    first, second = (pickle.loads(batch._packed_setup(problem_file.read(GAP, model.builtin()))) for _ in range(2))
+    other = pickle.loads(batch._packed_setup(problem_file.read(CLUTTER, model.builtin())))
+    planner, refusal = batch._planner(first, 1)
+    assert refusal is None
+    assert batch._planner(batch.Setup(first.digest, second.robot, second.scene), 1)[0] is planner
+    assert batch._planner(first, 2)[0] is not planner
+    assert batch._planner(other, 1)[0] is not planner
+
+
+class FailedFuture:
+    """A problem that Dask gave up."""
+
+    def __init__(self, error: Exception) -> None:
+        self._error = error
+
+    def exception(self) -> Exception:
+        return self._error
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (distributed.KilledWorker("key", None, 3), "4 workers ended while they worked on this"),
+        (ValueError("a bug"), "the worker failed: ValueError: a bug"),
+    ],
+)
+def test_a_problem_that_a_worker_fails_at_is_a_crash(error: Exception, words: str) -> None:
+    answer = batch._result(FailedFuture(error))
+    assert answer == (PlanningFailure(MoveItErrorCode.CRASH, words), 0.0)
+
+
+def test_without_dask_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "find_spec", lambda name: None)
+    with pytest.raises(BatchError, match=r"pip install 'armbridge\[dask\]'"):
+        next(batch.plan_on("tcp://127.0.0.1:1", []))
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1"])
+def test_what_is_no_address_of_a_scheduler_is_refused(address: str) -> None:
+    with pytest.raises(BatchError, match="must be tcp://HOST:PORT or tls://HOST:PORT"):
+        next(batch.plan_on(address, []))

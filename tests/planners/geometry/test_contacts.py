@@ -1,0 +1,270 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import robot.description as robot_description
+from planners.geometry import contacts
+from planners.geometry.collision import CollisionModel, Rules, links_of, standing
+from planners.geometry.contacts import Broadphase, ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
+from planners.geometry.joint_space import JointSpace
+from planners.geometry.kinematics import kinematic_urdf
+from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
+from planners.scene import Box
+from robot.description import model
+from tests.helpers.examples import in_proportion
+from tests.planners.scenes import around_the_arm, scene, thing
+from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
+
+STATES = 150
+
+
+@pytest.fixture(params=[1, 2])
+def crowded(request, robot):
+    """The arm among things of every shape, and states of it."""
+    model = pin.buildModelFromXML(kinematic_urdf(robot))
+    scene = around_the_arm(request.param)
+    movers, around = links_of(model, robot_shapes(robot, model), scene), list(standing(scene, 1.0))
+    pairs = Rules(robot, {}).pairs(movers, around)
+
+    def build(apart_m):
+        return Broadphase(model, [body.shape for body in (*movers, *around)], pairs, np.full(len(pairs), apart_m))
+
+    limits = model.lowerPositionLimit, model.upperPositionLimit
+    return build, np.random.default_rng(3).uniform(*limits, (STATES, model.nq))
+
+
+def distances_m(broadphase, pairs, q):
+    broadphase.place(q)
+    return np.array([broadphase.distance_m(pair) for pair in range(pairs)])
+
+
+def test_touching_is_overlapping(crowded):
+    build, states = crowded
+    broadphase, verdicts = build(0.0), set()
+    for q in states:
+        broadphase.place(q)
+        assert broadphase.touches(q) == bool(broadphase.touching())
+        verdicts.add(broadphase.touches(q))
+    assert verdicts == {True, False}
+
+
+@pytest.mark.parametrize("margin_m", [0.0, 0.003, 0.02, 0.1])
+def test_near_is_nearer_than_the_margin(crowded, margin_m):
+    build, states = crowded
+    broadphase = build(0.0)
+    count = len(broadphase._pairs)
+    for q in states:
+        apart_m = distances_m(broadphase, count, q)
+        # Distances of touching meshes are those of single triangles.
+        if np.abs(apart_m - margin_m).min() > 1e-5:
+            near = np.flatnonzero(apart_m < margin_m).tolist()
+            assert broadphase.near(q, np.full(count, margin_m)) == near
+            assert broadphase.near_among(q, range(0, count, 2), np.full(count, margin_m)) == [
+                pair for pair in near if pair % 2 == 0
+            ]
+
+
+def test_each_pair_has_a_margin_of_its_own(crowded):
+    build, states = crowded
+    broadphase = build(0.0)
+    count = len(broadphase._pairs)
+    margins_m = np.random.default_rng(4).uniform(0.0, 0.1, count)
+    for q in states:
+        slack_m = distances_m(broadphase, count, q) - margins_m
+        if np.abs(slack_m).min() > 1e-5:
+            assert broadphase.near(q, margins_m) == np.flatnonzero(slack_m < 0.0).tolist()
+
+
+def test_what_must_stay_apart_touches_before_it_overlaps(crowded):
+    build, states = crowded
+    plain, padded = build(0.0), build(0.02)
+    count = len(plain._pairs)
+    for q in states:
+        apart_m = distances_m(plain, count, q)
+        if abs(apart_m.min() - 0.02) > 1e-5:
+            assert padded.touches(q) == (apart_m.min() < 0.02)
+        np.testing.assert_allclose(distances_m(padded, count, q), apart_m - 0.02, atol=1e-9)
+
+
+# Two small tetrahedra at the ends of the boom: between them is only their hull.
+CORNERS_M = 0.02 * np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+TRIANGLES_M = [CORNERS_M[list(face)] + (far_m, 0.0, 0.0) for far_m in (0.0, 0.28) for face in FACES]
+BETWEEN = frozenset(("boom", "thing"))
+
+
+@pytest.fixture
+def crane(tmp_path):
+    """A crane with a boom of which only the ends are there."""
+    (tmp_path / "boom.stl").write_text(stl(TRIANGLES_M))
+    shape = '<origin xyz="0.15 0 0"/><geometry><box size="0.3 0.02 0.02"/></geometry>'
+    assert shape in CRANE_URDF
+    urdf = CRANE_URDF.replace(shape, '<geometry><mesh filename="boom.stl"/></geometry>')
+    return model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path)
+
+
+def boxes(rng, count):
+    shapes = []
+    for i in range(count):
+        place = pin.SE3(pin.Quaternion(*rng.normal(size=4)).normalized(), rng.uniform(-0.3, 0.3, 3))
+        shapes.append(pin.GeometryObject(str(i), 0, 0, place, coal.Box(*rng.uniform(0.01, 0.1, 3))))
+    return shapes
+
+
+@pytest.mark.parametrize("margin_m", [0.0, 0.01, 0.05])
+def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
+    rng, verdicts = np.random.default_rng(1), set()
+    for _ in range(60):
+        first, second = boxes(rng, 4), boxes(rng, 3)
+        at_first, at_second = pin.SE3.Random(), pin.SE3.Random()
+        at_first.translation, at_second.translation = rng.uniform(-0.2, 0.2, (2, 3))
+        nearest_m = min(
+            coal.distance(
+                one.geometry,
+                coal.Transform3s((at_first * one.placement).rotation, (at_first * one.placement).translation),
+                other.geometry,
+                coal.Transform3s((at_second * other.placement).rotation, (at_second * other.placement).translation),
+                coal.DistanceRequest(),
+                coal.DistanceResult(),
+            )
+            for one in first
+            for other in second
+        )
+        near = nearer_than(parts_of(first), at_first, parts_of(second), at_second, margin_m)
+        verdicts.add(near)
+        if abs(nearest_m - margin_m) > 1e-5:
+            assert near == (nearest_m < margin_m)
+    assert verdicts == {True, False}
+
+
+def test_solid_parts_overlap_as_deep_as_the_deepest_two():
+    cubes = parts_of([_box(0.1, 0.1, 0.1, at_x=0.0), _box(0.1, 0.1, 0.1, at_x=0.003)])
+    post = parts_of([_box(0.02, 0.02, 0.5, at_x=0.0)])
+    for inside_m in (0.001, 0.004):
+        at_post = pin.SE3(np.eye(3), np.array([0.063 - inside_m, 0.0, 0.0]))
+        assert overlap_m(cubes, pin.SE3.Identity(), post, at_post) == pytest.approx(inside_m, abs=1e-5)
+    beside = pin.SE3(np.eye(3), np.array([0.07, 0.0, 0.0]))
+    assert overlap_m(cubes, pin.SE3.Identity(), post, beside) <= 0.0
+
+
+@pytest.mark.parametrize("deepest_m", [-0.005, 0.001, 0.004])
+def test_deeper_than_compares_the_deepest_two_with_a_depth(deepest_m):
+    cubes = parts_of([_box(0.1, 0.1, 0.1, at_x=0.0), _box(0.1, 0.1, 0.1, at_x=0.003)])
+    post = parts_of([_box(0.02, 0.02, 0.5, at_x=0.0)])
+    at_post = pin.SE3(np.eye(3), np.array([0.063 - deepest_m, 0.0, 0.0]))
+    for depth_m in (-0.008, -0.002, 0.0, 0.002, 0.008):
+        assert deeper_than(cubes, pin.SE3.Identity(), post, at_post, depth_m) == (deepest_m > depth_m)
+
+
+def test_shapes_with_places_of_their_own_are_where_they_are():
+    crossed = parts_of([_box(0.02, 0.02, 0.5, at_x=x) for x in (0.0, 0.2, 0.0)])
+    cube = parts_of([_box(0.01, 0.01, 0.01, at_x=0.0)])
+    for at_x, near in ((0.0, True), (0.1, False), (0.2, True)):
+        at_cube = pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.2]))
+        assert nearer_than(cube, at_cube, crossed, pin.SE3.Identity(), 0.01) == near
+
+
+def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
+    collision = CollisionModel(robot)
+    collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
+    monkeypatch.setattr(contacts, "convex", None)
+    assert collision.colliding_pairs(np.zeros(6))
+
+
+def test_a_robot_of_simple_shapes_needs_no_closer_ones():
+    arm = model.parse(CRANE_URDF, CRANE_SRDF)
+    assert not ExactShapes(arm, pin.buildModelFromXML(kinematic_urdf(arm))).available
+
+
+def test_what_only_a_hull_touches_is_no_contact(crane):
+    collision, q = CollisionModel(crane), np.zeros(3)
+    # The boom is 27 cm up; the thing is in its middle, where nothing is. Their faces are parallel: without any margin
+    # coal misses that the hull overlaps it by 14 mm.
+    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)))
+    assert collision.in_collision(q)
+    assert not collision.collides(q)
+    assert collision.colliding_pairs(q) == []
+    assert collision.tight_pairs(q) == {BETWEEN}
+    assert not collision.in_collision(q, by_mesh=frozenset((BETWEEN,)))
+
+
+def test_what_the_mesh_touches_is_a_contact(crane):
+    collision, q = CollisionModel(crane), np.zeros(3)
+    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.285, 0.005, 0.275)))
+    assert collision.collides(q)
+    assert [pair.links for pair in collision.colliding_pairs(q)] == [BETWEEN]
+    assert collision.tight_pairs(q) == frozenset()
+    assert collision.in_collision(q, by_mesh=frozenset((BETWEEN,)))
+
+
+def test_padding_counts_between_meshes_too(crane):
+    collision, q = CollisionModel(crane), np.zeros(3)
+    between = thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)
+    collision.set_scene(scene(between, link_padding_m={"boom": 0.2}))
+    assert BETWEEN in [pair.links for pair in collision.colliding_pairs(q)]
+
+
+def test_a_motion_out_of_a_gap_is_judged_by_the_mesh(crane):
+    collision = CollisionModel(crane)
+    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)))
+    arm, start = crane.groups["arm"], np.zeros(3)
+    lifted, extended, elsewhere = np.array([(0.0, -0.3, 0.0), (0.0, 0.0, 0.1), (1.0, 0.0, 0.0)])
+    space = JointSpace(collision, arm, start)
+    assert space.free(start)
+    assert space.line_free(start, lifted)
+    assert space.line_free(start, extended)
+    assert not JointSpace(collision, arm, elsewhere).free(start)
+    assert JointSpace(collision, arm, elsewhere, also_free=[start]).free(start)
+
+
+def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
+    srdf = Path(robot_description.__file__).with_name("so101.srdf")
+    official = model.load(shared_data / "so101" / "so101_new_calib.urdf", srdf)
+    pin_model = pin.buildModelFromXML(kinematic_urdf(official))
+    rng = np.random.default_rng(1)
+    for shape in urdf_shapes(official, pin_model):
+        frame = pin_model.frames[shape.parentFrame]
+        at_link = frame.placement.inverse() * shape.placement
+        parts = [_half_spaces(vertices) for vertices in robot.parts[str(frame.name)]]
+        for point in _on_surface(shape.geometry, rng, in_proportion(200)):
+            placed = at_link.act(point)
+            assert min(np.max(normals @ placed - heights) for normals, heights in parts) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("jaw_rad", "joints_rad"),
+    [(0.35, (0.0, -1.745, 1.55, 0.9, 0.0)), (0.0, (0.0, -1.745, 1.55, 0.9, 0.0))],
+)
+def test_the_folded_arm_is_free_by_its_parts(robot, collision, jaw_rad, joints_rad):
+    q = np.array([*joints_rad, jaw_rad])
+    assert not collision.colliding_pairs(q)
+    assert JointSpace(collision, robot.groups["arm"], q).free(q[:5])
+
+
+def _half_spaces(vertices):
+    hull = convex(vertices)
+    corners = np.asarray(hull.points())
+    triangles = [hull.polygons(i) for i in range(hull.num_polygons)]
+    a, b, c = (corners[[triangle[k] for triangle in triangles]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals, a = normals[lengths > 1e-14] / lengths[lengths > 1e-14, None], a[lengths > 1e-14]
+    heights = (normals * a).sum(axis=1)
+    outwards = np.sign(heights - normals @ corners.mean(axis=0))
+    return normals * outwards[:, None], heights * outwards
+
+
+def _on_surface(mesh, rng, count):
+    vertices = np.asarray(mesh.vertices())
+    for index in rng.integers(mesh.num_tris, size=count):
+        triangle = mesh.tri_indices(int(index))
+        yield rng.dirichlet((1.0, 1.0, 1.0)) @ vertices[[triangle[0], triangle[1], triangle[2]]]
+
+
+def _box(*size_m, at_x):
+    return pin.GeometryObject("box", 0, pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.0])), coal.Box(*size_m))

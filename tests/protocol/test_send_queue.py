@@ -1,0 +1,296 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.limits import Limits
+from protocol.publication import FRAME_OVERHEAD_BYTES, Frame, Parcel
+from protocol.send_queue import Outbox
+from protocol.subscriptions import Subscription
+
+
+def outbox(topic_frames=100, reply_frames=100, frame_bytes=10):
+    size_bytes = frame_bytes + FRAME_OVERHEAD_BYTES
+    return Outbox(
+        Limits(max_queued_topic_bytes=topic_frames * size_bytes, max_queued_reply_bytes=reply_frames * size_bytes)
+    )
+
+
+def frames(count, start=0):
+    return [b"frame %04d" % number for number in range(start, start + count)]
+
+
+def parcel(*frames):
+    return Parcel(*(Frame(frame, text=True) for frame in frames))
+
+
+def taken(box, now, budget_bytes=10**9):
+    return [frame.data for frame in box.take_due(now, budget_bytes)]
+
+
+def put_all(box, subscription, waiting):
+    for frame in waiting:
+        box.put_topic_data(subscription, parcel(frame))
+
+
+@pytest.fixture
+def free():
+    return Subscription("/free")
+
+
+def test_nothing_is_due_when_nothing_waits():
+    box = outbox()
+    assert taken(box, 1.0) == []
+    assert box.next_due(1.0) is None
+
+
+def test_replies_and_topic_data_leave_once_in_order_of_queuing(free):
+    box, other = outbox(), Subscription("/other")
+    box.put_topic_data(free, parcel(b"1"))
+    box.put_reply(parcel(b"2"))
+    box.put_topic_data(other, parcel(b"3"))
+    box.put_topic_data(free, parcel(b"4"))
+    box.put_reply(parcel(b"5"))
+    assert box.next_due(1.0) == 1.0
+    assert taken(box, 1.0) == [b"1", b"2", b"3", b"4", b"5"]
+    assert taken(box, 1.0) == []
+    assert box.next_due(1.0) is None
+
+
+def test_beyond_the_bound_the_oldest_topic_data_is_dropped_whatever_its_topic(free):
+    box, other = outbox(topic_frames=3), Subscription("/other")
+    put_all(box, other, frames(2))
+    put_all(box, free, frames(3, start=2))
+    assert taken(box, 1.0) == frames(3, start=2)
+    assert box.dropped == 2
+
+
+def test_the_newest_message_stays_even_if_it_is_larger_than_the_bound(free):
+    box = outbox(topic_frames=3)
+    put_all(box, free, frames(2))
+    box.put_topic_data(free, parcel(b"x" * 10_000))
+    assert taken(box, 1.0) == [b"x" * 10_000]
+
+
+def test_what_left_makes_room_again(free):
+    box = outbox(topic_frames=3)
+    for round_number in range(5):
+        put_all(box, free, frames(3))
+        assert taken(box, float(round_number)) == frames(3)
+    assert box.dropped == 0
+
+
+def test_a_queue_length_keeps_the_newest_of_its_topic_only(free):
+    box, short = outbox(), Subscription("/short", queue_length=2)
+    put_all(box, free, frames(3))
+    put_all(box, short, frames(5, start=3))
+    assert taken(box, 1.0) == frames(3) + frames(2, start=6)
+    assert box.dropped == 3
+
+
+def test_a_queue_of_one_keeps_the_latest():
+    box, short = outbox(), Subscription("/short", queue_length=1)
+    put_all(box, short, frames(5))
+    assert taken(box, 1.0) == frames(1, start=4)
+
+
+def test_a_queue_that_was_shortened_is_cut_to_its_new_length():
+    box, short = outbox(), Subscription("/short", throttle_s=1.0, queue_length=5, last_sent_s=0.0)
+    put_all(box, short, frames(5))
+    short.queue_length = 2
+    box.put_topic_data(short, parcel(b"newest"))
+    assert taken(box, 1.0) + taken(box, 2.0) + taken(box, 3.0) == [b"frame 0004", b"newest"]
+
+
+def test_queued_messages_leave_one_per_throttle_interval_and_say_when():
+    box, paced = outbox(), Subscription("/paced", throttle_s=0.1, queue_length=10)
+    put_all(box, paced, frames(3))
+    assert taken(box, 5.0) == frames(1)
+    assert box.next_due(5.0) == pytest.approx(5.1)
+    assert taken(box, 5.05) == []
+    assert taken(box, 5.11) == frames(1, start=1)
+    assert taken(box, 9.0) == frames(1, start=2)
+    assert box.next_due(9.0) is None
+
+
+def test_a_throttled_topic_holds_nothing_else_back(free):
+    box, paced = outbox(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
+    box.put_topic_data(paced, parcel(b"later"))
+    box.put_topic_data(free, parcel(b"now"))
+    box.put_reply(parcel(b"reply"))
+    assert taken(box, 5.0) == [b"now", b"reply"]
+    assert box.next_due(5.0) == 5.5
+    assert taken(box, 5.5) == [b"later"]
+
+
+def test_what_waits_for_a_closed_subscription_is_not_sent():
+    box, paced = outbox(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
+    put_all(box, paced, frames(3))
+    paced.closed = True
+    assert box.next_due(5.0) == 5.0
+    assert taken(box, 5.0) == []
+    assert box.next_due(5.0) is None
+
+
+def test_topic_data_never_pushes_a_reply_out(free):
+    box = outbox(topic_frames=2)
+    box.put_reply(parcel(b"reply"))
+    put_all(box, free, frames(50))
+    assert taken(box, 1.0) == [b"reply", *frames(2, start=48)]
+
+
+def test_replies_up_to_their_bound_are_kept_and_one_more_overflows():
+    box = outbox(reply_frames=3)
+    for frame in frames(3):
+        box.put_reply(parcel(frame))
+    assert not box.overflowed
+    box.put_reply(parcel(b"one too many"))
+    assert box.overflowed
+    assert taken(box, 1.0) == frames(3)
+
+
+def test_a_single_reply_of_any_size_passes():
+    box = outbox(reply_frames=1)
+    box.put_reply(parcel(b"x" * 10_000))
+    assert not box.overflowed
+    assert taken(box, 1.0) == [b"x" * 10_000]
+
+
+def test_replies_that_left_make_room_again():
+    box = outbox(reply_frames=3)
+    for _ in range(5):
+        for frame in frames(3):
+            box.put_reply(parcel(frame))
+        taken(box, 1.0)
+    assert not box.overflowed
+
+
+steps = st.lists(st.tuples(st.sampled_from("abcdr-"), st.integers(min_value=0, max_value=600)), max_size=80)
+
+
+@given(steps)
+def test_order_and_bound_hold_whatever_comes(actions):
+    limit_bytes = 2000
+    box = Outbox(Limits(max_queued_topic_bytes=limit_bytes, max_queued_reply_bytes=1_000_000))
+    lanes = {
+        "a": Subscription("/a"),
+        "b": Subscription("/b", queue_length=2),
+        "c": Subscription("/c", throttle_s=0.3, queue_length=3),
+        "d": Subscription("/d", throttle_s=0.3, queue_length=100),
+    }
+    put = took = 0
+    last_of = dict.fromkeys("abcdr", -1)
+    for number, (action, size) in enumerate(actions):
+        if action == "r":
+            box.put_reply(parcel(b"r %d" % number))
+        elif action in lanes:
+            put += 1
+            content = b"%s %d %s" % (action.encode(), number, b"x" * size)
+            box.put_topic_data(lanes[action], parcel(content))
+        else:
+            due = taken(box, number / 10)
+            marks = [frame.split()[:2] for frame in due]
+            numbers = [int(mark) for _, mark in marks]
+            assert numbers == sorted(numbers)
+            for lane, mark in marks:
+                assert int(mark) > last_of[lane.decode()]
+                last_of[lane.decode()] = int(mark)
+                took += lane != b"r"
+        assert box._topic_bytes <= limit_bytes or len(box._topic_data) == 1
+        assert put == took + box.dropped + len(box._topic_data)
+        assert sum(map(len, box._waiting.values())) == len(box._topic_data)
+
+
+# The budget
+
+
+def test_a_budget_is_kept_to_within_one_parcel_and_the_rest_leaves_later_in_order(free):
+    box, other = outbox(), Subscription("/other")
+    for number, frame in enumerate(frames(6)):
+        if number % 3 == 2:
+            box.put_reply(parcel(frame))
+        else:
+            box.put_topic_data((free, other)[number % 3], parcel(frame))
+    budget_bytes = 2 * (10 + FRAME_OVERHEAD_BYTES)
+    assert taken(box, 1.0, budget_bytes) == frames(2)
+    assert box.next_due(1.0) == 1.0
+    assert taken(box, 1.0, budget_bytes + 1) == frames(3, start=2)
+    assert taken(box, 1.0, 1) == frames(1, start=5)
+    assert box.next_due(1.0) is None
+
+
+def test_the_fragments_of_a_message_leave_together_whatever_the_budget(free):
+    box = outbox()
+    box.put_topic_data(free, parcel(b"1", b"2", b"3"))
+    box.put_reply(parcel(b"4"))
+    assert taken(box, 1.0, 1) == [b"1", b"2", b"3"]
+
+
+def test_the_fragments_of_a_message_are_dropped_together():
+    box, short = outbox(), Subscription("/short", queue_length=1)
+    box.put_topic_data(short, parcel(b"1", b"2"))
+    box.put_topic_data(short, parcel(b"3", b"4"))
+    assert taken(box, 1.0) == [b"3", b"4"]
+    assert box.dropped == 1
+
+
+def test_a_message_that_waits_alone_for_its_throttle_stays():
+    box, paced = outbox(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
+    box.put_topic_data(paced, parcel(b"later"))
+    assert taken(box, 5.0) == []
+    assert taken(box, 5.5) == [b"later"]
+    assert paced.last_sent_s == 5.5
+
+
+def test_a_message_that_waits_alone_for_a_closed_subscription_is_not_sent():
+    box, closed = outbox(), Subscription("/closed")
+    box.put_topic_data(closed, parcel(b"late"))
+    closed.closed = True
+    assert taken(box, 5.0) == []
+    assert box.next_due(5.0) is None
+
+
+# Requests
+
+
+def test_requests_leave_in_order_with_replies():
+    box = outbox()
+    box.put_reply(parcel(b"1"))
+    assert box.put_request(parcel(b"2"))
+    box.put_reply(parcel(b"3"))
+    assert taken(box, 1.0) == [b"1", b"2", b"3"]
+    assert box.empty
+
+
+def test_requests_beyond_their_bound_are_refused_until_there_is_room():
+    box = Outbox(Limits(max_queued_request_bytes=2 * parcel(b"1").size_bytes))
+    assert [box.put_request(parcel(frame)) for frame in (b"1", b"2", b"3")] == [True, True, False]
+    assert taken(box, 1.0) == [b"1", b"2"]
+    assert box.put_request(parcel(b"4"))
+
+
+def test_one_request_may_have_any_size():
+    assert Outbox(Limits(max_queued_request_bytes=1)).put_request(parcel(b"x" * 1000))
+
+
+def test_requests_take_no_room_from_replies():
+    box = Outbox(Limits(max_queued_reply_bytes=parcel(b"1").size_bytes))
+    box.put_request(parcel(b"x" * 1000))
+    box.put_reply(parcel(b"1"))
+    assert not box.overflowed
+    box.put_reply(parcel(b"2"))
+    assert box.overflowed
+
+
+def test_one_reply_may_have_any_size_beside_requests():
+    box = Outbox(Limits(max_queued_reply_bytes=1))
+    box.put_request(parcel(b"1"))
+    box.put_reply(parcel(b"x" * 1000))
+    assert not box.overflowed
+
+
+def test_what_a_clients_own_throttle_drops_is_told_apart():
+    box, paced = outbox(topic_frames=2), Subscription("/paced", throttle_s=1.0, queue_length=1)
+    put_all(box, paced, frames(3))
+    assert (box.dropped, box.throttled) == (2, 2)
+    put_all(box, Subscription("/free"), frames(3))
+    assert box.dropped > box.throttled

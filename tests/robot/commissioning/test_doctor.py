@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from robot.calibration import SO101_JOINTS, Calibration
+from robot.commissioning.doctor import Verdict, judge_cycles, judge_long_reads, judge_scan
+from robot.commissioning.scan import ScanResult, ServoReport
+from robot.commissioning.timing import CycleTimes
+from robot.hardware.feetech.registers import Telemetry
+from robot.hardware.interface import StatusFlag
+
+NOMINAL = Calibration.nominal()
+TELEMETRY = Telemetry(2048, 0, 0, 5.0, 32, 0, False, 2048, 0.0)
+TIMES = CycleTimes(300, 0.002, 0.0021, 0.0003, 0, 1800)
+
+
+def report(spec, **changes):
+    joint = next(joint for joint in NOMINAL.joints if joint.joint == spec.name)
+    telemetry = replace(TELEMETRY, **{key: changes.pop(key) for key in list(changes) if hasattr(TELEMETRY, key)})
+    limits = joint.range_min, joint.range_max
+    sound = ServoReport(spec.servo_id, 777, (3, 10), 0, limits, joint.homing_offset, 12, 0, 8.0, 0, telemetry)
+    return replace(sound, **changes)
+
+
+def findings(**changes):
+    """The findings about an arm whose third servo is not as it should be, by check."""
+    servos = tuple(report(spec, **changes if spec.servo_id == 3 else {}) for spec in SO101_JOINTS)
+    return {finding.check: finding for finding in judge_scan(ScanResult(servos), NOMINAL)}
+
+
+def test_an_arm_that_is_well_is_good_in_everything():
+    assert {finding.verdict for finding in findings().values()} == {Verdict.GOOD}
+    assert {finding.verdict for finding in judge_cycles(TIMES)} == {Verdict.GOOD}
+
+
+@pytest.mark.parametrize(
+    ("changes", "check", "verdict", "words"),
+    [
+        ({"model": 1284}, "model and mode", Verdict.PROBLEM, "servo 3 is model 1284"),
+        ({"mode": 3}, "model and mode", Verdict.PROBLEM, "in mode 3"),
+        ({"firmware": (3, 9)}, "firmware", Verdict.NOTE, "3: 3.9"),
+        ({"voltage_v": 4.2}, "voltage", Verdict.PROBLEM, "4.2 to 5.0 V"),
+        ({"voltage_v": 12.1}, "voltage", Verdict.PROBLEM, "too much for servos 3"),
+        ({"voltage_v": 4.55}, "voltage", Verdict.NOTE, "along the chain"),
+        ({"temperature_c": 56}, "temperature", Verdict.NOTE, "servo 3 with 56"),
+        ({"temperature_c": 66}, "temperature", Verdict.PROBLEM, "servo 3 with 66"),
+        ({"status": StatusFlag.OVERLOAD | StatusFlag.VOLTAGE}, "error bits", Verdict.PROBLEM, "3: voltage, overload"),
+        ({"phase": 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count"),
+        ({"return_delay": 250}, "return delay", Verdict.NOTE, "servo 3: 500 us"),
+        ({"homing_offset_ticks": 5}, "calibration", Verdict.PROBLEM, "elbow_flex HOMING_OFFSET 5 instead of 0"),
+    ],
+)
+def test_what_is_wrong_is_found_named_and_given_a_remedy(changes, check, verdict, words):
+    found = findings(**changes)
+    assert found[check].verdict is verdict
+    assert words in found[check].says
+    assert found[check].remedy
+    assert {finding.verdict for name, finding in found.items() if name != check} == {Verdict.GOOD}
+
+
+@pytest.mark.parametrize(
+    ("changes", "check", "verdict"),
+    [
+        ({"round_trip_p99_s": 0.008}, "round trip", Verdict.PROBLEM),
+        ({"round_trip_p99_s": float("nan")}, "round trip", Verdict.PROBLEM),
+        ({"round_trip_p50_s": 0.004, "round_trip_p99_s": 0.0045}, "round trip", Verdict.NOTE),
+        ({"lost_replies": 40}, "lost replies", Verdict.PROBLEM),
+        ({"lateness_p99_s": 0.006}, "jitter", Verdict.NOTE),
+    ],
+)
+def test_bad_times_are_found(changes, check, verdict):
+    found = {finding.check: finding for finding in judge_cycles(replace(TIMES, **changes))}
+    assert found[check].verdict is verdict
+    assert found[check].remedy
+
+
+def test_a_missing_servo_is_a_problem_and_an_empty_bus_is_only_that():
+    (found,) = judge_scan(ScanResult(()), None)
+    assert found.verdict is Verdict.PROBLEM
+    assert "power supply" in found.says
+
+
+def test_without_a_calibration_its_check_stays_open():
+    servos = tuple(report(spec) for spec in SO101_JOINTS)
+    assert judge_scan(ScanResult(servos), None)[-1].verdict is Verdict.OPEN
+
+
+def test_servos_that_do_not_answer_long_reads_are_named():
+    assert judge_long_reads(56, 31, []).verdict is Verdict.GOOD
+    bad = judge_long_reads(56, 31, [2, 5])
+    assert bad.verdict is Verdict.PROBLEM
+    assert "servos 2, 5 do not answer a read of registers 56 to 86" in bad.says

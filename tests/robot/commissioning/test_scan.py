@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import pytest
+
+from robot.calibration import SO101_JOINTS
+from robot.commissioning.scan import ScanResult, explain_missing, scan
+
+IDS = (1, 2, 3, 4, 5, 6)
+
+
+def found(*ids, garbled_bytes=0):
+    return ScanResult((), ids, garbled_bytes)
+
+
+def explained(*ids):
+    return " ".join(explain_missing(found(*ids), SO101_JOINTS)[:1])
+
+
+def test_a_scan_lists_every_servo_with_what_it_measures(bus):
+    result = scan(bus, IDS)
+    assert [servo.servo_id for servo in result.servos] == list(IDS)
+    assert {(servo.model, servo.firmware, servo.mode, servo.torque_enable) for servo in result.servos} == {
+        (777, (3, 10), 0, 0)
+    }
+    assert all(servo.telemetry.voltage_v == pytest.approx(5.0) for servo in result.servos)
+    assert (result.unsteady_ids, result.garbled_bytes) == ((), 0)
+    assert explain_missing(result, SO101_JOINTS) == []
+
+
+def test_a_scan_writes_nothing(start_emulator, write_log):
+    bus = start_emulator("--write-log", str(write_log)).open_bus()
+    scan(bus, IDS)
+    bus.close()
+    assert write_log.read_text() == ""
+
+
+def test_a_servo_that_is_cut_off_is_missing_from_the_scan_and_named(bus, emulator):
+    emulator.command(offline=[4])
+    result = scan(bus, IDS)
+    assert sorted(result.ids) == [1, 2, 3, 5, 6]
+    assert explain_missing(result, SO101_JOINTS)[0].startswith("no answer from servo 4 (wrist_flex): servos behind it")
+
+
+def test_a_scan_finds_everybody_though_replies_get_lost(bus, emulator):
+    emulator.command(drop=0.1)
+    assert sorted(scan(bus, IDS).ids) == list(IDS)
+
+
+def test_the_cause_is_looked_for_where_the_silence_begins():
+    assert "power supply" in explained()
+    assert "set the servos' ids" in explained(1)
+    assert "cable that leads to it" in explained(1, 2, 3)
+    assert "from wrist_flex on" in explained(1, 2, 3)
+    assert "its id or baud rate" in explained(1, 2, 3, 4, 6)
+
+
+def test_garbled_replies_are_explained_by_a_common_id():
+    said = explain_missing(found(1, 2, 4, 5, 6, garbled_bytes=6), SO101_JOINTS)
+    assert any("same id" in sentence for sentence in said)

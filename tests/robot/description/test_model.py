@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from robot.description import model
+from robot.errors import DescriptionError
+from tests.helpers.shared import shared_data
+
+URDF = """<robot name="two"><link name="a"/><link name="b"/><link name="c"/>
+<joint name="ab" type="revolute"><parent link="a"/><child link="b"/><limit lower="-1" upper="2" velocity="3"/></joint>
+<joint name="bc" type="continuous"><parent link="b"/><child link="c"/><limit velocity="1"/></joint></robot>"""
+SRDF = """<robot name="two"><group name="g"><chain base_link="a" tip_link="c"/></group>
+<group_state name="up" group="g"><joint name="ab" value="1"/></group_state>
+<disable_collisions link1="a" link2="b"/></robot>"""
+
+
+def test_the_builtin_arm_has_its_joints_in_order_with_limits_of_the_servos() -> None:
+    robot = model.builtin()
+    assert robot.groups["arm"].joints == ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+    assert [joint.name for joint in robot.movable_joints] == [*robot.groups["arm"].joints, "gripper"]
+    assert robot.root_link == "base_link"
+    assert robot.groups["arm"].tip_link == "gripper_frame_link"
+    for joint in robot.movable_joints:
+        assert joint.lower < joint.upper
+        assert 0.0 < joint.max_velocity < 5.0
+        assert 0.0 < joint.max_acceleration < 20.0
+
+
+def test_the_builtin_arm_has_the_named_targets() -> None:
+    states = model.builtin().named_states["arm"]
+    assert set(states["home"].values()) == {0.0}
+    assert states["ready"] == {
+        "shoulder_pan": 0.0,
+        "shoulder_lift": -0.5,
+        "elbow_flex": 0.5,
+        "wrist_flex": 0.0,
+        "wrist_roll": 0.0,
+    }
+
+
+def test_every_link_with_a_shape_has_a_hull_whose_triangles_exist() -> None:
+    robot = model.builtin()
+    shaped = {
+        link.get("name") for link in ET.fromstring(robot.urdf).iterfind("link") if link.find("collision") is not None
+    }
+    assert set(robot.hulls) == shaped
+    for hull in robot.hulls.values():
+        assert hull.vertices.shape[1] == hull.triangles.shape[1] == 3
+        assert hull.triangles.min() >= 0
+        assert hull.triangles.max() < len(hull.vertices)
+
+
+def test_the_builtin_figures_are_those_of_the_facts() -> None:
+    facts = json.loads((shared_data() / "so101_facts.json").read_text())
+    robot = model.builtin()
+    urdf = ET.fromstring(robot.urdf)
+    for name, fact in facts["so101_new_calib"]["joints"].items():
+        element = next(joint for joint in urdf.iterfind("joint") if joint.get("name") == name)
+        origin = element.find("origin")
+        assert origin is not None
+        assert floats(origin, "xyz") == pytest.approx(fact["origin_xyz"], abs=1e-9)
+        assert floats(origin, "rpy") == pytest.approx(fact["origin_rpy"], abs=1e-5)
+        if fact["type"] == "revolute":
+            assert (robot.joints[name].lower, robot.joints[name].upper) == (fact["lower"], fact["upper"])
+    for name, limits in facts["recommended_limits"]["table"].items():
+        assert (robot.joints[name].max_velocity, robot.joints[name].max_acceleration) == (limits["v"], limits["a"])
+    for name, fact in facts["so101_new_calib"]["links"].items():
+        inertial = next(link for link in urdf.iterfind("link") if link.get("name") == name).find("inertial")
+        if inertial is not None:
+            assert floats(inertial.find("mass"), "value") == pytest.approx([fact["mass"]], rel=1e-4)
+
+
+def floats(element: ET.Element | None, attribute: str) -> list[float]:
+    assert element is not None
+    return [float(text) for text in element.attrib[attribute].split()]
+
+
+def test_another_robot_is_read_from_its_files(tmp_path: Path) -> None:
+    (tmp_path / "two.urdf").write_text(URDF)
+    (tmp_path / "two.srdf").write_text(SRDF)
+    robot = model.load(tmp_path / "two.urdf", tmp_path / "two.srdf")
+    assert robot.links == ("a", "b", "c")
+    assert robot.groups["g"].joints == ("ab", "bc")
+    assert robot.joints["bc"].upper == math.pi
+    assert robot.named_states == {"g": {"up": {"ab": 1.0}}}
+    assert robot.disabled_pairs == {frozenset("ab")}
+    assert robot.mesh_directory == tmp_path
+
+
+def test_placeholder_velocity_limits_of_so101_joints_are_replaced_by_the_servos() -> None:
+    text = model.builtin().urdf.replace('velocity="1.2"', 'velocity="10"')
+    assert model.parse(text, model.builtin().srdf).joints["shoulder_lift"].max_velocity == 1.2
+
+
+BROKEN = {
+    "no XML": ("<robot", SRDF, "URDF is not XML"),
+    "another root": ("<html/>", SRDF, "<html>"),
+    "no limit": (URDF.replace('<limit lower="-1" upper="2" velocity="3"/>', ""), SRDF, "'ab' has no <limit>"),
+    "limits reversed": (URDF.replace('lower="-1"', 'lower="4"'), SRDF, "lower 4 must be below upper 2"),
+    "limit not finite": (URDF.replace('lower="-1"', 'lower="nan"'), SRDF, "lower must be a finite number, not 'nan'"),
+    "velocity zero": (URDF.replace('velocity="3"', 'velocity="0"'), SRDF, "velocity must be above 0"),
+    "two roots": (URDF.replace('<link name="a"/>', '<link name="a"/><link name="z"/>'), SRDF, "exactly one root"),
+    "link missing": (URDF.replace('<link name="b"/>', ""), SRDF, "'b', which does not exist"),
+    "no group": (URDF, "<robot/>", "no <group>"),
+    "no chain": (URDF, SRDF.replace('base_link="a"', 'base_link="q"'), "'g': no chain leads from 'q' to 'c'"),
+    "unknown joint": (URDF, SRDF.replace('name="ab"', 'name="zz"'), "unknown joint 'zz'"),
+}
+
+
+@pytest.mark.parametrize(("urdf", "srdf", "words"), BROKEN.values(), ids=BROKEN.keys())
+def test_a_broken_description_is_refused_with_its_reason(urdf: str, srdf: str, words: str) -> None:
+    with pytest.raises(DescriptionError) as refused:
+        model.parse(urdf, srdf)
+    assert words in str(refused.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match=r"nothing\.urdf cannot be read"):
+        model.load(tmp_path / "nothing.urdf", tmp_path / "nothing.srdf")

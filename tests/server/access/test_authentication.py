@@ -1,0 +1,282 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from hashlib import sha512
+from pathlib import Path
+
+import pytest
+
+from server.access import authentication
+from server.access.authentication import (
+    MAX_KEPT,
+    MAX_WRONG,
+    WINDOW_S,
+    AuthThrottle,
+    RosauthProof,
+    RosauthVerifier,
+    Tokens,
+)
+from server.access.permissions import ANYONE, Identity, Role
+from server.access.settings import AccessSettings
+from server.errors import ConfigurationError
+from tests.helpers.clock import FakeClock
+
+ONE, TWO, THREE, FOUR = (f"{name}-0123456789abcdef" for name in ("one", "two", "three", "four"))
+
+
+def tokens(**settings: object) -> Tokens:
+    return Tokens.from_settings(AccessSettings.model_validate(settings))
+
+
+def test_each_token_says_name_and_role() -> None:
+    known = tokens(token=ONE, admin_tokens={"ada": TWO}, operate_tokens={"otto": THREE}, view_tokens={"screen": FOUR})
+    assert known.any
+    assert known.identify(ONE) == Identity("admin", Role.ADMIN)
+    assert known.identify(TWO) == Identity("ada", Role.ADMIN)
+    assert known.identify(THREE) == Identity("otto", Role.OPERATE)
+    assert known.identify(FOUR) == Identity("screen", Role.VIEW)
+
+
+@pytest.mark.parametrize("wrong", ["", ONE[:-1], ONE + "x", ONE.upper(), f" {ONE}", "\ud800", "x" * 10_000])
+def test_what_is_no_token_is_nobody(wrong: str) -> None:
+    assert tokens(token=ONE).identify(wrong) is None
+
+
+def test_every_token_is_compared_in_constant_time_with_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = tokens(view_tokens={"a": ONE, "b": TWO, "c": THREE})
+    compared: list[bytes] = []
+
+    def compare(one: bytes, other: bytes) -> bool:
+        compared.append(one)
+        return one == other
+
+    monkeypatch.setattr("server.access.authentication.hmac.compare_digest", compare)
+    known.identify(ONE)
+    assert len(compared) == 3
+
+
+def test_without_tokens_everybody_may_do_everything() -> None:
+    assert tokens().anonymous == ANYONE
+    assert not tokens().any
+
+
+def test_with_tokens_nobody_comes_without() -> None:
+    assert tokens(token=ONE).anonymous is None
+
+
+def test_the_settings_may_let_those_without_a_token_look() -> None:
+    anonymous = tokens(token=ONE, without_token="view").anonymous
+    assert anonymous == Identity("", Role.VIEW)
+
+
+def test_a_server_that_lets_nobody_in_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"without_token: none lets nobody in.*set access\.token"):
+        tokens(without_token="none")
+
+
+def test_a_token_of_two_owners_is_refused_without_being_shown() -> None:
+    with pytest.raises(ConfigurationError, match="otto and screen have the same token") as refused:
+        tokens(operate_tokens={"otto": ONE}, view_tokens={"screen": ONE})
+    assert ONE not in str(refused.value)
+
+
+def test_more_tokens_than_a_handshake_may_cost_are_refused() -> None:
+    many = {f"n{number}": f"{ONE}{number}" for number in range(60)}
+    more = {f"m{number}": f"{TWO}{number}" for number in range(60)}
+    with pytest.raises(ConfigurationError, match="120 tokens, the limit is 100"):
+        tokens(view_tokens=many, operate_tokens=more)
+
+
+class TestFile:
+    @pytest.fixture
+    def file(self, tmp_path: Path) -> Path:
+        file = tmp_path / "tokens.toml"
+        file.touch(0o600)
+        return file
+
+    def test_tokens_of_a_file_stand_beside_those_of_the_settings(self, file: Path) -> None:
+        file.write_text(f'[view_tokens]\nscreen = "{TWO}"\n')
+        known = tokens(token=ONE, token_file=file)
+        assert known.identify(TWO) == Identity("screen", Role.VIEW)
+        assert known.identify(ONE) is not None
+
+    def test_a_file_that_others_may_read_is_told(self, file: Path, caplog: pytest.LogCaptureFixture) -> None:
+        file.write_text(f'token = "{ONE}"\n')
+        file.chmod(0o644)
+        tokens(token_file=file)
+        assert "can be read by other users of this machine; chmod 600" in caplog.text
+
+    def test_a_file_for_its_owner_alone_is_not(self, file: Path, caplog: pytest.LogCaptureFixture) -> None:
+        file.write_text(f'token = "{ONE}"\n')
+        tokens(token_file=file)
+        assert not caplog.text
+
+    def test_a_file_that_is_not_there_is_named(self, file: Path) -> None:
+        file.unlink()
+        with pytest.raises(ConfigurationError, match=r"access\.token_file: .*tokens\.toml cannot be read"):
+            tokens(token_file=file)
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ('token = "my-secret"', "token: must have 16 to 256 characters, not 9"),
+            ('[view_tokens]\nscreen = "my-secret"', "view_tokens: .*the token of screen must have 16"),
+            ("view_tokens = 3", "view_tokens: "),
+            ('insecure = "my-secret"', "has insecure; it may have admin_tokens, operate_tokens, token, view_tokens"),
+            ('token = "my-secret', "is not TOML"),
+        ],
+    )
+    def test_a_wrong_file_is_named_and_no_token_shown(self, file: Path, text: str, words: str) -> None:
+        file.write_text(text)
+        with pytest.raises(ConfigurationError, match=words) as refused:
+            tokens(token_file=file)
+        assert "my-secret" not in str(refused.value)
+        # The cause of an error is printed with it.
+        assert refused.value.__cause__ is None or "my-secret" not in str(refused.value.__cause__)
+
+
+ADAS, SCREENS = "one-0123456789abcdef", "two-0123456789abcdef"
+ADA, SCREEN = Identity("ada", Role.ADMIN), Identity("screen", Role.VIEW)
+NOW_S = 1_000_000.0
+
+
+def proof(
+    secret: str = ADAS, rand: str = "r", t: int = 1_000_000, level: str = "user", end: int = 1_000_100
+) -> RosauthProof:
+    """As clients of rosauth make them."""
+    mac = sha512(f"{secret}10.0.0.110.0.0.2{rand}{t}{level}{end}".encode()).hexdigest()
+    return RosauthProof(mac, "10.0.0.1", "10.0.0.2", rand, t, level, end)
+
+
+@pytest.fixture
+def verifier() -> RosauthVerifier:
+    return RosauthVerifier(Tokens({ADAS: ADA, SCREENS: SCREEN}, None))
+
+
+def test_a_proof_made_with_a_token_says_whose_it_is(verifier: RosauthVerifier) -> None:
+    assert verifier.identify(proof(), NOW_S) == ADA
+    assert verifier.identify(proof(SCREENS, rand="s"), NOW_S) == SCREEN
+
+
+def test_a_proof_made_with_anything_else_does_not(verifier: RosauthVerifier) -> None:
+    assert "none of the tokens" in str(verifier.identify(proof("guessed-0123456789"), NOW_S))
+
+
+@pytest.mark.parametrize("field", ["client", "dest", "rand", "t", "level", "end"])
+def test_a_proof_of_which_a_field_was_changed_does_not_count(verifier: RosauthVerifier, field: str) -> None:
+    changed = {"t": 1_000_001, "end": 1_000_101}.get(field, "x")
+    assert "field mac" in str(verifier.identify(replace(proof(), **{field: changed}), NOW_S))
+
+
+def test_a_proof_is_good_once(verifier: RosauthVerifier) -> None:
+    verifier.identify(proof(), NOW_S)
+    assert "used before" in str(verifier.identify(proof(), NOW_S + 1.0))
+
+
+def test_a_replayed_proof_in_which_fields_lend_one_another_characters_does_not_count(verifier: RosauthVerifier) -> None:
+    shown = proof(rand="random")
+    assert verifier.identify(shown, NOW_S) == ADA
+    shifted = replace(shown, dest=shown.dest + "ran", rand="dom")
+    assert "used before" in str(verifier.identify(shifted, NOW_S))
+    assert "used before" in str(verifier.identify(replace(shown, mac=shown.mac.upper()), NOW_S))
+
+
+def test_a_replayed_proof_does_not_count_at_its_last_moment_either(verifier: RosauthVerifier) -> None:
+    late = proof(t=1_000_005)
+    assert verifier.identify(late, NOW_S) == ADA
+    assert "used before" in str(verifier.identify(late, NOW_S + 10.0))
+
+
+@pytest.mark.parametrize("off_s", [-5.1, 5.1])
+def test_a_proof_of_another_time_does_not_count(verifier: RosauthVerifier, off_s: float) -> None:
+    assert "field t" in str(verifier.identify(proof(), NOW_S + off_s))
+
+
+def test_a_proof_that_has_ended_does_not_count(verifier: RosauthVerifier) -> None:
+    assert "field end" in str(verifier.identify(proof(end=1_000_000), NOW_S + 1.0))
+
+
+def test_the_level_that_a_client_gives_itself_does_not_count(verifier: RosauthVerifier) -> None:
+    assert verifier.identify(proof(SCREENS, level="admin"), NOW_S) == SCREEN
+
+
+def test_wrong_proofs_are_not_kept_and_right_ones_no_longer_than_they_are_good(verifier: RosauthVerifier) -> None:
+    for number in range(3):
+        verifier.identify(proof("guessed-0123456789", rand=str(number)), NOW_S)
+    assert not verifier._seen
+    verifier.identify(proof(rand="a"), NOW_S)
+    verifier.identify(proof(rand="b", t=1_000_020), NOW_S + 20.0)
+    assert list(verifier._seen) == [proof(rand="b", t=1_000_020).mac]
+
+
+def test_no_more_proofs_are_taken_than_can_be_kept(verifier: RosauthVerifier) -> None:
+    verifier._seen.update((str(number), NOW_S + 5.0) for number in range(MAX_KEPT))
+    assert f"{MAX_KEPT} proofs" in str(verifier.identify(proof(), NOW_S))
+
+
+GUESSER = "192.0.2.1"
+
+
+def after_wrong_ones(count: int, clock: FakeClock) -> AuthThrottle:
+    made = AuthThrottle(clock)
+    for number in range(count):
+        made.record_failure(GUESSER, number)
+    return made
+
+
+def test_who_errs_a_few_times_is_still_heard() -> None:
+    assert after_wrong_ones(MAX_WRONG - 1, FakeClock()).refusal(GUESSER) is None
+
+
+def test_who_guesses_is_not_heard_for_a_while_and_hears_how_long() -> None:
+    clock = FakeClock()
+    made = after_wrong_ones(MAX_WRONG, clock)
+    clock.now_s += WINDOW_S - 10.0
+    assert made.refusal(GUESSER) == (
+        f"{MAX_WRONG} wrong tokens came from this address, the limit is {MAX_WRONG}; try again in 10 s"
+    )
+    assert made.wait_s(GUESSER) == 10.0
+    clock.now_s += 10.0
+    assert made.refusal(GUESSER) is None
+    assert made.wait_s(GUESSER) == 0.0
+
+
+def test_the_wait_begins_with_the_last_wrong_one() -> None:
+    clock = FakeClock()
+    made = after_wrong_ones(MAX_WRONG - 1, clock)
+    clock.now_s += WINDOW_S - 1.0
+    made.record_failure(GUESSER, "last")
+    assert made.wait_s(GUESSER) == WINDOW_S
+
+
+def test_what_is_long_ago_is_forgotten() -> None:
+    clock = FakeClock()
+    made = after_wrong_ones(MAX_WRONG - 1, clock)
+    clock.now_s += WINDOW_S
+    made.record_failure(GUESSER, "new")
+    assert made.refusal(GUESSER) is None
+
+
+def test_others_are_heard_but_not_the_guessers_neighbours_in_ipv6() -> None:
+    made = AuthThrottle(FakeClock())
+    for number in range(MAX_WRONG):
+        made.record_failure(f"2001:db8::{number + 1:x}", number)
+    assert made.refusal("2001:db8::ffff") is not None
+    assert made.refusal("2001:db8:0:1::1") is None
+    assert made.refusal(GUESSER) is None
+
+
+def test_only_so_many_addresses_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(authentication, "MAX_ADDRESSES", 3)
+    made = after_wrong_ones(MAX_WRONG, FakeClock())
+    for number in range(2, 5):
+        made.record_failure(f"192.0.2.{number}", number)
+    assert len(made._wrong) == 3
+    assert made.refusal(GUESSER) is None
+
+
+def test_an_old_token_that_is_tried_for_ever_is_no_guess() -> None:
+    made = AuthThrottle(FakeClock())
+    for _ in range(10 * MAX_WRONG):
+        made.record_failure(GUESSER, "the old one")
+    assert made.refusal(GUESSER) is None

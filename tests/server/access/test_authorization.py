@@ -1,0 +1,383 @@
+from __future__ import annotations
+
+from hashlib import sha512
+from typing import Any
+
+import pytest
+
+from protocol.operations import Auth, parse
+from server.access import authorization
+from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
+from server.access.permissions import ANYONE, Identity, Role
+from server.access.settings import AccessSettings
+from server.graph.node import Node
+from tests.helpers.arm_server import ArmClient
+
+SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
+
+
+class World:
+    """Clients before one server's guards, in a time of their own."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.now_s = 0.0
+        self.access = Access(AccessSettings.model_validate(settings), lambda: self.now_s, lambda: 0.0)
+
+    def authorizer(self, identity: Identity | None = ANYONE, name: str = "x") -> Authorizer:
+        return self.access.authorizer(Node(name, remote=True, identity=identity))
+
+
+def asked(authorizer: Authorizer, op: str, **fields: Any) -> str | None:
+    return authorizer.refusal(parse({"op": op, **fields}))
+
+
+GOAL = {"topic": "/moveit_goal_named", "msg": {"data": "home"}}
+ACTION = {"action": "/move_action", "action_type": "moveit_msgs/action/MoveGroup"}
+
+NEEDS = [
+    (Role.VIEW, "subscribe", {"topic": "/joint_states"}),
+    (Role.VIEW, "call_service", {"service": "/rosapi/topics"}),
+    (Role.VIEW, "call_service", {"service": "/compute_ik"}),
+    (Role.VIEW, "call_service", {"service": "/arm/stop"}),
+    (Role.VIEW, "call_service", {"service": "arm/emergency_stop"}),
+    (Role.VIEW, "call_service", {"service": "/move_action/_action/cancel_goal"}),
+    (Role.VIEW, "publish", {"topic": "/stop"}),
+    (Role.VIEW, "publish", {"topic": "stop"}),
+    (Role.VIEW, "advertise", {"topic": "/emergency_stop", "type": "std_msgs/Empty"}),
+    (Role.VIEW, "advertise", {"topic": "emergency_stop", "type": "std_msgs/Empty"}),
+    (Role.VIEW, "cancel_action_goal", {"action": "/move_action"}),
+    (Role.OPERATE, "publish", GOAL),
+    (Role.OPERATE, "publish", {"topic": "moveit_goal_named"}),
+    (Role.OPERATE, "publish", {"topic": "/move_group/goal"}),
+    (Role.OPERATE, "publish", {"topic": "/of_a_client"}),
+    (Role.OPERATE, "advertise", {"topic": "/moveit_goal_named", "type": "std_msgs/String"}),
+    (Role.OPERATE, "advertise_service", {"service": "/mine", "type": "std_srvs/SetBool"}),
+    (Role.OPERATE, "advertise_action", {"action": "/mine", "type": "control_msgs/PointHead"}),
+    (Role.OPERATE, "send_action_goal", ACTION),
+    (Role.OPERATE, "call_service", {"service": "/arm/relax"}),
+    (Role.OPERATE, "call_service", {"service": "/apply_planning_scene"}),
+    (Role.OPERATE, "call_service", {"service": "/of_a_client"}),
+    (Role.ADMIN, "call_service", {"service": "/rosapi/set_param"}),
+    (Role.ADMIN, "call_service", {"service": "/set_planner_params"}),
+    (Role.ADMIN, "call_service", {"service": "/save_robot_state"}),
+    (Role.ADMIN, "call_service", {"service": "/armbridge/set_logger_levels"}),
+    # The id that a client hangs on the name is no way past the table.
+    (Role.ADMIN, "call_service", {"service": "/rosapi/set_param#1"}),
+    (Role.ADMIN, "call_service", {"service": "rosapi/set_param#/arm/stop"}),
+]
+
+
+@pytest.mark.parametrize(("least", "op", "fields"), NEEDS, ids=lambda value: str(value))
+def test_an_operation_needs_its_role(least: Role, op: str, fields: dict[str, Any]) -> None:
+    for identity in (SCREEN, OTTO, ADA):
+        refusal = asked(World().authorizer(identity), op, **fields)
+        assert (refusal is None) is (identity.role >= least), refusal
+
+
+def test_a_refusal_names_what_is_needed_what_is_there_and_what_to_show() -> None:
+    refusal = asked(World().authorizer(SCREEN), "publish", **GOAL)
+    assert refusal == (
+        "topic /moveit_goal_named: needs the role operate, this client has view; show a token of "
+        "access.operate_tokens or access.admin_tokens"
+    )
+
+
+def test_a_client_that_is_nobody_may_do_nothing() -> None:
+    assert asked(World().authorizer(None), "call_service", service="/arm/stop") is not None
+
+
+def test_a_role_that_changes_counts_from_then_on() -> None:
+    world = World()
+    authorizer = world.authorizer(OTTO)
+    assert asked(authorizer, "publish", topic="/a") is None
+    assert asked(authorizer, "publish", **GOAL) is None
+    authorizer.authenticate(SCREEN)
+    assert asked(authorizer, "publish", topic="/a") is not None
+    assert world.access.lease.holder is None
+
+
+@pytest.mark.parametrize("topic", ["/a", "/moveit_goal_named"])
+def test_what_was_refused_once_is_refused_again(topic: str) -> None:
+    authorizer = World().authorizer(SCREEN)
+    for _ in range(3):
+        assert asked(authorizer, "publish", topic=topic) is not None
+
+
+class TestControl:
+    def test_while_one_drives_others_may_not(self) -> None:
+        world = World()
+        first, second = world.authorizer(name="first"), world.authorizer(name="second")
+        assert asked(first, "publish", **GOAL) is None
+        ways: list[tuple[str, dict[str, Any]]] = [
+            ("publish", GOAL),
+            ("publish", {"topic": "moveit_goal_named"}),
+            ("publish", {"topic": "/move_group/goal", "msg": {"goal": {}}}),
+            ("publish", {"topic": "/servo_node/delta_twist_cmds"}),
+            ("publish", {"topic": "/arm_controller/joint_trajectory"}),
+            ("send_action_goal", ACTION),
+            ("call_service", {"service": "/arm/enable"}),
+            ("call_service", {"service": "arm/relax#7"}),
+        ]
+        for op, fields in ways:
+            assert "first has controlled the arm since" in str(asked(second, op, **fields)), (op, fields)
+
+    @pytest.mark.parametrize(
+        ("op", "fields"),
+        [
+            ("publish", {"topic": "/stop"}),
+            ("publish", {"topic": "/emergency_stop"}),
+            ("publish", {"topic": "/move_group/cancel"}),
+            ("call_service", {"service": "/arm/stop"}),
+            ("call_service", {"service": "/arm/emergency_stop"}),
+            ("call_service", {"service": "/arm/pause"}),
+            ("call_service", {"service": "/execute_trajectory/_action/cancel_goal"}),
+            ("call_service", {"service": "/plan_kinematic_path"}),
+            ("publish", {"topic": "/planning_scene"}),
+            ("publish", {"topic": "/moveit_goal_confirm"}),
+            ("send_action_goal", {**ACTION, "args": {"planning_options": {"plan_only": True}}}),
+            ("publish", {"topic": "/move_group/goal", "msg": {"goal": {"planning_options": {"plan_only": True}}}}),
+        ],
+    )
+    def test_stops_plans_and_scenes_need_no_control_and_take_none(self, op: str, fields: dict[str, Any]) -> None:
+        world = World()
+        first, second = world.authorizer(name="first"), world.authorizer(name="second")
+        assert asked(first, "publish", **GOAL) is None
+        holder = world.access.lease.holder
+        assert asked(second, op, **fields) is None
+        assert world.access.lease.holder is holder
+
+    def test_options_of_a_plan_do_not_make_a_motion_one(self) -> None:
+        world = World()
+        asked(world.authorizer(name="first"), "publish", **GOAL)
+        args = {"planning_options": {"plan_only": True}}
+        action = {"action": "/execute_trajectory", "action_type": "moveit_msgs/action/ExecuteTrajectory", "args": args}
+        assert asked(world.authorizer(name="second"), "send_action_goal", **action) is not None
+
+    def test_a_client_that_leaves_frees_it(self) -> None:
+        world = World()
+        first, second = world.authorizer(name="first"), world.authorizer(name="second")
+        asked(first, "publish", **GOAL)
+        first.leave()
+        assert asked(second, "publish", **GOAL) is None
+
+    def test_what_is_refused_takes_no_control(self) -> None:
+        world = World(topics_glob=["/joint_states"])
+        asked(world.authorizer(), "publish", **GOAL)
+        assert world.access.lease.holder is None
+
+
+class TestGlobs:
+    @pytest.mark.parametrize("topic", ["/open/a", "open/a"])
+    def test_topics_that_fit_are_open(self, topic: str) -> None:
+        authorizer = World(topics_glob=["/open/*"]).authorizer()
+        for op in ("publish", "subscribe", "advertise"):
+            assert asked(authorizer, op, topic=topic, type="std_msgs/String") is None
+
+    @pytest.mark.parametrize("op", ["publish", "subscribe", "advertise"])
+    @pytest.mark.parametrize("topic", ["/joint_states", "joint_states", "//open/a", "/Open/a", "/x/open/a"])
+    def test_others_are_not_however_they_are_written(self, op: str, topic: str) -> None:
+        refusal = asked(World(topics_glob=["/open/*"]).authorizer(), op, topic=topic, type="std_msgs/String")
+        assert "fits no pattern of access.topics_glob; add one there" in str(refusal)
+
+    def test_one_that_was_let_through_under_one_spelling_opens_no_other(self) -> None:
+        authorizer = World(topics_glob=["/open/*"]).authorizer()
+        assert asked(authorizer, "publish", topic="/open/a") is None
+        assert asked(authorizer, "publish", topic="/open/a/../../stop2") is None
+        assert asked(authorizer, "publish", topic="//open/a") is not None
+
+    def test_services_and_actions_have_theirs_and_rosapi_is_always_open(self) -> None:
+        authorizer = World(services_glob=["/compute_*"]).authorizer()
+        assert asked(authorizer, "call_service", service="/compute_ik") is None
+        assert asked(authorizer, "call_service", service="/rosapi/topics") is None
+        assert "access.services_glob" in str(asked(authorizer, "call_service", service="/arm/enable"))
+        assert "access.services_glob" in str(asked(authorizer, "call_service", service="/arm/enable#/compute_ik"))
+        assert "access.services_glob" in str(asked(authorizer, "send_action_goal", **ACTION))
+        assert "access.services_glob" in str(
+            asked(authorizer, "advertise_service", service="/mine", type="std_srvs/SetBool")
+        )
+
+    def test_the_topics_of_an_action_are_no_way_past_its_glob(self) -> None:
+        authorizer = World(services_glob=["/compute_*"]).authorizer()
+        assert "action /move_group" in str(asked(authorizer, "publish", topic="/move_group/goal"))
+
+    def test_stops_are_open_whatever_the_globs_say(self) -> None:
+        authorizer = World(topics_glob=["/none"], services_glob=["/none"]).authorizer(SCREEN)
+        assert asked(authorizer, "publish", topic="/stop") is None
+        assert asked(authorizer, "advertise", topic="/emergency_stop", type="std_msgs/Empty") is None
+        assert asked(authorizer, "call_service", service="/arm/emergency_stop") is None
+        assert asked(authorizer, "call_service", service="/move_action/_action/cancel_goal") is None
+
+
+class TestRates:
+    def test_goals_beyond_the_rate_are_refused_with_limit_and_setting(self) -> None:
+        world = World(goals_per_s=2.0, goal_burst=3)
+        authorizer = world.authorizer()
+        for _ in range(3):
+            assert asked(authorizer, "publish", **GOAL) is None
+        assert asked(authorizer, "send_action_goal", **ACTION) == (
+            "/move_action: this client sends more than 3 goals at once (access.goal_burst) and 2 a second "
+            "(access.goals_per_s)"
+        )
+        world.now_s = 0.5
+        assert asked(authorizer, "publish", **GOAL) is None
+
+    def test_another_clients_goals_are_not_counted(self) -> None:
+        world = World(goal_burst=1, control="shared")
+        assert asked(world.authorizer(), "publish", **GOAL) is None
+        assert asked(world.authorizer(), "publish", **GOAL) is None
+
+    def test_commands_that_steer_are_no_goals(self) -> None:
+        authorizer = World(goal_burst=1).authorizer()
+        for _ in range(10):
+            assert asked(authorizer, "publish", topic="/servo_node/delta_twist_cmds") is None
+
+    def test_plans_count_as_the_goals_they_are(self) -> None:
+        authorizer = World(goal_burst=1).authorizer()
+        planned = {**ACTION, "args": {"planning_options": {"plan_only": True}}}
+        assert asked(authorizer, "send_action_goal", **planned) is None
+        assert asked(authorizer, "send_action_goal", **planned) is not None
+
+
+def test_a_client_that_uses_many_topics_takes_no_more_memory_for_it() -> None:
+    authorizer = World().authorizer()
+    for number in range(2 * MAX_SETTLED):
+        assert asked(authorizer, "publish", topic=f"/t{number}") is None
+    assert len(authorizer._settled) == MAX_SETTLED
+
+
+TOKEN = "one-0123456789abcdef"
+
+
+def access_of(**settings: Any) -> Access:
+    values = {"operate_tokens": {"otto": TOKEN}, **settings}
+    return Access(AccessSettings.model_validate(values), lambda: 0.0, lambda: 1000.0)
+
+
+def test_a_client_is_known_by_its_token() -> None:
+    assert access_of().identify(Auth(token=TOKEN)) == Identity("otto", Role.OPERATE)
+
+
+def test_a_wrong_token_is_nobodys_and_not_repeated() -> None:
+    refusal = access_of().identify(Auth(token="guess"))
+    assert refusal == "field token: it is none of the tokens here"
+
+
+def test_a_client_is_known_by_a_proof_as_clients_of_rosauth_make_it() -> None:
+    mac = sha512(f"{TOKEN}clientdestrand1000user2000".encode()).hexdigest()
+    shown = Auth(mac=mac, client="client", dest="dest", rand="rand", t=1000, level="user", end=2000)
+    assert access_of().identify(shown) == Identity("otto", Role.OPERATE)
+
+
+def test_who_shows_nothing_is_told_what_to_show() -> None:
+    assert "wanted the field token" in str(access_of().identify(Auth()))
+
+
+def test_all_clients_share_one_lease_and_have_a_rate_of_their_own() -> None:
+    limited = access_of(goal_burst=1)
+    first, second = (limited.authorizer(Node(name, remote=True)) for name in ("first", "second"))
+    assert first.publishing("/moveit_goal_named", {}) is None
+    assert "first has controlled" in str(second.publishing("/moveit_goal_named", {}))
+    assert "goal_burst" in str(first.publishing("/moveit_goal_named", {}))
+
+
+def test_without_limits_all_drive_at_once() -> None:
+    everything = unlimited()
+    for name in ("first", "second"):
+        assert everything.authorizer(Node(name, remote=True)).publishing("/moveit_goal_named", {}) is None
+
+
+async def test_every_service_of_the_server_stands_in_the_table_and_no_other(client: ArmClient) -> None:
+    offered = set((await client.call("/rosapi/services"))["services"])
+    cancelling = {name for name in offered if name.endswith(authorization.CANCEL_SERVICE)}
+    assert offered - cancelling == set(authorization.SERVICES)
+
+
+async def test_every_action_of_the_server_drives(client: ArmClient) -> None:
+    offered = (await client.call("/rosapi/action_servers"))["action_servers"]
+    assert set(authorization.ACTIONS) <= set(offered)
+    assert [name for name in offered if not authorization.rule_of_action(name).drives] == []
+
+
+async def test_every_topic_that_the_server_listens_to_has_a_rule(client: ArmClient) -> None:
+    nodes = (await client.call("/rosapi/nodes"))["nodes"]
+    heard: set[str] = set()
+    for node in nodes:
+        if not node.startswith("/client_"):
+            heard |= set((await client.call("/rosapi/node_details", node=node))["subscribing"])
+    assert set(authorization.TOPICS) <= heard
+    assert [
+        name for name in heard - set(authorization.TOPICS) if authorization.rule_of_topic(name) is authorization.WORKING
+    ] == []
+
+
+@pytest.mark.parametrize(
+    "name", ["/arm/stop", "/arm/emergency_stop", "/servo_node/stop_servo", "/move_action/_action/cancel_goal"]
+)
+def test_services_that_stop_are_open_to_whoever_looks(name: str) -> None:
+    assert authorization.rule_of_service(name).stops
+    assert authorization.rule_of_service(name).role is Role.VIEW
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/stop",
+        "/emergency_stop",
+        "/trajectory_execution_event",
+        "/moveit_goal_cancel",
+        "/move_group/cancel",
+        "/arm_controller/follow_joint_trajectory/cancel",
+    ],
+)
+def test_topics_that_stop_are_open_to_whoever_looks(name: str) -> None:
+    assert authorization.rule_of_topic(name).stops
+    assert authorization.rule_of_topic(name).role is Role.VIEW
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/moveit_goal_named",
+        "/move_group/goal",
+        "/gripper_controller/gripper_cmd/goal",
+        "/arm_controller/joint_trajectory",
+        "/arm_controller/follow_joint_trajectory/goal",
+        "/servo_node/delta_twist_cmds",
+        "/arm/speed_factor",
+    ],
+)
+def test_topics_that_move_the_arm_drive(name: str) -> None:
+    assert authorization.rule_of_topic(name).drives
+    assert authorization.rule_of_topic(name).role is Role.OPERATE
+
+
+def test_what_clients_offer_needs_the_right_to_operate_and_no_control() -> None:
+    for rule in (
+        authorization.rule_of_service("/mine"),
+        authorization.rule_of_action("/mine"),
+        authorization.rule_of_topic("/mine/goal"),
+    ):
+        assert rule == authorization.WORKING
+        assert rule.role is Role.OPERATE
+        assert not rule.drives
+
+
+@pytest.mark.parametrize("name", ["//stop", "/stop/", "/Stop", "/x/stop", "/mine/cancel", "/emergency_stop "])
+def test_names_that_look_like_a_stop_are_none(name: str) -> None:
+    assert not authorization.rule_of_topic(name).stops
+
+
+@pytest.mark.parametrize(
+    ("goal", "planned_only"),
+    [
+        ({"planning_options": {"plan_only": True}}, True),
+        ({"planning_options": {"plan_only": 1}}, False),
+        ({"planning_options": {"plan_only": False}}, False),
+        ({"planning_options": [True]}, False),
+        ({"plan_only": True}, False),
+        ([{}, {"plan_only": True}], False),
+        (None, False),
+    ],
+)
+def test_a_goal_that_only_asks_for_a_plan_says_so_in_its_options(goal: object, planned_only: bool) -> None:
+    assert authorization.plans_only(goal) is planned_only

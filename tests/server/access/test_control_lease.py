@@ -1,0 +1,312 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
+from server.access.permissions import Identity, Role
+from server.access.settings import AccessSettings
+from server.graph.node import Node
+from tests.helpers.arm_server import ArmClient, ServerOnBus, arm_client, values_of
+from tests.helpers.in_process import InProcess
+
+
+class Leased:
+    def __init__(self, policy: str = "lease") -> None:
+        self.busy = False
+        self.changes: list[str] = []
+        self.lease = ControlLease(policy, 10.0, lambda: 1_000_000.0)  # type: ignore[arg-type]
+        self.lease.connect(lambda: self.busy, lambda: self.changes.append(str(self.lease.holder)))
+        self.a, self.b = Node("a", remote=True), Node("b", remote=True)
+
+
+@pytest.fixture
+def leased() -> Leased:
+    return Leased()
+
+
+def test_the_first_who_drives_controls_the_arm(leased: Leased) -> None:
+    assert leased.lease.drive(leased.a, 0.0) is None
+    assert leased.lease.holder is leased.a
+    assert leased.changes == ["a"]
+
+
+def test_another_is_told_who_drives_since_when_and_how_it_gets_free(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    refusal = leased.lease.drive(leased.b, 1.0)
+    assert refusal == (
+        "a has controlled the arm since 13:46:40 UTC; it is free when that client leaves, calls "
+        "/arm/release_control, or asks for nothing for another 9 s (access.control_idle_s = 10)"
+    )
+    assert leased.lease.holder is leased.a
+
+
+def test_it_is_free_when_its_holder_leaves(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.lease.leave(leased.a)
+    assert leased.lease.drive(leased.b, 0.0) is None
+
+
+def test_one_who_leaves_without_it_changes_nothing(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.lease.leave(leased.b)
+    assert leased.lease.holder is leased.a
+
+
+def test_it_is_free_when_its_holder_releases_it(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    assert leased.lease.release(leased.a, 0.0) is None
+    assert leased.lease.drive(leased.b, 0.0) is None
+
+
+def test_who_asks_for_nothing_for_too_long_loses_it(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.lease.drive(leased.a, 5.0)
+    assert leased.lease.drive(leased.b, 14.9) is not None
+    assert leased.lease.drive(leased.b, 15.0) is None
+
+
+def test_nobody_idles_while_a_goal_is_worked_on_nor_right_after(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.busy = True
+    leased.lease.tick(60.0)
+    leased.busy = False
+    assert leased.lease.drive(leased.b, 69.9) is not None
+    assert leased.lease.drive(leased.b, 70.0) is None
+
+
+def test_the_beat_frees_it_even_if_nobody_asks(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.lease.tick(10.0)
+    assert leased.lease.holder is None
+    assert leased.changes == ["a", "None"]
+
+
+@pytest.mark.parametrize(
+    "thief", [Identity("", Role.ADMIN), Identity("otto", Role.OPERATE), Identity("screen", Role.VIEW), None]
+)
+def test_nobody_but_an_admin_by_token_takes_it_from_another(leased: Leased, thief: Identity | None) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.b.identity = thief
+    assert "access.admin_tokens" in str(leased.lease.release(leased.b, 0.0))
+    assert leased.lease.holder is leased.a
+
+
+def test_an_admin_by_token_does(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.b.identity = Identity("ada", Role.ADMIN)
+    assert leased.lease.drive(leased.b, 0.0) is not None
+    assert leased.lease.release(leased.b, 0.0) is None
+    assert leased.lease.drive(leased.b, 0.0) is None
+
+
+def test_who_loses_it_to_an_admin_does_not_have_it_again_before_the_admin_could_take_it(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.b.identity = Identity("ada", Role.ADMIN)
+    leased.lease.release(leased.b, 1.0)
+    assert "b has taken control from another; it is free in 2 s" in str(leased.lease.drive(leased.a, 2.0))
+    assert leased.lease.drive(leased.b, 2.5) is None
+    leased.lease.release(leased.b, 2.6)
+    assert leased.lease.drive(leased.a, 2.7) is None
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+def test_an_admin_who_does_not_take_it_keeps_nobody_waiting(leased: Leased, leaves: bool) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.b.identity = Identity("ada", Role.ADMIN)
+    leased.lease.release(leased.b, 1.0)
+    if leaves:
+        leased.lease.leave(leased.b)
+    assert leased.lease.drive(leased.a, 1.5 if leaves else 1.0 + RESERVED_S) is None
+
+
+def test_parts_of_the_server_are_not_asked(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    assert leased.lease.drive(Node("inside"), 0.0) is None
+    assert leased.lease.holder is leased.a
+
+
+def test_where_control_is_shared_all_drive() -> None:
+    leased = Leased("shared")
+    assert leased.lease.drive(leased.a, 0.0) is None
+    assert leased.lease.drive(leased.b, 0.0) is None
+    assert leased.lease.holder is None
+
+
+def test_it_is_known_for_how_long_its_holder_has_asked_for_nothing(leased: Leased) -> None:
+    assert leased.lease.idle_s(5.0) == 0.0
+    leased.lease.drive(leased.a, 5.0)
+    assert leased.lease.idle_s(8.0) == 3.0
+
+
+class World(InProcess):
+    """Clients that may drive an arm."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(access=AccessSettings.model_validate(settings))
+        self.busy = False
+        self.control = ControlServices(self.graph, self.access.lease, self.clock, self.clock.call_later)
+        self.control.open(lambda: self.busy)
+
+    def call(self, client: str, service: str) -> dict[str, Any]:
+        self.say(client, op="call_service", service=service, id="asked")
+        answers = [heard for heard in self.heard(client) if heard.get("id") == "asked"]
+        assert len(answers) == 1
+        values: dict[str, Any] = answers[0]["values"]
+        return values
+
+    def watch(self, client: str) -> None:
+        self.say(client, op="subscribe", topic="/arm/control")
+
+    def told(self, client: str) -> list[dict[str, Any]]:
+        return [heard["msg"] for heard in self.heard(client) if heard["op"] == "publish"]
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def test_who_comes_later_hears_at_once_that_nobody_drives(world: World) -> None:
+    world.watch("late")
+    (status,) = world.told("late")
+    assert status["name"] == "control"
+    assert status["hardware_id"] == ""
+    assert status["message"] == "nobody controls the arm; the first who moves it does"
+    told = {"holder": "", "address": "", "policy": "lease", "since": "", "idle_s": "0", "free_in_s": ""}
+    assert values_of(status) == told
+
+
+def test_who_takes_control_is_named(world: World) -> None:
+    world.client("a").node.address = "10.0.0.1:5"
+    world.watch("viewer")
+    world.told("viewer")
+    assert world.call("a", "/arm/take_control") == {"success": True, "message": "a controls the arm"}
+    (status,) = world.told("viewer")
+    assert (status["hardware_id"], status["message"]) == ("a", "a controls the arm")
+    assert values_of(status) | {"since": ""} == {
+        "holder": "a",
+        "address": "10.0.0.1:5",
+        "policy": "lease",
+        "since": "",
+        "idle_s": "0",
+        "free_in_s": "10",
+    }
+
+
+def test_another_is_refused_and_told_by_whom(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    refused = world.call("b", "/arm/take_control")
+    assert not refused["success"]
+    assert refused["message"].startswith("a has controlled the arm since")
+
+
+def test_who_drives_releases_it(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    assert world.call("a", "/arm/release_control")["success"]
+    assert world.call("b", "/arm/take_control")["success"]
+
+
+def test_nobody_steals_it(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    stolen = world.call("b", "/arm/release_control")
+    assert not stolen["success"]
+    assert stolen["message"] == (
+        "a controls the arm, not b; to take control from another, show a token of access.admin_tokens"
+    )
+    assert not world.call("b", "/arm/take_control")["success"]
+
+
+def test_an_admin_with_a_token_frees_it(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    world.enter("ada", Identity("ada", Role.ADMIN))
+    assert world.call("ada", "/arm/release_control")["success"]
+    assert world.access.lease.holder is None
+
+
+def test_a_viewer_may_neither_take_nor_release_it(world: World) -> None:
+    world.enter("screen", Identity("screen", Role.VIEW))
+    for service in ("/arm/take_control", "/arm/release_control"):
+        world.say("screen", op="call_service", service=service)
+        (answer,) = world.heard("screen")
+        assert answer["result"] is False
+        assert "needs the role operate" in answer["values"]
+
+
+async def test_who_leaves_gives_it_back_and_others_hear_of_it(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    world.watch("viewer")
+    world.told("viewer")
+    await world.close("a")
+    assert world.told("viewer")[-1]["hardware_id"] == ""
+
+
+async def test_who_idles_loses_it_and_others_see_it_coming(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    world.watch("viewer")
+    for _ in range(11):
+        await world.advance(1.0)
+    idled = [values_of(status) for status in world.told("viewer")]
+    assert [values["idle_s"] for values in idled[:4]] == ["0", "1", "2", "3"]
+    assert idled[-1]["holder"] == ""
+
+
+async def test_nobody_loses_it_while_a_goal_is_worked_on(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    world.busy = True
+    await world.advance(60.0)
+    assert world.access.lease.holder is not None
+
+
+async def test_no_beat_comes_after_the_end(world: World) -> None:
+    world.call("a", "/arm/take_control")
+    world.watch("viewer")
+    world.told("viewer")
+    world.control.close()
+    await world.advance(5.0)
+    assert world.told("viewer") == []
+
+
+def test_where_control_is_shared_everybody_gets_it() -> None:
+    world = World(control="shared")
+    for name in ("a", "b"):
+        answer = world.call(name, "/arm/take_control")
+        assert answer == {"success": True, "message": "all clients may drive the arm at once (access.control)"}
+
+
+def test_who_drives_is_told_when_it_will_be_free(world: World) -> None:
+    world.watch("viewer")
+    world.call("a", "/arm/take_control")
+    world.clock.advance(3.0)
+    assert values_of(world.told("viewer")[-1])["free_in_s"] == "7"
+
+
+def test_a_client_is_told_what_it_is_called_and_what_it_may_do(world: World) -> None:
+    world.client("a").node.address = "10.0.0.1:5"
+    answered = world.call("a", "/arm/who_am_i")
+    assert json.loads(answered["message"]) == {"name": "a", "address": "10.0.0.1:5", "role": "admin"}
+
+
+async def test_over_sockets_one_drives_others_are_answered_and_anyone_stops(
+    client: ArmClient, served: ServerOnBus
+) -> None:
+    async with arm_client(served.server.url) as other:
+        for each in (client, other):
+            await each.say("subscribe", topic="/moveit_goal_result", type="moveit_msgs/MoveItErrorCodes")
+        goal = {"name": ["shoulder_pan"], "position": [1.2]}
+        await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
+        await client.until_mode("moving")
+
+        await other.goal("/moveit_goal_named", "std_msgs/String", {"data": "home"})
+        refused = (await other.until("/moveit_goal_result", bool))[0]
+        assert refused["val"] == -4
+        assert "has controlled the arm since" in refused["message"]
+        action = await other.send_goal("/move_action", "moveit_msgs/action/MoveGroup", {})
+        assert "has controlled the arm since" in (await other.result(action))["values"]
+        assert not (await other.call("/arm/release_control"))["success"]
+
+        await other.goal("/stop", "std_msgs/Empty", {})
+        stopped = (await client.until("/moveit_goal_result", bool))[0]
+        assert (stopped["val"], "/stop" in stopped["message"]) == (-7, True)

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.registry import Registry
+from robot.description import model
+from robot.faults import Fault, FaultCode
+from robot.hardware.interface import BusCounters
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+from tests.helpers.arm_server import ArmClient, values_of
+
+ROBOT = model.builtin()
+STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex", 12.5)
+
+
+class Heard:
+    """The topics, and what was said on them."""
+
+    def __init__(self) -> None:
+        self.graph = Graph(Registry.load())
+        self.topics = ArmStateTopics(self.graph, ROBOT)
+        self.topics.open()
+        self.states = self._listen(STATE_TOPIC)
+        self.limits = self._listen(LIMITS_TOPIC)
+
+    def _listen(self, topic: str) -> list[Any]:
+        messages: list[Any] = []
+        before = self.graph.subscribe(
+            Node("test"), topic, None, Subscriber(lambda publication: messages.append(publication.msg))
+        )
+        messages += [publication.msg for publication in before]
+        return messages
+
+
+@pytest.fixture
+def heard() -> Heard:
+    return Heard()
+
+
+def health(limits_rad: list[tuple[float, float]]) -> ArmHealth:
+    servos = tuple(
+        JointHealth(name, f"servo {number}", 0.0, 30, 5.0, 0.0, 0.0, True, 0, 0.0, 0)
+        for number, name in enumerate(("shoulder_pan", "gripper"), start=1)
+    )
+    times = (0.0, 0.0, 0.0)
+    return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, limits_rad=np.array(limits_rad))
+
+
+def test_a_state_is_published_when_it_says_something_new(heard: Heard) -> None:
+    for stamp_s in range(3):
+        heard.topics.take_state(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=np.array([stamp_s])))
+    heard.topics.take_state(ArmState(4.0, Mode.MOVING, ("a",)))
+    assert [values_of(state)["mode"] for state in heard.states] == ["holding", "moving"]
+
+
+def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> None:
+    heard.topics.take_state(ArmState(0.0, Mode.FAULT, ("a",), fault=STALLED))
+    (state,) = heard.states
+    assert state["level"] == 2
+    assert state["message"].startswith(str(STALLED))
+    assert "/arm/reset_fault" in state["message"]
+    values = values_of(state)
+    assert (values["fault"], values["fault_joint"], values["fault_stamp"]) == ("stalled", "elbow_flex", "12.500")
+    assert values["fault_remedy"] == STALLED.remedy
+
+
+def test_an_arm_that_is_not_there_is_told_with_its_reason(heard: Heard) -> None:
+    heard.topics.take_state(ArmState(0.0, Mode.DISCONNECTED, (), reason="port gone"))
+    assert heard.states[0]["level"] == 2
+    assert heard.states[0]["message"].endswith("port gone")
+
+
+def test_the_limits_are_the_descriptions_until_the_servos_own_are_known(heard: Heard) -> None:
+    assert heard.limits[0]["joint_names"] == [joint.name for joint in ROBOT.movable_joints]
+    heard.topics.take_health(health([(-1.0, 1.5), (0.0, 1.0)]))
+    heard.topics.take_health(health([(-1.0, 1.5), (0.0, 1.0)]))
+    assert len(heard.limits) == 2
+    pan, gripper = heard.limits[1]["limits"]
+    assert (pan["joint_name"], pan["min_position"], pan["max_position"]) == ("shoulder_pan", -1.0, 1.5)
+    assert gripper["max_velocity"] == ROBOT.joints["gripper"].max_velocity
+
+
+async def test_who_comes_later_hears_state_and_limits_at_once(client: ArmClient) -> None:
+    assert (await client.until_mode("holding"))["level"] == 0
+    limits = (await client.until("/arm/joint_limits", bool))[0]
+    assert limits["joint_names"][0] == "shoulder_pan"
+    assert all(each["min_position"] < each["max_position"] for each in limits["limits"])

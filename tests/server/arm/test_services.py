@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.asyncio.client import connect
+
+from protocol.errors import MessageError
+from protocol.registry import Registry
+from robot.arm import Arm
+from robot.calibration import Calibration
+from robot.description import model
+from robot.hardware.config import EmulatedConfig
+from robot.messages import ArmConfig, ArmState, ChangePace, Mode
+from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace
+from server.graph.node import Node
+from server.graph.topics import Graph
+from tests.helpers.arm_server import ArmClient, ServerOnBus, arm_client, server_on_bus, values_of
+from tests.helpers.server import read_write_log
+from tests.server.conftest import FAST, JOINTS
+
+JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
+RESULT = "/moveit_goal_result"
+
+
+def pan_to(position_rad: float) -> dict[str, Any]:
+    return {"name": ["shoulder_pan"], "position": [position_rad]}
+
+
+async def begin_to_move(client: ArmClient) -> None:
+    """Move away from where the pan joint is; returns on the way."""
+    pan_rad = (await client.until("/joint_states", bool))[-1]["position"][0]
+    await client.goal(*JOINT_GOAL, pan_to(-1.5 if pan_rad > 0.0 else 1.5))
+    await client.until("/joint_states", lambda states: abs(states[-1]["position"][0] - pan_rad) > 0.3)
+
+
+async def results(client: ArmClient, count: int = 1) -> list[dict[str, Any]]:
+    return await client.until(RESULT, lambda all_: len(all_) >= count)
+
+
+async def test_a_relaxed_arm_refuses_goals_until_it_is_enabled(client: ArmClient) -> None:
+    assert (await client.call("/arm/relax"))["success"]
+    await client.until_mode("relaxed")
+    await client.goal(*JOINT_GOAL, pan_to(0.3))
+    refused = (await results(client))[0]
+    assert refused["val"] == -4
+    assert "/arm/enable" in refused["message"]
+    assert (await client.call("/arm/enable"))["success"]
+    await client.goal(*JOINT_GOAL, pan_to(0.3))
+    assert (await results(client, 2))[1]["val"] == 1
+
+
+async def test_relaxing_ends_the_goals(client: ArmClient) -> None:
+    await begin_to_move(client)
+    await client.goal(*JOINT_GOAL, pan_to(0.0))
+    assert (await client.call("/arm/relax"))["success"]
+    assert [result["val"] for result in await results(client, 2)] == [-7, -7]
+
+
+async def test_stop_is_answered_when_the_arm_stands(client: ArmClient) -> None:
+    await begin_to_move(client)
+    assert await client.call("/arm/stop") == {"success": True, "message": "the arm does not move"}
+    await client.until_mode("holding")
+    assert (await results(client))[0]["val"] == -7
+
+
+async def test_an_emergency_stop_cuts_torque_ends_goals_and_needs_a_reset(client: ArmClient) -> None:
+    await begin_to_move(client)
+    await client.goal(*JOINT_GOAL, pan_to(0.0))
+    assert await client.call("/arm/emergency_stop") == {"success": True, "message": "torque is off at every servo"}
+    assert values_of(await client.until_mode("fault"))["fault"] == "emergency_stop"
+    by_goal = {result["message"] for result in await results(client, 2)}
+    assert any("emergency stop: torque is off" in message for message in by_goal)
+    refused = await client.call("/arm/enable")
+    assert not refused["success"]
+    assert "reset the fault" in refused["message"]
+    assert (await client.call("/arm/reset_fault"))["success"]
+    await client.until_mode("relaxed")
+
+
+@pytest.mark.parametrize("msg", [{}, {"data": True}], ids=["empty", "with a field that does not fit"])
+async def test_whatever_is_published_on_the_topic_stops(client: ArmClient, msg: Any) -> None:
+    await client.say("advertise", topic="/emergency_stop", type="std_msgs/Empty")
+    await client.say("publish", topic="/emergency_stop", msg=msg)
+    await client.until_mode("fault")
+
+
+async def test_an_obstacle_is_answered_with_the_fault_and_reset_when_it_is_gone(
+    client: ArmClient, served: ServerOnBus
+) -> None:
+    pan_rad = (await client.until("/joint_states", bool))[-1]["position"][0]
+    end_rad = -1.5 if pan_rad > 0.0 else 1.5
+    in_the_way = JOINTS["shoulder_pan"].ticks_from_rad((pan_rad + end_rad) / 2)
+    served.emulator.command(obstacle={"1": in_the_way})
+    await client.goal(*JOINT_GOAL, pan_to(end_rad))
+    failed = (await results(client))[0]
+    assert failed["val"] == -4
+    assert re.match("joint shoulder_pan (pushes in vain|is .* behind its goal)", failed["message"])
+    await client.goal(*JOINT_GOAL, pan_to(0.0))
+    assert "/arm/reset_fault" in (await results(client, 2))[1]["message"]
+    served.emulator.command(obstacle={"1": None})
+    assert (await client.call("/arm/reset_fault"))["success"]
+    await client.until_mode("holding")
+
+
+async def test_a_fault_cannot_be_reset_while_its_cause_lasts(client: ArmClient, served: ServerOnBus) -> None:
+    served.emulator.command(offline=[3])
+    await client.until_mode("fault")
+    refused = await client.call("/arm/reset_fault")
+    assert not refused["success"]
+    assert "elbow_flex" in refused["message"]
+
+
+async def test_an_emergency_stop_gets_through_a_flood(client: ArmClient, served: ServerOnBus) -> None:
+    await begin_to_move(client)
+    points = [{"positions": [0.1] * 6} for _ in range(200)]
+    frame = json.dumps(
+        {"op": "publish", "topic": "/flood", "type": "trajectory_msgs/JointTrajectory", "msg": {"points": points}}
+    )
+    await client.say("advertise", topic="/flood", type="trajectory_msgs/JointTrajectory")
+    flooding = asyncio.Event()
+
+    async def flood() -> None:
+        websocket = await connect(served.server.url)
+        try:
+            while True:
+                await websocket.send(frame)
+                flooding.set()
+        finally:
+            websocket.transport.abort()
+
+    floods = [asyncio.create_task(flood()) for _ in range(3)]
+    await flooding.wait()
+    try:
+        stopped = await client.call("/arm/emergency_stop")
+    finally:
+        for task in floods:
+            task.cancel()
+        await asyncio.gather(*floods, return_exceptions=True)
+    assert stopped["success"]
+
+
+async def test_a_fault_outlives_the_arm_process(client: ArmClient, served: ServerOnBus) -> None:
+    await client.call("/arm/emergency_stop")
+    pid = next(int(found[1]) for line in served.server.lines if (found := re.search(r"\(process (\d+), 100 Hz", line)))
+    os.kill(pid, signal.SIGKILL)
+    await client.until_mode("disconnected")
+    assert values_of(await client.until_mode("fault"))["fault"] == "emergency_stop"
+
+
+@pytest.mark.real_time
+async def test_an_arm_that_is_not_to_be_enabled_starts_relaxed_and_ends_relaxed(tmp_path: Path) -> None:
+    log = tmp_path / "writes.jsonl"
+    with server_on_bus(EMULATOR__WRITE_LOG=str(log), ARM__START_ENABLED="false", ARM__ON_EXIT="relax", **FAST) as made:
+        async with arm_client(made.server.url) as client:
+            await client.until_mode("relaxed")
+            assert (await client.call("/arm/enable"))["success"]
+            await begin_to_move(client)
+        assert made.server.end(signal.SIGTERM)[0] == 0
+        assert set(read_write_log(log)[-1]["torque"].values()) == {0}
+
+
+CLIENT = Node("client")
+GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
+
+
+class ListeningArm(Arm):
+    """Notes what it is told, and is in the mode a test says."""
+
+    def __init__(self) -> None:
+        super().__init__(ArmConfig(model.builtin(), EmulatedConfig(Calibration.nominal())), lambda _state: None)
+        self.changes: list[ChangePace] = []
+        self.be(Mode.HOLDING)
+
+    def be(self, mode: Mode) -> None:
+        self.state = ArmState(0.0, mode, ())
+
+    def change_pace(self, change: ChangePace) -> None:
+        self.changes.append(change)
+
+
+class Desk:
+    def __init__(self) -> None:
+        self.graph = Graph(Registry.load())
+        self.arm = ListeningArm()
+        ArmPace(self.graph).open(self.arm)
+
+    def call(self, service: str) -> Any:
+        answers: list[Any] = []
+        self.graph.services.call(CLIENT, service, {}, answers.append)
+        return answers[0].values
+
+
+@pytest.fixture
+async def desk() -> Desk:
+    return Desk()
+
+
+@pytest.mark.parametrize("service", [PAUSE, RESUME, STEP_BACK])
+async def test_without_a_motion_there_is_nothing_to_pause(desk: Desk, service: str) -> None:
+    answer = desk.call(service)
+    assert not answer["success"]
+    assert "holding" in answer["message"]
+    assert desk.arm.changes == []
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.25, 1.0])
+async def test_a_speed_factor_is_passed_on(desk: Desk, factor: float) -> None:
+    desk.graph.publish(CLIENT, SPEED_FACTOR_TOPIC, {"data": factor})
+    assert desk.arm.changes == [ChangePace(speed_factor=factor)]
+
+
+@pytest.mark.parametrize("factor", [-0.1, 1.5, float("nan")])
+async def test_a_factor_that_is_no_share_is_refused_with_the_limits(
+    desk: Desk, factor: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    desk.graph.publish(CLIENT, SPEED_FACTOR_TOPIC, {"data": factor})
+    assert desk.arm.changes == []
+    assert f"must be 0 to 1, a share of the planned speed, not {factor}" in caplog.text
+
+
+async def test_a_message_of_the_wrong_form_changes_nothing(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(MessageError):
+        desk.graph.publish(CLIENT, SPEED_FACTOR_TOPIC, {"data": "fast"})
+    assert desk.arm.changes == []
+    assert SPEED_FACTOR_TOPIC in caplog.text
+
+
+async def test_a_motion_is_paused_goes_back_and_arrives_after_all(client: ArmClient) -> None:
+    await client.goal(*GOAL, {"name": ["shoulder_pan"], "position": [0.0]})
+    await client.until("/moveit_goal_result", bool)
+    await client.goal(*GOAL, {"name": ["shoulder_pan"], "position": [1.2]})
+    await client.until("/joint_states", lambda states: states[-1]["position"][0] > 0.3)
+    assert (await client.call(PAUSE))["success"]
+    await client.until("/arm/state", lambda states: values_of(states[-1])["course"] == "paused")
+    paused_at = (await standing(client))["position"][0]
+    assert (await client.call(STEP_BACK))["success"]
+    await client.until("/joint_states", lambda states: states[-1]["position"][0] < paused_at - 0.1)
+    assert len(client.topics["/moveit_goal_result"]) == 1
+    assert (await client.call(RESUME))["success"]
+    results = await client.until("/moveit_goal_result", lambda all_: len(all_) == 2)
+    assert results[1]["val"] == 1
+    assert client.topics["/joint_states"][-1]["position"][0] == pytest.approx(1.2, abs=0.06)
+
+
+async def standing(client: ArmClient) -> dict[str, Any]:
+    """The joints once they stand still."""
+    states = await client.until("/joint_states", lambda states: abs(states[-1]["velocity"][0]) < 0.02)
+    return states[-1]

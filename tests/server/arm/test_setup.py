@@ -1,0 +1,198 @@
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot.calibration import Calibration, JointCalibration, new_calibration_path, save
+from robot.description import model
+from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.messages import EmergencyPolicy, EndState, GuardLimits
+from server.arm.setup import Description, arm_config, check_parameters
+from server.config import ArmSettings, EmulatorSettings, GuardSettings, Settings
+from server.errors import ConfigurationError
+from server.moveit.parameters import MoveItParameters
+from tests.helpers import seven_joint_arm
+
+
+def test_the_default_parameters_fit_the_builtin_arm() -> None:
+    check_parameters(MoveItParameters(), model.builtin())
+
+
+WRONG = {
+    "group": (MoveItParameters(group_name="leg"), r"moveit\.group_name.*'leg'.*arm, gripper"),
+    "link": (MoveItParameters(end_effector_link="toe"), r"moveit\.end_effector_link.*'toe'.*gripper_frame_link"),
+    "frame": (MoveItParameters(planning_frame="world"), r"moveit\.planning_frame.*'base_link'.*'world'"),
+}
+
+
+@pytest.mark.parametrize(("parameters", "words"), WRONG.values(), ids=WRONG.keys())
+def test_a_parameter_the_robot_does_not_have_is_named(parameters: MoveItParameters, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        check_parameters(parameters, model.builtin())
+
+
+def described(folder: Path, urdf: str, srdf: str) -> dict[str, Path]:
+    """The settings of a robot whose description is written to files."""
+    paths = {"urdf": folder / "arm.urdf", "srdf": folder / "arm.srdf"}
+    paths["urdf"].write_text(urdf)
+    paths["srdf"].write_text(srdf)
+    return paths
+
+
+def calibrated(folder: Path) -> Path:
+    """A calibration file."""
+    save(Calibration.nominal(), folder / "calibration.json")
+    return folder / "calibration.json"
+
+
+def test_another_description_is_read_within_the_calibration(tmp_path: Path) -> None:
+    builtin = model.builtin()
+    files = described(tmp_path, builtin.urdf.replace('lower="-1.91986"', 'lower="-0.5"'), builtin.srdf)
+    read = Description.read(ArmSettings(**files, calibration=calibrated(tmp_path)))
+    assert read.robot.joints["shoulder_pan"].lower == -0.5
+    assert read.robot.mesh_directory == tmp_path
+    assert read.calibration == Calibration.nominal()
+
+
+@pytest.mark.parametrize("on_servos", ["serial", "calibration"])
+def test_a_robot_without_the_calibrated_joints_is_refused(tmp_path: Path, on_servos: str) -> None:
+    builtin = model.builtin()
+    twisted = (text.replace("wrist_roll", "wrist_twist") for text in (builtin.urdf, builtin.srdf))
+    files = described(tmp_path, *twisted)
+    hardware = {"serial": "/dev/arm"} if on_servos == "serial" else {"calibration": calibrated(tmp_path)}
+    with pytest.raises(ConfigurationError, match="'wrist_roll'"):
+        Description.read(ArmSettings(**files, **hardware))
+
+
+def test_another_description_alone_is_an_ideal_arm(tmp_path: Path) -> None:
+    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    settings = Settings(arm=ArmSettings(**files, ideal_lag_s=0.1))
+    read = Description.read(settings.arm)
+    config = arm_config(settings, read)
+    assert (read.calibration, read.calibration_file) == (None, None)
+    assert config.hardware == IdealConfig(0.1, driven=True)
+    assert config.hardware.joint_names(read.robot) == ("a1", "a2", "a3", "a4", "a5", "a6", "a7")
+
+
+def hardware_of(**settings: Any) -> HardwareConfig:
+    made = Settings(**settings)
+    return arm_config(made, Description.read(made.arm)).hardware
+
+
+def test_a_port_means_servos_there(tmp_path: Path) -> None:
+    nominal = Calibration.nominal()
+    assert hardware_of(arm=ArmSettings(serial="/dev/arm")) == FeetechConfig(nominal, "/dev/arm")
+    files = described(tmp_path, model.builtin().urdf, model.builtin().srdf)
+    assert hardware_of(arm=ArmSettings(serial="auto", **files)) == FeetechConfig(nominal, "auto")
+
+
+def test_no_port_means_emulated_servos_with_the_faults_that_are_set(tmp_path: Path) -> None:
+    assert hardware_of() == EmulatedConfig(Calibration.nominal(), driven=True)
+    places = {"write_log": tmp_path / "writes.jsonl", "control": tmp_path / "control"}
+    emulator = EmulatorSettings(drop=0.1, corrupt=0.2, seed=3, **places)
+    wanted = EmulatedConfig(Calibration.nominal(), drop=0.1, corrupt=0.2, seed=3, driven=True, **places)
+    assert hardware_of(emulator=emulator) == wanted
+    files = described(tmp_path, model.builtin().urdf, model.builtin().srdf)
+    assert hardware_of(arm=ArmSettings(**files, calibration=calibrated(tmp_path)), emulator=emulator) == wanted
+
+
+BUS_OPTIONS = {"drop": 0.1, "corrupt": 0.1, "seed": 1, "write_log": Path("writes.jsonl"), "control": Path("control")}
+
+
+@pytest.mark.parametrize("name", EmulatorSettings.model_fields)
+def test_an_option_of_the_emulated_servos_is_refused_for_an_ideal_arm(tmp_path: Path, name: str) -> None:
+    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    with pytest.raises(ConfigurationError, match=rf"emulator\.{name}: the ideal arm .* has no servo bus"):
+        hardware_of(arm=ArmSettings(**files), emulator=EmulatorSettings(**{name: BUS_OPTIONS[name]}))
+
+
+def test_a_trim_of_a_zero_is_refused_for_an_ideal_arm(tmp_path: Path) -> None:
+    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    with pytest.raises(ConfigurationError, match=r"arm\.zero_offset_rad\.a1: the ideal arm has no servos"):
+        Description.read(ArmSettings(**files, zero_offset_rad={"a1": 0.1}))
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_simulated_joints_start_with_torque_on_where_the_arm_is_to_hold(tmp_path: Path, *, enabled: bool) -> None:
+    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    for hardware in (
+        hardware_of(arm=ArmSettings(start_enabled=enabled)),
+        hardware_of(arm=ArmSettings(start_enabled=enabled, **files)),
+    ):
+        assert isinstance(hardware, EmulatedConfig | IdealConfig)
+        assert hardware.driven is enabled
+
+
+def joints_of(settings: ArmSettings) -> tuple[JointCalibration, ...]:
+    """The calibrated joints of an arm that has servos."""
+    calibration = Description.read(settings).calibration
+    assert calibration is not None
+    return calibration.joints
+
+
+PLACES = {
+    "log in the place of a directory": ("write_log", ".", r"write_log: .* is a directory"),
+    "log in no directory": ("write_log", "none/log", r"write_log: .*none is no directory"),
+    "socket in no directory": ("control", "none/socket", r"control: .*none is no directory"),
+    "socket in the place of a file": ("control", "taken", r"control: .*taken exists, and is no socket"),
+    "socket with a long name": ("control", "a" * 107, r"control: the path of a Unix socket has at most 107 bytes, not"),
+}
+
+
+@pytest.mark.parametrize(("name", "place", "words"), PLACES.values(), ids=PLACES.keys())
+def test_a_place_that_cannot_be_used_is_named_with_its_setting(
+    tmp_path: Path, name: str, place: str, words: str
+) -> None:
+    (tmp_path / "taken").touch()
+    with pytest.raises(ConfigurationError, match=rf"emulator\.{words}"):
+        hardware_of(emulator=EmulatorSettings(**{name: tmp_path / place}))
+
+
+def test_a_socket_that_an_ended_server_has_left_is_no_hindrance(tmp_path: Path) -> None:
+    path = Path("left.socket")
+    with contextlib.chdir(tmp_path):
+        with socket.socket(socket.AF_UNIX) as left:
+            left.bind(str(path))
+        hardware = hardware_of(emulator=EmulatorSettings(control=path))
+    assert isinstance(hardware, EmulatedConfig)
+    assert hardware.control == path
+
+
+def test_a_trim_of_a_zero_moves_the_limits_of_its_joint() -> None:
+    plain = joints_of(ArmSettings())[2]
+    trimmed = joints_of(ArmSettings(zero_offset_rad={"elbow_flex": 0.02}))[2]
+    assert trimmed.rad_from_ticks(2000) == pytest.approx(plain.rad_from_ticks(2000) + 0.02)
+
+
+def test_a_trim_of_an_unknown_joint_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"elbow.*one of the arm's joints"):
+        Description.read(ArmSettings(zero_offset_rad={"elbow": 0.02}))
+
+
+def test_a_calibration_is_found_by_the_id_that_lerobot_has_it_under(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
+    file = new_calibration_path("my_arm", os.environ)
+    save(Calibration.nominal(), file)
+    read = Description.read(ArmSettings(calibration=Path("my_arm")))
+    assert (read.calibration, read.calibration_file) == (Calibration.nominal(), file)
+
+
+def test_the_arm_process_gets_what_is_set() -> None:
+    guards = GuardSettings(stall_time_s=0.5)
+    settings = ArmSettings(
+        watchdog_s=1.5, on_exit=EndState.RELAX, on_emergency_stop=EmergencyPolicy.HOLD, guards=guards
+    )
+    config = arm_config(Settings(arm=settings), Description.read(settings))
+    assert (config.watchdog_s, config.on_exit) == (1.5, EndState.RELAX)
+    assert config.on_emergency_stop is EmergencyPolicy.HOLD
+    assert config.guard_limits == GuardLimits(stall_time_s=0.5)
+    shared = {field.name for field in fields(config)} & set(ArmSettings.model_fields) - {"calibration"}
+    assert {name: getattr(config, name) for name in shared} == {name: getattr(settings, name) for name in shared}

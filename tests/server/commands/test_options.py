@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from robot.calibration import Calibration, save
+from robot.errors import CalibrationError, PortBusy, PortNotFound
+from server import cli
+from server.commands.options import add_calibration, add_serial, guarded, overrides, read_calibration, read_settings
+from server.commands.terminal import ExitCode
+from server.errors import ConfigurationError
+
+
+def parsed(*arguments):
+    parser = argparse.ArgumentParser()
+    add_serial(parser)
+    add_calibration(parser)
+    return parser.parse_args(arguments)
+
+
+def test_without_options_the_adapter_is_looked_for_and_no_calibration_read():
+    options = parsed()
+    assert options.serial == "auto"
+    assert read_calibration(options) is None
+
+
+def test_a_calibration_is_read_from_its_file(tmp_path):
+    save(Calibration.nominal(), tmp_path / "arm.json")
+    assert read_calibration(parsed("--calibration", str(tmp_path / "arm.json"))) == Calibration.nominal()
+
+
+def test_a_calibration_of_unknown_id_is_refused():
+    with pytest.raises(CalibrationError):
+        read_calibration(parsed("--calibration", "nobodys"))
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (PortNotFound("/dev/x"), "does not exist"),
+        (PortBusy("/dev/x"), "armbridge serve"),
+        (KeyboardInterrupt(), "stop"),
+    ],
+)
+def test_what_a_command_fails_at_is_one_line_and_exit_1(error, words, capsys):
+    def command(_terminal):
+        raise error
+
+    assert guarded(command) is ExitCode.FAILED
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert words in said
+
+
+def test_a_mistake_in_a_command_is_not_hidden():
+    def command(_terminal):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        guarded(command)
+
+
+def options(*arguments):
+    return cli._parser().parse_args(["serve", *arguments])
+
+
+def test_options_override_settings_by_section_and_key():
+    assert overrides(options("--port", "0", "--serial", "auto", "--log-level", "error")) == {
+        "server": {"port": 0, "log_level": "error"},
+        "arm": {"serial": "auto"},
+    }
+
+
+def test_a_recording_has_options_of_its_own():
+    assert overrides(options("--record", "run.mcap", "--record-limit-mb", "200")) == {
+        "recording": {"file": Path("run.mcap"), "limit_mb": 200}
+    }
+
+
+def test_any_setting_can_be_assigned():
+    settings, _ = read_settings(options("--set", "moveit.servo.rate_hz=30", "--set", "goals.confirm = true"))
+    assert settings.moveit.servo.rate_hz == 30.0
+    assert settings.goals.confirm is True
+
+
+def test_a_table_is_assigned_as_toml():
+    settings, _ = read_settings(options("--set", "arm.zero_offset_rad={elbow_flex=0.02}"))
+    assert settings.arm.zero_offset_rad == {"elbow_flex": 0.02}
+
+
+def test_an_option_counts_more_than_an_assignment():
+    assert overrides(options("--set", "server.port=1", "--port", "2")) == {"server": {"port": 2}}
+
+
+def test_insecure_is_said_by_an_option():
+    settings, sources = read_settings(options("--insecure"))
+    assert settings.access.insecure is True
+    assert sources["access.insecure"] == "command line"
+    assert read_settings(options())[0].access.insecure is False
+
+
+@pytest.mark.parametrize(
+    "assignment",
+    ["access.token:my-secret", "access.view_tokens={a=my-secret", "access.token=my-secret", "access=my-secret"],
+)
+def test_a_refusal_does_not_show_what_may_be_a_token(assignment):
+    with pytest.raises(ConfigurationError) as refused:
+        read_settings(options("--set", assignment))
+    assert "my-secret" not in str(refused.value)
+
+
+REFUSED = {
+    "no assignment": (("--set", "server.port"), "--set server.port: must be KEY=VALUE"),
+    "no TOML": (("--set", "arm.zero_offset_rad={a"), "the value is not TOML"),
+    "twice": (("--set", "server=1", "--set", "server.port=2"), "--set server.port: server has a value already"),
+    "option in it": (("--set", "server=1", "--port", "2"), "--set server.port: server has a value already"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED.values(), ids=REFUSED.keys())
+def test_a_wrong_assignment_is_refused(arguments, words):
+    with pytest.raises(ConfigurationError, match=words):
+        overrides(options(*arguments))

@@ -1,0 +1,461 @@
+from __future__ import annotations
+
+from http import HTTPStatus
+
+import pytest
+from websockets.datastructures import Headers
+
+from server.access.authentication import MAX_WRONG, WINDOW_S, Tokens
+from server.access.permissions import ANYONE, Identity, Role
+from server.access.settings import AccessSettings
+from server.errors import ConfigurationError
+from server.gateway.admission import (
+    AdmissionPolicy,
+    AllowedHosts,
+    AllowedOrigins,
+    Authority,
+    HandshakeRequest,
+    check_exposure,
+    matches,
+    own_names,
+    read_authority,
+)
+from server.gateway.http import Answer
+from tests.helpers.clock import FakeClock
+
+SECRET, OTHER = "correct-horse-battery", "another-token-of-mine"
+ALICE = Identity("alice", Role.OPERATE)
+LOCKED = Tokens({SECRET: ALICE}, anonymous=None)
+VIEWED = Tokens({SECRET: ALICE}, anonymous=Identity("", Role.VIEW))
+
+
+def request_for(
+    path: str = "/", *headers: tuple[str, str], host: str = "localhost:9090", upgrade: bool = True, address: str = "::1"
+) -> HandshakeRequest:
+    return HandshakeRequest(address, path, Headers([("Host", host), *headers]), upgrade=upgrade)
+
+
+def refused(admitted: object) -> tuple[int, str]:
+    assert isinstance(admitted, Answer), admitted
+    return admitted.status, admitted.body.decode()
+
+
+def test_without_tokens_everybody_comes_in() -> None:
+    assert AdmissionPolicy().check(request_for()) is ANYONE
+
+
+# Host.
+
+
+@pytest.mark.parametrize("upgrade", [True, False])
+def test_a_name_that_was_turned_to_this_machine_is_refused_with_what_to_set(
+    upgrade: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    policy = AdmissionPolicy()
+    for _ in range(2):
+        status, text = refused(policy.check(request_for(host="Evil.com:9090", upgrade=upgrade)))
+    assert status == HTTPStatus.MISDIRECTED_REQUEST
+    assert 'set access.allowed_hosts = ["evil.com"]' in text
+    assert caplog.text.count("'Evil.com:9090' is no name of this server") == 1
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost.evil.com", "127.0.0.1.evil.com", "user@localhost", "localhost:9090@evil.com", "", "localhost/"]
+)
+def test_a_name_that_only_looks_like_this_machine_is_refused(host: str) -> None:
+    assert refused(AdmissionPolicy().check(request_for(host=host)))[0] == HTTPStatus.MISDIRECTED_REQUEST
+
+
+@pytest.mark.parametrize("hosts", [[], ["localhost", "localhost"], ["localhost", "evil.com"]])
+def test_a_request_names_one_host(hosts: list[str]) -> None:
+    headers = Headers([("Host", host) for host in hosts])
+    status, text = refused(AdmissionPolicy().check(HandshakeRequest("::1", "/", headers, upgrade=True)))
+    assert (status, text) == (400, f"a request needs one Host header, not {len(hosts)}\n")
+
+
+def test_the_robots_files_are_no_exception_from_the_name() -> None:
+    assert refused(AdmissionPolicy().check(request_for("/robot/x", host="evil.com", upgrade=False)))[0] == 421
+
+
+# Origin.
+
+
+def test_a_foreign_page_is_refused_with_what_to_set(caplog: pytest.LogCaptureFixture) -> None:
+    policy = AdmissionPolicy()
+    for _ in range(2):
+        status, text = refused(policy.check(request_for("/", ("Origin", "http://evil.com"))))
+    assert status == HTTPStatus.FORBIDDEN
+    assert 'set access.allowed_origins = ["http://evil.com"]' in text
+    assert caplog.text.count("http://evil.com' may not connect") == 1
+
+
+def test_a_second_origin_is_looked_at_as_well() -> None:
+    asked = request_for("/", ("Origin", "http://localhost"), ("Origin", "http://evil.com"))
+    assert refused(AdmissionPolicy().check(asked))[0] == 403
+
+
+def test_a_page_from_a_file_is_refused_until_it_is_allowed() -> None:
+    asked = request_for("/", ("Origin", "null"))
+    assert refused(AdmissionPolicy().check(asked))[0] == 403
+    allowing = AdmissionPolicy.from_settings(AccessSettings(allowed_origins=("null",)), Tokens({}, ANYONE))
+    assert allowing.check(asked) is ANYONE
+
+
+def test_the_token_does_not_open_the_door_to_a_foreign_page() -> None:
+    asked = request_for(f"/?token={SECRET}", ("Origin", "http://evil.com"))
+    assert refused(AdmissionPolicy(LOCKED).check(asked))[0] == 403
+
+
+def test_every_page_may_read_the_robots_files_and_nothing_else() -> None:
+    origin = "Origin", "http://evil.com"
+    assert AdmissionPolicy().check(request_for("/robot/description.urdf", origin, upgrade=False)) is ANYONE
+    assert refused(AdmissionPolicy().check(request_for("/robot/description.urdf", origin, upgrade=True)))[0] == 403
+    for path in ("/", "/metrics", "/healthz", "/robots", "//robot/x"):
+        assert refused(AdmissionPolicy().check(request_for(path, origin, upgrade=False)))[0] == 403
+
+
+# Tokens.
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        request_for("/", ("Authorization", f"Bearer {SECRET}")),
+        request_for("/", ("Authorization", f"bearer  {SECRET} ")),
+        request_for(f"/any/path?x=1&token={SECRET}"),
+        request_for(f"/?token={SECRET}", ("Authorization", f"Bearer {SECRET}")),
+    ],
+)
+def test_who_shows_a_token_is_its_owner(asked: HandshakeRequest) -> None:
+    assert AdmissionPolicy(LOCKED).check(asked) == ALICE
+
+
+def test_who_shows_none_has_to_say_it_later() -> None:
+    assert AdmissionPolicy(LOCKED).check(request_for()) is None
+    assert AdmissionPolicy(LOCKED).check(request_for("/", ("Authorization", "Basic YTpi"))) is None
+
+
+def test_who_shows_none_where_anybody_may_look_looks() -> None:
+    assert AdmissionPolicy(VIEWED).check(request_for()) == VIEWED.anonymous
+
+
+@pytest.mark.parametrize("path", [f"/?token={OTHER}", "/?token=", f"/?token={SECRET[:-1]}", f"/?token={SECRET}%00"])
+@pytest.mark.parametrize("tokens", [LOCKED, VIEWED])
+def test_a_wrong_token_is_refused_and_not_logged(path: str, tokens: Tokens, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("DEBUG")
+    admitted = AdmissionPolicy(tokens).check(request_for(path))
+    assert refused(admitted) == (401, "this token is nobody's\n")
+    assert isinstance(admitted, Answer)
+    assert admitted.headers["WWW-Authenticate"] == "Bearer"
+    assert "::1 has shown a token that is nobody's" in caplog.text
+    assert path[8:24] not in caplog.text or path == "/?token="
+
+
+def test_a_request_shows_one_token_not_many_guesses() -> None:
+    status, text = refused(AdmissionPolicy(LOCKED).check(request_for(f"/?token={SECRET}&token={OTHER}")))
+    assert (status, text) == (401, "one token is wanted, not 2\n")
+
+
+def test_without_tokens_one_that_is_shown_is_passed_over() -> None:
+    assert AdmissionPolicy().check(request_for(f"/?token={OTHER}")) is ANYONE
+
+
+def test_who_guesses_is_refused_for_a_while_even_with_the_right_one() -> None:
+    clock = FakeClock()
+    policy = AdmissionPolicy(LOCKED, clock=clock)
+    for number in range(MAX_WRONG):
+        assert refused(policy.check(request_for(f"/?token={OTHER}{number}", address="192.0.2.1")))[0] == 401
+    right = request_for(f"/?token={SECRET}", address="192.0.2.1")
+    admitted = policy.check(right)
+    assert refused(admitted)[0] == 429
+    assert isinstance(admitted, Answer)
+    assert admitted.headers["Retry-After"] == "60"
+    assert policy.check(request_for(f"/?token={SECRET}", address="192.0.2.2")) == ALICE
+    clock.advance(WINDOW_S)
+    assert policy.check(right) == ALICE
+
+
+@pytest.mark.parametrize("path", ["/metrics", "/robot/description.urdf", "/%6detrics", "/robot", "/metrics?x=1"])
+def test_what_tells_of_the_robot_needs_a_token(path: str) -> None:
+    status, text = refused(AdmissionPolicy(LOCKED).check(request_for(path, upgrade=False)))
+    assert status == 401
+    assert "needs a token" in text
+    asked = path + ("&" if "?" in path else "?") + f"token={SECRET}"
+    assert AdmissionPolicy(LOCKED).check(request_for(asked, upgrade=False)) == ALICE
+    assert AdmissionPolicy(VIEWED).check(request_for(path, upgrade=False)) == VIEWED.anonymous
+
+
+@pytest.mark.parametrize("path", ["/", "/index.html", "/assets/vendor.js", "/healthz", "/livez"])
+def test_the_page_and_the_servers_health_need_none(path: str) -> None:
+    assert AdmissionPolicy(LOCKED).check(request_for(path, upgrade=False)) is None
+
+
+@pytest.mark.parametrize("path", ["//[", "/%ff%00?token", "?", "", "/?%", "http://[x/?token=a"])
+def test_a_path_without_sense_does_no_harm(path: str) -> None:
+    for upgrade in (True, False):
+        AdmissionPolicy(LOCKED).check(request_for(path, upgrade=upgrade))
+
+
+def is_host(hosts: AllowedHosts, text: str) -> bool:
+    host = read_authority(text)
+    assert host is not None
+    return hosts.has(host)
+
+
+@pytest.mark.parametrize(
+    ("text", "is_ours"),
+    [
+        ("localhost:9090", True),
+        ("LOCALHOST", True),
+        ("localhost.", True),
+        ("127.0.0.1:9090", True),
+        ("[::1]:9090", True),
+        ("192.168.0.2", True),
+        # Browsers take it for the address, too, and ask nobody.
+        ("127.0.0.1.", True),
+        ("ROBOT.lab:9090", True),
+        ("robot:9090", True),
+        ("robot.local", True),
+        ("evil.com:9090", False),
+        ("localhost.evil.com", False),
+        ("127.0.0.1.evil.com", False),
+        ("evil.local", False),
+        ("lab", False),
+    ],
+)
+def test_the_server_has_its_addresses_and_the_names_of_its_machine(text: str, is_ours: bool) -> None:
+    assert is_host(AllowedHosts(own=own_names("robot.lab")), text) is is_ours
+
+
+@pytest.mark.parametrize(
+    ("allowed", "text", "is_ours"),
+    [
+        ("arm.example.org", "arm.example.org:1234", True),
+        ("Arm.Example.Org", "arm.example.org", True),
+        ("arm.example.org:443", "arm.example.org:443", True),
+        ("arm.example.org:443", "arm.example.org:444", False),
+        ("arm.example.org:443", "arm.example.org", False),
+        ("*.example.org", "arm.example.org:9090", True),
+        ("*.example.org", "example.org.evil.com", False),
+        ("*", "evil.com", True),
+    ],
+)
+def test_further_names_are_allowed_by_pattern(allowed: str, text: str, is_ours: bool) -> None:
+    assert is_host(AllowedHosts([allowed]), text) is is_ours
+
+
+def test_a_machine_has_its_name_and_that_of_multicast_dns() -> None:
+    assert own_names("Robot.lab.example") == ("robot.lab.example", "robot", "robot.local")
+    assert own_names("robot") == ("robot", "robot", "robot.local")
+    assert own_names("") == ()
+    assert own_names()
+
+
+def is_allowed(origin: str, *allowed: str, host: str = "robot.lab:9090", encrypted: bool = False) -> bool:
+    authority = read_authority(host)
+    assert authority is not None
+    return AllowedOrigins(allowed).has(origin, authority, encrypted=encrypted)
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://localhost",
+        "http://localhost:3000",
+        "https://LOCALHOST:8443",
+        "http://127.0.0.1:8000",
+        "http://127.8.9.1",
+        "http://[::1]:5173",
+    ],
+)
+def test_pages_of_this_machine_may_connect_whatever_their_port(origin: str) -> None:
+    assert is_allowed(origin)
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.com",
+        "https://evil.com:9090",
+        "http://localhost.evil.com",
+        "http://127.0.0.1.evil.com",
+        "http://localhost@evil.com",
+        "http://evil.com#localhost",
+        "http://evil.com/localhost",
+        "http://localhost:3000/",
+        "http://localhost:3000/page",
+        "http://192.168.0.2",
+        "http://0.0.0.0:9090",
+        "null",
+        "file://",
+        "",
+        "localhost",
+        "//localhost",
+        "ftp://localhost",
+        "chrome-extension://localhost",
+        "http://localhost http://evil.com",
+    ],
+)
+def test_other_pages_may_not(origin: str) -> None:
+    assert not is_allowed(origin)
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "encrypted", "own"),
+    [
+        ("http://robot.lab:9090", "robot.lab:9090", False, True),
+        ("http://Robot.Lab:9090", "robot.lab.:9090", False, True),
+        ("http://robot.lab", "robot.lab:80", False, True),
+        ("http://robot.lab:80", "robot.lab", False, True),
+        ("https://robot.lab", "robot.lab:443", True, True),
+        ("http://[fd00::1]:9090", "[fd00:0::1]:9090", False, True),
+        ("http://robot.lab", "robot.lab:9090", False, False),
+        ("http://robot.lab:9091", "robot.lab:9090", False, False),
+        ("https://robot.lab:9090", "robot.lab:9090", False, False),
+        ("http://robot.lab:9090", "robot.lab:9090", True, False),
+        ("http://evil.com:9090", "robot.lab:9090", False, False),
+    ],
+)
+def test_the_servers_own_page_is_known_by_scheme_host_and_port(
+    origin: str, host: str, encrypted: bool, own: bool
+) -> None:
+    assert is_allowed(origin, host=host, encrypted=encrypted) is own
+
+
+@pytest.mark.parametrize(
+    ("allowed", "origin", "may"),
+    [
+        ("https://app.foxglove.dev", "https://app.foxglove.dev", True),
+        ("https://app.foxglove.dev/", "https://APP.foxglove.dev", True),
+        ("https://app.foxglove.dev", "http://app.foxglove.dev", False),
+        ("https://app.foxglove.dev", "https://app.foxglove.dev.evil.com", False),
+        ("https://*.lab.example", "https://a.lab.example", True),
+        ("https://*.lab.example", "https://lab.example", False),
+        ("null", "null", True),
+        ("http*", "null", False),
+        ("*", "null", True),
+        ("*", "http://evil.com", True),
+        ("file://", "file://", True),
+    ],
+)
+def test_further_pages_are_allowed_by_pattern(allowed: str, origin: str, may: bool) -> None:
+    assert is_allowed(origin, allowed) is may
+
+
+WITHOUT_TOKENS = Tokens({}, ANYONE)
+WITH_TOKEN = Tokens({"correct-horse-battery": Identity("admin", Role.ADMIN)}, None)
+EVERYWHERE = ["0.0.0.0"]
+
+
+@pytest.mark.parametrize("addresses", [["127.0.0.1"], ["127.0.0.1", "::1"], ["127.1.2.3"]])
+def test_what_only_this_machine_reaches_needs_nothing(addresses: list[str], caplog: pytest.LogCaptureFixture) -> None:
+    check_exposure("localhost", addresses, WITHOUT_TOKENS, insecure=False)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("addresses", [EVERYWHERE, ["::"], ["192.168.0.2"], ["127.0.0.1", "192.168.0.2"], ["fe80::1"]])
+def test_what_others_reach_needs_a_token_or_the_word(addresses: list[str]) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        check_exposure("robot", addresses, WITHOUT_TOKENS, insecure=False)
+    assert "ARMBRIDGE_ACCESS__TOKEN" in str(refused.value)
+    assert "--insecure" in str(refused.value)
+    assert addresses[-1] in str(refused.value)
+
+
+def test_with_tokens_it_is_served_without_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    check_exposure("0.0.0.0", EVERYWHERE, WITH_TOKEN, insecure=False)
+    assert not caplog.records
+
+
+def test_what_was_said_to_be_open_is_warned_of_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
+    for _ in range(2):
+        check_exposure("0.0.0.0", EVERYWHERE, WITHOUT_TOKENS, insecure=True)
+    assert caplog.text.count("INSECURE: whoever reaches 0.0.0.0 may connect without a token as admin") == 2
+
+
+def test_who_may_move_the_arm_without_a_token_needs_the_word_and_who_may_look_does_not(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    token = {"correct-horse-battery": Identity("admin", Role.ADMIN)}
+    check_exposure("robot", EVERYWHERE, Tokens(token, Identity("", Role.VIEW)), insecure=False)
+    assert not caplog.records
+    moving = Tokens(token, Identity("", Role.OPERATE))
+    check_exposure("robot", EVERYWHERE, moving, insecure=True)
+    assert "as operate" in caplog.text
+    with pytest.raises(ConfigurationError, match=r"access\.without_token: .* set it to view or none"):
+        check_exposure("robot", EVERYWHERE, moving, insecure=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "read"),
+    [
+        ("localhost", Authority("localhost")),
+        ("LocalHost:9090", Authority("localhost", 9090)),
+        ("robot.lab.", Authority("robot.lab")),
+        ("127.0.0.1:80", Authority("127.0.0.1", 80)),
+        ("[::1]", Authority("::1")),
+        ("[0:0:0:0:0:0:0:1]:9090", Authority("::1", 9090)),
+        ("[fe80::1%eth0]:9090", Authority("fe80::1", 9090)),
+        ("my_robot:9090", Authority("my_robot", 9090)),
+    ],
+)
+def test_a_host_is_read_with_its_port(text: str, read: Authority) -> None:
+    assert read_authority(text) == read
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        ":9090",
+        "localhost:",
+        "localhost:x",
+        "localhost:65536",
+        "localhost:9090:1",
+        "user@localhost",
+        "localhost:9090@evil.com",
+        "localhost/",
+        "localhost#evil.com",
+        "localhost\\evil.com",
+        "local host",
+        " localhost",
+        "localhost\n",
+        "::1",
+        "[::1",
+        "[127.0.0.1]",
+        "[::x]",
+        "localhost..",
+        ".",
+        "löcalhost",
+        "localhost,evil.com",
+        "a" * 256,
+    ],
+)
+def test_what_is_no_host_is_none(text: str) -> None:
+    assert read_authority(text) is None
+
+
+@pytest.mark.parametrize(
+    ("host", "is_ours"),
+    [
+        ("localhost", True),
+        ("127.0.0.1", True),
+        ("127.9.9.9", True),
+        ("[::1]", True),
+        ("localhost.evil.com", False),
+        ("127.0.0.1.evil.com", False),
+        ("0.0.0.0", False),
+        ("192.168.0.2", False),
+    ],
+)
+def test_only_this_machine_is_loopback(host: str, is_ours: bool) -> None:
+    authority = read_authority(host)
+    assert authority is not None
+    assert authority.is_loopback is is_ours
+
+
+def test_in_a_pattern_only_the_asterisk_is_special() -> None:
+    assert matches("https://a.lab", "https://*.lab")
+    assert matches("http://[2001:db8::1]", "http://[2001:db8::1]")
+    assert not matches("http://2", "http://[2001:db8::1]")
+    assert not matches("https://a.lab.evil.com", "https://*.lab")

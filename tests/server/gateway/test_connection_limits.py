@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import asyncio
+import socket
+from http import HTTPStatus
+
+import pytest
+from websockets.asyncio.client import connect
+
+from server.gateway import connection_limits
+from server.gateway.connection_limits import (
+    ANSWERS_PER_S,
+    BURST_TIME_S,
+    MAX_ANSWERED,
+    ConnectionLimiter,
+    ConnectionLimits,
+    ConnectionSlot,
+)
+from server.gateway.listener import Listener, ListenerSettings
+from tests.helpers.listener import TIMEOUT_S, exchange, listening, request, status
+
+HERE, THERE = "192.0.2.1", "192.0.2.2"
+MANY = 100_000
+
+
+def limits(clients: int = MANY, per_address: int = MANY, per_s: float = 1000.0) -> ConnectionLimiter:
+    return ConnectionLimiter(ConnectionLimits(clients, per_address, per_s))
+
+
+def acquire(limiter: ConnectionLimiter, address: str = HERE, now_s: float = 0.0) -> ConnectionSlot:
+    slot = limiter.acquire(address, now_s)
+    assert slot is not None
+    return slot
+
+
+def refusal(slot: ConnectionSlot) -> tuple[HTTPStatus, str]:
+    assert slot.rejection is not None
+    return slot.rejection.status, slot.rejection.sentence
+
+
+def test_five_hundred_idle_clients_of_one_address_fit_by_default() -> None:
+    limiter = ConnectionLimiter()
+    assert all(acquire(limiter).rejection is None for _ in range(500))
+
+
+def test_one_address_leaves_room_for_others_by_default() -> None:
+    limiter = ConnectionLimiter()
+    for number in range(1000):
+        limiter.acquire(HERE, float(number))
+    assert acquire(limiter, THERE).rejection is None
+
+
+def test_who_is_one_too_many_from_an_address_hears_the_limit_and_others_come_in() -> None:
+    limiter = limits(per_address=2)
+    acquire(limiter)
+    acquire(limiter)
+    assert refusal(acquire(limiter)) == (
+        HTTPStatus.TOO_MANY_REQUESTS,
+        "2 connections are open from this address, the limit is 2 (server.max_clients_per_address)",
+    )
+    assert acquire(limiter, THERE).rejection is None
+
+
+def test_who_is_one_too_many_in_all_hears_the_limit() -> None:
+    limiter = limits(clients=2)
+    acquire(limiter)
+    acquire(limiter, THERE)
+    assert refusal(acquire(limiter, "192.0.2.3")) == (
+        HTTPStatus.SERVICE_UNAVAILABLE,
+        "2 connections are open, the limit is 2 (server.max_clients)",
+    )
+
+
+def test_who_leaves_makes_room_once() -> None:
+    limiter = limits(clients=1)
+    slot = acquire(limiter)
+    slot.release()
+    slot.release()
+    assert limiter.open_count == 0
+    acquire(limiter)
+    assert acquire(limiter).rejection is not None
+
+
+def test_the_one_who_is_turned_away_takes_nobodys_place() -> None:
+    limiter = limits(clients=1)
+    inside = acquire(limiter)
+    acquire(limiter).release()
+    inside.release()
+    assert limiter.open_count == 0
+    assert acquire(limiter).rejection is None
+
+
+def test_an_address_may_come_so_often_in_the_long_run_and_others_are_not_held_up() -> None:
+    limiter = limits(per_s=10.0)
+    for _ in range(10 * BURST_TIME_S):
+        acquire(limiter).release()
+    assert refusal(acquire(limiter)) == (
+        HTTPStatus.TOO_MANY_REQUESTS,
+        "new connections come too often; the limit is 10 a second (server.connections_per_s)",
+    )
+    assert acquire(limiter, THERE).rejection is None
+    came = [acquire(limiter, now_s=1.0).rejection is None for _ in range(11)]
+    assert came.count(True) == 10
+
+
+def test_leaving_and_coming_again_does_not_reset_the_rate() -> None:
+    limiter = limits(per_s=1.0)
+    slots = [acquire(limiter) for _ in range(BURST_TIME_S)]
+    for slot in slots:
+        slot.release()
+    assert acquire(limiter).rejection is not None
+
+
+def test_a_flood_gets_a_few_answers_and_then_none() -> None:
+    limiter = limits(per_address=1)
+    acquire(limiter)
+    answered = [slot for _ in range(1000) if (slot := limiter.acquire(HERE, 0.0)) is not None]
+    assert len(answered) == ANSWERS_PER_S
+
+
+def test_only_so_many_answers_are_on_their_way() -> None:
+    limiter = limits(per_address=1)
+    acquire(limiter)
+    answered = [slot for second in range(100) if (slot := limiter.acquire(HERE, float(second))) is not None]
+    assert len(answered) == MAX_ANSWERED
+    assert limiter.rejected_count == 100
+    answered[0].release()
+    assert limiter.acquire(HERE, 200.0) is not None
+
+
+def test_addresses_that_have_gone_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_limits, "MAX_ABSENT", 3)
+    limiter = limits()
+    for number in range(10):
+        acquire(limiter, f"192.0.2.{number}").release()
+    assert len(limiter._absent) == 3
+    assert not limiter._present
+
+
+def test_a_flood_from_an_address_without_a_connection_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    limiter = limits(clients=1, per_s=1.0)
+    acquire(limiter, THERE)
+    for _ in range(BURST_TIME_S):
+        limiter.acquire(HERE, 0.0)
+    slot = limiter.acquire(HERE, 0.5)
+    assert slot is None or "too often" in refusal(slot)[1]
+    assert len(limiter._absent) == 1
+
+
+# Addresses of one machine, each with its own count.
+OTHER = ("127.0.0.2", 0)
+
+
+async def until_empty(listener: Listener) -> None:
+    async with asyncio.timeout(TIMEOUT_S):
+        while limiter_of(listener).open_count:
+            await asyncio.sleep(0.005)
+
+
+def limiter_of(listener: Listener) -> ConnectionLimiter:
+    return listener._limiter
+
+
+async def test_who_is_one_too_many_is_answered_and_comes_in_when_there_is_room() -> None:
+    async with listening(ListenerSettings(limits=ConnectionLimits(max_clients_per_address=2))) as listener:
+        url = f"ws://127.0.0.1:{listener.port}"
+        async with connect(url), connect(url):
+            answer = await exchange(listener.port, request("Upgrade: websocket"))
+            assert status(answer) == 429
+            assert "Retry-After: 5\r\n" in answer
+            assert "the limit is 2 (server.max_clients_per_address)" in answer
+            async with connect(url, local_addr=OTHER):
+                pass
+        await until_empty(listener)
+        async with connect(url):
+            pass
+
+
+async def test_a_connection_counts_before_it_asks_for_anything() -> None:
+    async with listening(ListenerSettings(limits=ConnectionLimits(max_clients=1))) as listener:
+        _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        async with asyncio.timeout(TIMEOUT_S):
+            while not limiter_of(listener).open_count:
+                await asyncio.sleep(0.005)
+        assert status(await exchange(listener.port, request())) == 503
+        writer.close()
+        await until_empty(listener)
+
+
+async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with listening(ListenerSettings(limits=ConnectionLimits(connections_per_s=5.0))) as listener:
+        # The kernel makes the connections, whatever the server does with them.
+        flood = [socket.create_connection(("127.0.0.1", listener.port)) for _ in range(300)]
+        async with connect(f"ws://127.0.0.1:{listener.port}", local_addr=OTHER) as client:
+            await asyncio.wait_for(await client.ping(), TIMEOUT_S)
+        # As many as may come at once, and a few seconds' worth more.
+        assert limiter_of(listener).open_count < 5 * BURST_TIME_S + 50
+        with pytest.raises(ConnectionResetError):
+            flood[-1].recv(1)
+        for each in flood:
+            each.close()
+        await until_empty(listener)
+    assert caplog.text.count("new connections come too often; the limit is 5 a second") == 1

@@ -1,0 +1,357 @@
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import json
+import logging
+from collections.abc import AsyncIterator
+from typing import NamedTuple
+
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import Frame, Opcode
+
+from protocol.publication import Frame as Payload
+from protocol.publication import Parcel
+from protocol.registry import Registry
+from server.gateway import listener as listener_module
+from server.gateway import transport
+from server.gateway.listener import KeepaliveSettings, Listener, ListenerSettings
+from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
+from server.graph.node import Node
+from server.graph.topics import Graph
+from tests.helpers.listener import TIMEOUT_S, UPGRADE, exchange, listening, request, status
+
+TALKER = Node("talker")
+
+
+class Link(NamedTuple):
+    """A real client, the server's end of its socket, and the graph behind it."""
+
+    client: ClientConnection
+    server: WebSocket
+    graph: Graph
+
+    async def subscribe(self) -> None:
+        await self.client.send(json.dumps({"op": "subscribe", "topic": "/t"}))
+        async with asyncio.timeout(TIMEOUT_S):
+            while not self.graph.subscribers("/t"):
+                await asyncio.sleep(0.005)
+
+    async def received(self, count: int) -> list[str]:
+        async with asyncio.timeout(TIMEOUT_S):
+            return [json.loads(await self.client.recv())["msg"]["data"] for _ in range(count)]
+
+
+@contextlib.asynccontextmanager
+async def linked() -> AsyncIterator[Link]:
+    graph = Graph(Registry.load())
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    listener = Listener(graph, "127.0.0.1", 0)
+    await listener.bind()
+    await listener.open()
+    try:
+        async with connect(f"ws://127.0.0.1:{listener.port}", compression=None) as client:
+            (websockets_server,) = listener._servers
+            (server,) = websockets_server.connections
+            assert isinstance(server, WebSocket)
+            yield Link(client, server, graph)
+    finally:
+        await listener.close()
+
+
+NUMBERS = [str(number) for number in range(1000)]
+
+
+@pytest.mark.parametrize("turn_s", [0.0, 0.0001, 60.0])
+async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
+    monkeypatch: pytest.MonkeyPatch, turn_s: float
+) -> None:
+    monkeypatch.setattr(transport, "TURN_S", turn_s)
+    async with linked() as link:
+        await link.subscribe()
+        frames = (json.dumps({"op": "publish", "topic": "/t", "msg": {"data": number}}) for number in NUMBERS)
+        link.client.transport.write(
+            b"".join(Frame(Opcode.TEXT, frame.encode()).serialize(mask=True) for frame in frames)
+        )
+        assert await link.received(1000) == NUMBERS
+
+
+async def test_what_comes_after_the_clients_turn_waits_and_is_not_overtaken(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = Frame(Opcode.TEXT, b"{}").serialize(mask=True)
+    async with linked() as link:
+        await link.subscribe()
+        carried_out: list[str | bytes] = []
+        link.server.start_delivery(carried_out.append)
+        for turn_s in (60.0, 0.0, 60.0):
+            monkeypatch.setattr(transport, "TURN_S", turn_s)
+            link.server.data_received(frame)
+        assert carried_out == ["{}"]
+        assert len(link.server.recv_messages.frames) == 2
+
+
+async def test_text_that_is_no_utf8_ends_the_connection_with_its_code() -> None:
+    async with linked() as link:
+        link.client.transport.write(Frame(Opcode.TEXT, b"\xff").serialize(mask=True))
+        with pytest.raises(ConnectionClosed):
+            await asyncio.wait_for(link.client.recv(), TIMEOUT_S)
+        assert link.client.close_code == 1007
+
+
+@pytest.mark.parametrize("burst_s", [-1.0, 0.0001, 60.0])
+async def test_what_leaves_in_one_turn_of_the_loop_arrives_in_order(
+    monkeypatch: pytest.MonkeyPatch, burst_s: float
+) -> None:
+    monkeypatch.setattr(transport, "BURST_S", burst_s)
+    async with linked() as link:
+        await link.subscribe()
+        for number in NUMBERS:
+            link.graph.publish(TALKER, "/t", {"data": number})
+        assert await link.received(1000) == NUMBERS
+
+
+async def test_in_one_turn_of_the_loop_no_more_is_taken_than_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "BURST_S", 60.0)
+    parcel = Parcel(Payload(b"x" * 1000, text=True))
+    async with linked() as link:
+        taken = 0
+        while taken < 1000 and link.server.send_at_once(parcel):
+            taken += 1
+        # The first one has left already, and the last one may go beyond.
+        assert WRITE_LIMIT_BYTES < taken * len(parcel.on_wire) <= WRITE_LIMIT_BYTES + 2 * len(parcel.on_wire)
+        await link.client.ping()
+        assert [len(await link.client.recv()) for _ in range(taken)] == [1000] * taken
+        assert link.server.send_at_once(parcel)
+
+
+async def test_a_connection_that_is_closed_takes_nothing() -> None:
+    async with linked() as link:
+        await link.client.close()
+        await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
+        assert not link.server.send_at_once(Parcel(Payload(b"{}", text=True)))
+
+
+def flood_of(count: int) -> bytes:
+    frames = (json.dumps({"op": "publish", "topic": "/t", "msg": {"data": str(number)}}) for number in range(count))
+    return b"".join(Frame(Opcode.TEXT, frame.encode()).serialize(mask=True) for frame in frames)
+
+
+async def test_of_a_flood_that_comes_at_once_only_a_turns_worth_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "TURN_S", 0.0)
+    async with linked() as link:
+        await link.subscribe()
+        # As if there were time for each message, so that no queue of them fills up first.
+        monkeypatch.setattr(WebSocket, "_may_go_first", lambda _websocket: True)
+        flood = flood_of(1000)
+        link.server.data_received(flood)
+        assert len(link.server._unread) == len(flood) - transport.PIECE_BYTES
+        async with asyncio.timeout(TIMEOUT_S):
+            while link.server._unread:
+                await asyncio.sleep(0)
+        assert await link.received(1000) == NUMBERS
+
+
+async def test_a_flood_is_carried_out_in_order_while_the_queue_fills_again_and_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(transport, "TURN_S", 0.0)
+    async with linked() as link:
+        await link.subscribe()
+        flood = flood_of(1000)
+        for begin in range(0, len(flood), 10_000):
+            link.server.data_received(flood[begin : begin + 10_000])
+        assert await link.received(1000) == NUMBERS
+        assert not link.server._unread
+
+
+async def test_a_large_message_is_not_read_in_small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    pieces: list[int] = []
+    read = transport.ServerConnection.data_received
+
+    def count(self: WebSocket, data: bytes) -> None:
+        pieces.append(len(data))
+        read(self, data)
+
+    async with linked() as link:
+        monkeypatch.setattr(transport, "TURN_S", 60.0)
+        monkeypatch.setattr(transport, "PIECE_BYTES", 2048)
+        monkeypatch.setattr(transport.ServerConnection, "data_received", count)
+        link.server.data_received(Frame(Opcode.TEXT, b"x" * 200_000).serialize(mask=True))
+    assert pieces[:4] == [transport.PIECE_BYTES * transport.GROWTH**number for number in range(4)]
+    assert len(pieces) < 8
+
+
+async def test_what_was_not_read_before_a_connection_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "TURN_S", 0.0)
+    async with linked() as link:
+        link.server.data_received(flood_of(1000))
+        link.server.transport.abort()
+        await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
+        await asyncio.sleep(0)
+        assert not link.server._unread
+
+
+async def test_a_connection_forgets_what_was_said_before_it_was_let_in() -> None:
+    async with linked() as link:
+        assert link.server.request is not None
+        assert not link.server.request.headers
+        assert link.server.response is None
+
+
+LOWEST_S = 0.1
+
+# FIN, RSV1 and text; masked by zeros.
+COMPRESSED_FRAME = b"\xc1\x84\x00\x00\x00\x00bomb"
+
+
+async def read_to_end(reader: asyncio.StreamReader) -> bytes:
+    async with asyncio.timeout(TIMEOUT_S):
+        try:
+            return await reader.read()
+        except ConnectionError:
+            return b""
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: localhost\r\n"], ids=["nothing", "half"])
+async def test_who_does_not_finish_its_request_is_let_go(sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
+    async with listening() as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(sent)
+        assert await read_to_end(reader) == b""
+        writer.close()
+
+
+async def test_who_sends_its_request_letter_by_letter_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
+    async with listening() as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        ended = asyncio.create_task(read_to_end(reader))
+        async with asyncio.timeout(TIMEOUT_S):
+            while not ended.done():
+                writer.write(b"x")
+                await asyncio.sleep(LOWEST_S / 10)
+        writer.close()
+
+
+async def test_who_is_in_stays_in_however_long_ago_it_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A handshake takes its time on a busy machine.
+    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", 0.5)
+    async with listening() as listener, connect(f"ws://127.0.0.1:{listener.port}") as client:
+        await asyncio.sleep(0.6)
+        await asyncio.wait_for(await client.ping(), TIMEOUT_S)
+
+
+@pytest.mark.parametrize(
+    ("sent", "answer"),
+    [
+        (request(f"X: {'x' * 10_000}"), 431),
+        (request(*(f"X-{number}: x" for number in range(200))), 431),
+        (request(path=f"/{'x' * 10_000}"), 414),
+        (request("Content-Length: 5"), 0),
+        (request("Transfer-Encoding: chunked"), 0),
+        (b"\x16\x03\x01 this is TLS\r\n\r\n", 0),
+        (b"\x00" * 100_000, 414),
+        (b"GET / HTTP/2\r\n\r\n", 0),
+        (request(host=None), 400),
+        (request(host="evil.com"), 421),
+        (request("Host: localhost"), 400),
+        (request(*UPGRADE, host="evil.com"), 421),
+        (request(*UPGRADE, "Origin: http://evil.com"), 403),
+        (request(*UPGRADE, "Origin: null"), 403),
+        (request(*UPGRADE, "Origin: http://localhost:3000"), 101),
+        (request(*UPGRADE), 101),
+        (request(*UPGRADE, path="/../../etc/passwd"), 101),
+        (request(path="/../../etc/passwd"), 404),
+    ],
+)
+async def test_a_request_is_answered_or_its_connection_ends_and_others_are_served(sent: bytes, answer: int) -> None:
+    async with listening() as listener, connect(f"ws://127.0.0.1:{listener.port}") as client:
+        assert status(await exchange(listener.port, sent)) == answer
+        await asyncio.wait_for(await client.ping(), TIMEOUT_S)
+
+
+async def test_compression_is_not_agreed_to_and_a_compressed_frame_ends_the_connection() -> None:
+    async with listening() as listener, connect(f"ws://127.0.0.1:{listener.port}") as client:
+        assert client.response is not None
+        assert client.request is not None
+        assert "permessage-deflate" in client.request.headers["Sec-WebSocket-Extensions"]
+        assert "Sec-WebSocket-Extensions" not in client.response.headers
+        client.transport.write(COMPRESSED_FRAME)
+        with pytest.raises(ConnectionClosed):
+            await asyncio.wait_for(client.recv(), TIMEOUT_S)
+        assert client.close_code == 1002
+
+
+async def test_a_client_whose_machine_is_gone_is_let_go(caplog: pytest.LogCaptureFixture) -> None:
+    async with listening(ListenerSettings(keepalive=KeepaliveSettings(LOWEST_S / 2, LOWEST_S / 2))) as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(request(*UPGRADE))
+        assert (await read_to_end(reader)).startswith(b"HTTP/1.1 101")
+        writer.close()
+        async with asyncio.timeout(TIMEOUT_S):
+            while "connection closed" not in caplog.text:
+                await asyncio.sleep(0.01)
+    assert "keepalive ping timeout" in caplog.text
+
+
+async def test_no_token_gets_into_the_log_whatever_its_level(caplog: pytest.LogCaptureFixture) -> None:
+    for name in ("", "websockets", "websockets.server"):
+        caplog.set_level(logging.DEBUG, name)
+    token = "correct-horse-battery"
+    async with listening() as listener:
+        url = f"ws://127.0.0.1:{listener.port}/?token={token}"
+        for sent in (request(*UPGRADE, f"Authorization: Bearer {token}"), request(path=f"/nothing?token={token}")):
+            assert await exchange(listener.port, sent)
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(request(*UPGRADE, path=f"/?token={token}"))
+        writer.write(Frame(Opcode.TEXT, f'{{"op": "auth", "token": "{token}"}}'.encode()).serialize(mask=True))
+        await reader.readuntil(b"\r\n\r\n")
+        writer.close()
+        assert url
+    ours = [record for record in caplog.records if not record.name.startswith("websockets.client")]
+    assert ours
+    assert not [record for record in ours if token in record.getMessage()]
+
+
+async def test_the_end_of_the_server_does_not_wait_for_those_who_have_asked_nothing_yet(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", 2 * TIMEOUT_S)
+    async with listening() as listener:
+        _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(b"GET / HTTP/1.1\r\n")
+        await asyncio.sleep(0.02)
+        await asyncio.wait_for(listener.close(), TIMEOUT_S)
+        writer.close()
+
+
+async def test_the_end_of_the_server_ends_a_client_that_does_not_listen() -> None:
+    async with listening() as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(request(*UPGRADE))
+        await reader.readuntil(b"\r\n\r\n")
+        await listener.close()
+        assert await read_to_end(reader)
+        writer.close()
+
+
+async def test_no_header_tells_which_program_serves() -> None:
+    async with listening() as listener:
+        for sent in (request(), request(*UPGRADE)):
+            assert "Server:" not in await exchange(listener.port, sent)
+
+
+async def test_who_keeps_its_end_open_after_an_answer_is_let_go_without_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", LOWEST_S)
+    async with listening() as listener:
+        _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(request(path="/nothing"))
+        await asyncio.sleep(3 * LOWEST_S)
+        gc.collect()
+        assert "never retrieved" not in caplog.text
+        writer.close()

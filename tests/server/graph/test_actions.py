@@ -1,0 +1,288 @@
+from __future__ import annotations
+
+from base64 import b64encode
+from typing import Any
+
+import pytest
+
+from protocol.errors import MessageError
+from protocol.registry import Registry
+from server.errors import GraphError
+from server.graph.actions import MAX_ACTIONS, MAX_GOAL_S, Actions, Goal, GoalStatus, Result
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
+from server.graph.services import Response, Services
+from tests.helpers.clock import FakeClock
+
+INTERFACES = Interfaces(Registry.load())
+DEFAULT = {"position": 0.0, "effort": 0.0, "stalled": False, "reached_goal": False}
+
+
+class Sent:
+    """A goal, and what its sender hears."""
+
+    def __init__(self) -> None:
+        self.feedback: list[dict[str, Any]] = []
+        self.results: list[Result] = []
+        self.goal = Goal(
+            "/grip", "control_msgs/action/GripperCommand", {}, INTERFACES, self.feedback.append, Node("a client")
+        )
+        self.goal.when_ended(self.results.append)
+
+
+@pytest.fixture
+def sent() -> Sent:
+    return Sent()
+
+
+def test_feedback_and_result_are_completed(sent: Sent) -> None:
+    sent.goal.feedback({"position": 1})
+    sent.goal.finish(GoalStatus.SUCCEEDED, {"reached_goal": True})
+    assert sent.feedback == [{**DEFAULT, "position": 1.0}]
+    assert sent.results == [Result(ok=True, status=4, values={**DEFAULT, "reached_goal": True})]
+
+
+def test_feedback_that_does_not_fit_is_an_error_to_the_provider_alone(sent: Sent) -> None:
+    with pytest.raises(MessageError, match="position"):
+        sent.goal.feedback({"position": "far"})
+    assert sent.feedback == []
+    assert not sent.goal.ended
+
+
+def test_a_result_that_does_not_fit_ends_the_goal_as_a_failure(sent: Sent) -> None:
+    with pytest.raises(MessageError, match="position"):
+        sent.goal.finish(GoalStatus.SUCCEEDED, {"position": "far"})
+    assert (sent.results[0].ok, sent.results[0].status) == (False, GoalStatus.ABORTED)
+
+
+def test_only_the_first_end_counts_and_nothing_is_heard_afterwards(sent: Sent) -> None:
+    sent.goal.fail("jammed")
+    sent.goal.finish(GoalStatus.SUCCEEDED, {})
+    sent.goal.feedback({})
+    assert sent.results == [Result(ok=False, status=6, values="jammed")]
+    assert sent.feedback == []
+
+
+def test_a_cancel_is_told_once_and_the_provider_says_how_it_ends(sent: Sent) -> None:
+    told: list[str] = []
+    sent.goal.when_canceled(lambda: told.append("cancel"))
+    sent.goal.cancel()
+    sent.goal.cancel()
+    assert told == ["cancel"]
+    assert not sent.goal.ended
+    sent.goal.finish(GoalStatus.CANCELED, {})
+    assert sent.results[0].status == 5
+
+
+def test_who_asks_late_is_told_of_a_cancel_at_once(sent: Sent) -> None:
+    told: list[str] = []
+    sent.goal.cancel()
+    sent.goal.when_canceled(lambda: told.append("cancel"))
+    assert told == ["cancel"]
+
+
+def test_a_goal_that_has_ended_cannot_be_cancelled(sent: Sent) -> None:
+    sent.goal.finish(GoalStatus.SUCCEEDED, {})
+    sent.goal.cancel()
+    assert not sent.goal.cancel_requested
+
+
+def test_a_sender_that_left_hears_no_feedback(sent: Sent) -> None:
+    sent.goal.forget_sender()
+    sent.goal.feedback({})
+    assert sent.feedback == []
+
+
+def test_every_goal_has_an_id_of_its_own() -> None:
+    assert len({Sent().goal.goal_id for _ in range(100)}) == 100
+
+
+REGISTRY = Registry.load()
+
+SERVER, SENDER = Node("server"), Node("sender", remote=True)
+GRIPPER = "control_msgs/GripperCommand"
+
+
+class World:
+    """Actions and services in a time of their own."""
+
+    def __init__(self) -> None:
+        self.clock = FakeClock()
+        interfaces = Interfaces(REGISTRY)
+        self.services = Services(interfaces, self.clock.call_later)
+        self.actions = Actions(interfaces, self.services, self.clock.call_later)
+        self.results: list[Result] = []
+        self.feedback: list[dict[str, Any]] = []
+
+    def offer(self, node: Node | None = None, name: str = "/grip") -> tuple[Node, list[Goal]]:
+        """A client, or another node, that takes goals and does nothing with them."""
+        node = node or Node("provider", remote=True)
+        goals: list[Goal] = []
+        self.actions.offer(node, name, GRIPPER, goals.append)
+        return node, goals
+
+    def send(self, name: str = "/grip", type_name: str = GRIPPER, arguments: object = None) -> Goal | None:
+        return self.actions.send_goal(SENDER, name, type_name, arguments, self.results.append, self.feedback.append)
+
+    def cancel_service(self, request: dict[str, Any]) -> Any:
+        responses: list[Response] = []
+        self.services.call(SENDER, "/grip/_action/cancel_goal", request, responses.append)
+        return responses[0].values
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def test_a_local_part_offers_an_action_as_a_client_does(world: World) -> None:
+    def start(goal: Goal) -> None:
+        goal.feedback({"position": goal.request["command"]["position"] / 2})
+        goal.finish(GoalStatus.SUCCEEDED, {"reached_goal": True})
+
+    world.actions.offer(SERVER, "/grip", GRIPPER, start)
+    world.send(arguments={"command": {"position": 1}})
+    assert world.feedback[0]["position"] == 0.5
+    assert (world.results[0].ok, world.results[0].status) == (True, 4)
+
+
+def test_a_local_part_may_end_a_goal_later_and_as_canceled(world: World) -> None:
+    _, goals = world.offer(SERVER)
+    goal = world.send()
+    assert goal is not None
+    goals[0].when_canceled(lambda: goals[0].finish(GoalStatus.CANCELED, {}))
+    assert world.results == []
+    goal.cancel()
+    assert world.results[0].status == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"name": "/nobody"}, "/nobody: does not exist"),
+        ({"type_name": "control_msgs/PointHead"}, "is of type control_msgs/action/GripperCommand"),
+        ({"type_name": "control_msgs/Nothing"}, "control_msgs/Nothing"),
+        ({"arguments": {"command": 5}}, "field command"),
+    ],
+)
+def test_a_goal_that_cannot_be_taken_on_fails_at_once(world: World, options: dict[str, Any], text: str) -> None:
+    _, goals = world.offer()
+    assert world.send(**options) is None
+    assert goals == []
+    assert (world.results[0].ok, world.results[0].status) == (False, 0)
+    assert text in world.results[0].values
+
+
+def test_goals_end_when_their_provider_leaves(world: World) -> None:
+    provider, _ = world.offer()
+    world.send()
+    world.actions.remove(provider)
+    assert not world.results[0].ok
+    assert world.clock.waiting == 0
+    assert world.actions.types() == {}
+    assert world.services.types() == {}
+
+
+def test_a_goal_of_a_sender_that_left_goes_on_unheard(world: World) -> None:
+    _, goals = world.offer()
+    world.send()
+    world.actions.remove(SENDER)
+    assert not goals[0].ended
+    goals[0].feedback({})
+    goals[0].finish(GoalStatus.SUCCEEDED, {})
+    assert world.results == []
+    assert world.feedback == []
+
+
+def test_no_goal_lasts_for_ever(world: World) -> None:
+    world.offer()
+    world.send()
+    world.clock.advance(MAX_GOAL_S)
+    assert not world.results[0].ok
+
+
+def test_a_goal_that_has_ended_leaves_nothing_behind(world: World) -> None:
+    _, goals = world.offer()
+    world.send()
+    goals[0].finish(GoalStatus.SUCCEEDED, {})
+    assert world.clock.waiting == 0
+    assert not world.actions._offers.get("/grip").goals
+
+
+def test_the_cancel_service_cancels_all_goals_and_lists_them(world: World) -> None:
+    _, goals = world.offer()
+    for _ in range(2):
+        world.send()
+    answer = world.cancel_service({})
+    assert all(goal.cancel_requested for goal in goals)
+    assert answer["return_code"] == 0
+    listed = [info["goal_id"]["uuid"] for info in answer["goals_canceling"]]
+    assert listed == [b64encode(goal.goal_id).decode() for goal in goals]
+
+
+def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:
+    _, goals = world.offer()
+    for _ in range(2):
+        world.send()
+    answer = world.cancel_service({"goal_info": {"goal_id": {"uuid": b64encode(goals[1].goal_id).decode()}}})
+    assert [goal.cancel_requested for goal in goals] == [False, True]
+    assert len(answer["goals_canceling"]) == 1
+
+
+def test_the_cancel_service_refuses_an_unknown_id(world: World) -> None:
+    world.offer()
+    assert world.cancel_service({"goal_info": {"goal_id": {"uuid": [7] * 16}}})["return_code"] == 2
+
+
+def test_a_client_takes_the_place_of_a_client_but_never_of_the_server(world: World) -> None:
+    world.offer()
+    world.send()
+    _, goals = world.offer()
+    assert not world.results[0].ok
+    world.send()
+    assert len(goals) == 1
+    world.offer(SERVER, "/mine")
+    with pytest.raises(GraphError, match=r"action /mine: is offered by the server itself"):
+        world.offer(None, "/mine")
+
+
+def test_types_can_be_looked_up(world: World) -> None:
+    world.offer()
+    assert world.actions.types() == {"/grip": "control_msgs/action/GripperCommand"}
+    assert world.actions.type_of("/grip") == "control_msgs/action/GripperCommand"
+    assert world.actions.type_of("/nobody") is None
+
+
+def test_a_type_that_is_no_actions_is_refused_and_leaves_no_trace(world: World) -> None:
+    with pytest.raises(GraphError, match=r"action /a: .*std_msgs/String"):
+        world.actions.offer(SERVER, "/a", "std_msgs/String", lambda _: None)
+    assert world.actions.types() == world.services.types() == {}
+
+
+def test_the_number_of_actions_is_bounded(world: World) -> None:
+    for number in range(MAX_ACTIONS):
+        world.offer(SERVER, f"/a{number}")
+    with pytest.raises(GraphError, match=str(MAX_ACTIONS)):
+        world.offer(SERVER, "/one_more")
+
+
+def test_goals_go_on_without_their_sender_unless_it_takes_them_along(world: World) -> None:
+    _, goals = world.offer()
+    world.send()
+    staying, leaving = SENDER, Node("leaving", remote=True, takes_goals_along=True)
+    world.actions.send_goal(leaving, "/grip", GRIPPER, None, world.results.append)
+    world.actions.remove(staying)
+    world.actions.remove(leaving)
+    assert [goal.cancel_requested for goal in goals] == [False, True]
+    assert world.results == []
+
+
+def test_a_bug_in_an_action_ends_the_goal_with_a_sentence(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    def start(_goal: Goal) -> None:
+        raise ValueError("broken")
+
+    world.actions.offer(SERVER, "/grip", GRIPPER, start)
+    world.send()
+    assert [(result.ok, result.status) for result in world.results] == [(False, GoalStatus.ABORTED)]
+    assert "broken" in world.results[0].values
+    assert "/grip" in caplog.text

@@ -1,0 +1,312 @@
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from protocol.errors import MessageError
+from protocol.registry import Registry
+from server.errors import GraphError, ServiceError
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
+from server.graph.services import (
+    DEFAULT_TIMEOUT_S,
+    LOCAL_TIMEOUT_S,
+    MAX_SERVICES,
+    MAX_TIMEOUT_S,
+    Call,
+    Response,
+    Services,
+    answer,
+)
+from tests.helpers.clock import FakeClock
+
+INTERFACES = Interfaces(Registry.load())
+
+
+@pytest.fixture
+def call() -> Call:
+    return Call("/switch", "std_srvs/srv/SetBool", {"data": True}, INTERFACES, Node("caller"))
+
+
+@pytest.fixture
+def responses(call: Call) -> list[Response]:
+    heard: list[Response] = []
+    call.when_ended(heard.append)
+    return heard
+
+
+def test_a_response_is_completed(call: Call, responses: list[Response]) -> None:
+    call.succeed({})
+    assert responses == [Response(ok=True, values={"success": False, "message": ""})]
+
+
+def test_a_response_that_is_complete_is_told_as_it_is(call: Call, responses: list[Response]) -> None:
+    complete = {"success": True, "message": "done"}
+    call.succeed_as_it_is(complete)
+    assert responses[0].ok
+    assert responses[0].values is complete
+
+
+def test_a_response_that_does_not_fit_is_a_failure_to_the_caller_and_an_error_to_the_provider(
+    call: Call, responses: list[Response]
+) -> None:
+    with pytest.raises(MessageError):
+        call.succeed("done")
+    assert not responses[0].ok
+    assert "does not fit std_srvs/srv/SetBool" in responses[0].values
+
+
+def test_a_failure_carries_what_the_provider_gave(call: Call, responses: list[Response]) -> None:
+    call.fail({"reason": 7})
+    assert responses == [Response(ok=False, values={"reason": 7})]
+
+
+def test_a_function_gets_the_request(call: Call, responses: list[Response]) -> None:
+    answer(call, lambda request: {"success": request["data"]})
+    assert responses[0].values["success"] is True
+
+
+async def test_an_awaited_service_error_is_a_failure(call: Call, responses: list[Response]) -> None:
+    async def switch(_request: dict[str, Any]) -> dict[str, Any]:
+        await asyncio.sleep(0)
+        raise ServiceError("no power")
+
+    answer(call, switch)
+    for _ in range(3):
+        await asyncio.sleep(0)
+    assert responses == [Response(ok=False, values="no power")]
+
+
+REGISTRY = Registry.load()
+
+SERVER, CALLER = Node("server"), Node("caller", remote=True)
+SET_BOOL = "std_srvs/SetBool"
+ON = {"success": True, "message": "on"}
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture
+def services(clock: FakeClock) -> Services:
+    return Services(Interfaces(REGISTRY), clock.call_later)
+
+
+class Provider:
+    """A client that offers a service and answers when the test says so."""
+
+    def __init__(self, services: Services, name: str = "/switch") -> None:
+        self.node = Node("provider", remote=True)
+        self.calls: list[Call] = []
+        services.offer_calls(self.node, name, SET_BOOL, self.calls.append)
+
+
+def ask(services: Services, name: str = "/switch", caller: Node = CALLER, **options: Any) -> list[Response]:
+    """Call a service; what comes back lands in the list."""
+    responses: list[Response] = []
+    services.call(caller, name, options.pop("arguments", {}), responses.append, **options)
+    return responses
+
+
+# Services of local parts
+
+
+def test_a_function_answers_at_once_with_a_complete_request_and_response(services: Services) -> None:
+    services.offer(SERVER, "/switch", SET_BOOL, lambda request: {"success": not request["data"]})
+    assert ask(services) == [Response(ok=True, values={"success": True, "message": ""})]
+
+
+async def test_an_async_function_answers_when_it_is_done(services: Services) -> None:
+    go = asyncio.Event()
+
+    async def switch(request: dict[str, Any]) -> dict[str, Any]:
+        await go.wait()
+        return ON
+
+    services.offer(SERVER, "/switch", SET_BOOL, switch)
+    responses = ask(services)
+    await asyncio.sleep(0)
+    assert responses == []
+    go.set()
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert responses == [Response(ok=True, values=ON)]
+
+
+def test_a_service_error_is_the_callers_reason(services: Services) -> None:
+    def switch(_request: dict[str, Any]) -> dict[str, Any]:
+        raise ServiceError("no power")
+
+    services.offer(SERVER, "/switch", SET_BOOL, switch)
+    assert ask(services) == [Response(ok=False, values="no power")]
+
+
+@pytest.mark.parametrize("answer", [{"success": "yes"}, {"foo": 1}, "text"])
+def test_a_function_with_a_bug_fails_the_call_and_is_logged(
+    services: Services, answer: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    services.offer(SERVER, "/switch", SET_BOOL, lambda _: answer)
+    ((response,)) = ask(services)
+    assert not response.ok
+    assert "/switch" in caplog.text
+
+
+def test_a_function_that_raises_fails_the_call_and_is_logged(
+    services: Services, caplog: pytest.LogCaptureFixture
+) -> None:
+    services.offer(SERVER, "/switch", SET_BOOL, lambda _: 1 / 0)  # type: ignore[arg-type,return-value]
+    (response,) = ask(services)
+    assert response == Response(ok=False, values="Service /switch failed inside the server")
+    assert "ZeroDivisionError" in caplog.text
+
+
+async def test_a_function_that_takes_too_long_is_cancelled(services: Services, clock: FakeClock) -> None:
+    cancelled = asyncio.Event()
+
+    async def switch(_request: dict[str, Any]) -> dict[str, Any]:
+        try:
+            await asyncio.sleep(60.0)
+        except asyncio.CancelledError:
+            cancelled.set()
+            raise
+        return ON
+
+    services.offer(SERVER, "/switch", SET_BOOL, switch)
+    responses = ask(services)
+    await asyncio.sleep(0)
+    clock.advance(LOCAL_TIMEOUT_S)
+    assert not responses[0].ok
+    await asyncio.wait_for(cancelled.wait(), 1.0)
+
+
+# Services of clients
+
+
+def test_a_client_answers_and_its_response_is_completed(services: Services) -> None:
+    provider = Provider(services)
+    responses = ask(services, arguments=[True])
+    assert provider.calls[0].request == {"data": True}
+    provider.calls[0].succeed({"success": True})
+    assert responses == [Response(ok=True, values={"success": True, "message": ""})]
+
+
+def test_a_response_that_does_not_fit_fails_the_call_and_is_told_to_the_provider(services: Services) -> None:
+    provider = Provider(services)
+    responses = ask(services)
+    with pytest.raises(MessageError, match="success"):
+        provider.calls[0].succeed({"success": 5})
+    assert not responses[0].ok
+    assert "success" in responses[0].values
+
+
+def test_only_the_first_end_counts(services: Services) -> None:
+    provider = Provider(services)
+    responses = ask(services)
+    provider.calls[0].fail("first")
+    provider.calls[0].succeed(ON)
+    provider.calls[0].fail("third")
+    assert [response.values for response in responses] == ["first"]
+
+
+@pytest.mark.parametrize(
+    ("timeout_s", "bound_s"),
+    [(None, DEFAULT_TIMEOUT_S), (0.5, 0.5), (0.0, MAX_TIMEOUT_S), (1e9, MAX_TIMEOUT_S)],
+)
+def test_every_call_ends_in_time(services: Services, clock: FakeClock, timeout_s: float | None, bound_s: float) -> None:
+    Provider(services)
+    responses = ask(services, timeout_s=timeout_s)
+    clock.advance(bound_s * 0.99)
+    assert responses == []
+    clock.advance(bound_s * 0.02)
+    assert not responses[0].ok
+    assert f"did not answer in {bound_s:g} s" in responses[0].values
+
+
+def test_a_call_that_has_ended_leaves_nothing_behind(services: Services, clock: FakeClock) -> None:
+    provider = Provider(services)
+    ask(services)
+    provider.calls[0].succeed(ON)
+    assert clock.waiting == 0
+    assert not services._offers.get("/switch").calls
+
+
+def test_the_callers_of_a_provider_that_leaves_are_told_at_once(services: Services, clock: FakeClock) -> None:
+    provider = Provider(services)
+    first, second = ask(services), ask(services)
+    services.remove(provider.node)
+    assert [response.ok for response in (*first, *second)] == [False, False]
+    assert clock.waiting == 0
+    assert services.types() == {}
+
+
+def test_the_calls_of_a_caller_that_leaves_end_for_their_provider(services: Services, clock: FakeClock) -> None:
+    provider = Provider(services)
+    ask(services)
+    services.remove(CALLER)
+    assert provider.calls[0].ended
+    assert clock.waiting == 0
+
+
+# Names
+
+
+def test_an_unknown_service_fails_at_once_in_the_words_of_rosbridge(services: Services) -> None:
+    assert ask(services, "/nobody") == [Response(ok=False, values="Service /nobody does not exist")]
+
+
+def test_arguments_that_do_not_fit_fail_at_once_and_never_reach_the_provider(services: Services) -> None:
+    provider = Provider(services)
+    (response,) = ask(services, arguments={"data": 5})
+    assert "field data: wanted bool" in response.values
+    assert provider.calls == []
+
+
+def test_a_client_takes_the_place_of_a_client_whose_calls_then_fail(services: Services) -> None:
+    first = Provider(services)
+    responses = ask(services)
+    second = Provider(services)
+    assert not responses[0].ok
+    ask(services)
+    assert (len(first.calls), len(second.calls)) == (1, 1)
+    services.withdraw(first.node, "/switch")
+    assert services.provider("/switch") is second.node
+
+
+def test_no_client_takes_the_place_of_the_server(services: Services) -> None:
+    services.offer(SERVER, "/switch", SET_BOOL, lambda _: ON)
+    with pytest.raises(GraphError, match="service /switch: is offered by the server itself"):
+        Provider(services)
+    assert ask(services)[0].ok
+
+
+def test_types_and_providers_can_be_looked_up(services: Services) -> None:
+    provider = Provider(services)
+    assert services.types() == {"/switch": "std_srvs/srv/SetBool"}
+    assert services.type_of("/switch") == "std_srvs/srv/SetBool"
+    assert services.type_of("/nobody") is None
+    assert services.provider("/switch") is provider.node
+    assert services.provider("/nobody") is None
+
+
+@pytest.mark.parametrize("type_name", ["std_srvs/Nothing", "std_msgs/String", "rubbish"])
+def test_a_type_that_is_no_services_is_refused(services: Services, type_name: str) -> None:
+    with pytest.raises(GraphError, match=f"service /s: .*{type_name}"):
+        services.offer(SERVER, "/s", type_name, lambda _: {})
+
+
+def test_the_number_of_services_is_bounded(services: Services) -> None:
+    for number in range(MAX_SERVICES):
+        services.offer(SERVER, f"/s{number}", SET_BOOL, lambda _: ON)
+    with pytest.raises(GraphError, match=str(MAX_SERVICES)):
+        services.offer(SERVER, "/one_more", SET_BOOL, lambda _: ON)
+
+
+def test_a_call_says_what_dialect_its_caller_wants_to_be_told_in(services: Services) -> None:
+    provider = Provider(services)
+    ask(services)
+    ask(services, dialect="ros1")
+    assert [call.dialect for call in provider.calls] == ["ros2", "ros1"]

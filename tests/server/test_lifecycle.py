@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from server.errors import StartError
+from server.lifecycle import HURRIED_S, RESERVED_S, Step, allowance_s, stop_in_order, stop_signals, unless_ended
+
+pytestmark = pytest.mark.stepped_time
+
+TOTAL_S = 2.0
+
+
+def recorder(taken: list[str], name: str, takes_s: float = 0.0) -> Callable[[], Awaitable[None]]:
+    async def end() -> None:
+        taken.append(name)
+        await asyncio.sleep(takes_s)
+
+    return end
+
+
+async def test_steps_are_taken_one_after_the_other() -> None:
+    taken: list[str] = []
+    await stop_in_order([Step(name, recorder(taken, name), 1.0) for name in ("a", "b", "c")], TOTAL_S)
+    assert taken == ["a", "b", "c"]
+
+
+async def test_a_step_that_hangs_is_told_of_and_the_next_begun(caplog: pytest.LogCaptureFixture) -> None:
+    taken: list[str] = []
+    steps = [Step("goals", recorder(taken, "goals", 60.0), 0.02), Step("clients", recorder(taken, "clients"), 1.0)]
+    await asyncio.wait_for(stop_in_order(steps, TOTAL_S), 1.0)
+    assert taken == ["goals", "clients"]
+    assert "goals did not end within 0.0 s; going on" in caplog.text
+
+
+async def test_a_step_that_does_not_even_let_itself_be_cancelled_holds_nothing_up() -> None:
+    taken: list[str] = []
+    released = asyncio.Event()
+
+    async def stubborn() -> None:
+        while not released.is_set():
+            try:
+                await released.wait()
+            except asyncio.CancelledError:
+                taken.append("cancelled")
+
+    steps = [Step("stubborn", stubborn, 0.01), Step("next", recorder(taken, "next"), 1.0)]
+    await asyncio.wait_for(stop_in_order(steps, TOTAL_S), 1.0)
+    released.set()
+    assert taken == ["cancelled", "next"]
+
+
+async def test_a_step_that_fails_is_told_of_and_the_next_begun(caplog: pytest.LogCaptureFixture) -> None:
+    taken: list[str] = []
+
+    async def broken() -> None:
+        raise ValueError("no such thing")
+
+    await stop_in_order([Step("broken", broken, 1.0), Step("next", recorder(taken, "next"), 1.0)], TOTAL_S)
+    assert taken == ["next"]
+    assert "stopping: broken failed" in caplog.text
+
+
+async def test_a_hurry_leaves_each_step_little_time() -> None:
+    taken: list[str] = []
+    hurry = asyncio.Event()
+    steps = [Step(name, recorder(taken, name, 60.0), 30.0) for name in ("a", "b")]
+    loop = asyncio.get_running_loop()
+    loop.call_later(0.01, hurry.set)
+    await stop_in_order(steps, 60.0, hurry, loop.time)
+    assert taken == ["a", "b"]
+    assert loop.time() == pytest.approx(0.01 + 2 * HURRIED_S)
+
+
+@pytest.mark.parametrize(
+    ("deadline_s", "left_s", "after", "allowed_s"),
+    [
+        pytest.param(0.5, 2.0, 3, 0.5, id="its deadline"),
+        pytest.param(1.0, 0.8, 3, 0.5, id="what the later steps leave"),
+        pytest.param(1.0, -0.3, 0, RESERVED_S, id="its reserve when all is used up"),
+    ],
+)
+def test_a_step_gets_what_the_total_allows(deadline_s: float, left_s: float, after: int, allowed_s: float) -> None:
+    assert allowance_s(deadline_s, left_s, after) == pytest.approx(allowed_s)
+
+
+async def test_the_first_signal_ends_and_the_second_hurries() -> None:
+    ending, hurry = stop_signals()
+    os.kill(os.getpid(), signal.SIGTERM)
+    await asyncio.wait_for(ending.wait(), 1.0)
+    assert not hurry.is_set()
+    os.kill(os.getpid(), signal.SIGINT)
+    await asyncio.wait_for(hurry.wait(), 1.0)
+
+
+async def test_a_start_is_given_up_when_the_end_comes_before_it_is_done() -> None:
+    ending = asyncio.Event()
+    starting = asyncio.create_task(unless_ended(ending, asyncio.sleep(60.0)))
+    await asyncio.sleep(0)
+    ending.set()
+    assert not await asyncio.wait_for(starting, 1.0)
+
+
+async def test_a_start_that_is_done_in_time_is_told() -> None:
+    assert await unless_ended(asyncio.Event(), asyncio.sleep(0.0))
+
+
+async def test_a_start_that_fails_is_raised() -> None:
+    async def start() -> None:
+        raise StartError("port in use")
+
+    with pytest.raises(StartError):
+        await unless_ended(asyncio.Event(), start())

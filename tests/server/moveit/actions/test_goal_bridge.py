@@ -48,7 +48,7 @@ async def desk() -> AsyncIterator[Desk]:
     await made.close()
 
 
-async def test_a_goal_is_told_its_states_once_each_and_then_its_result(desk: Desk) -> None:
+async def test_a_goal_gets_each_state_once_and_then_its_result(desk: Desk) -> None:
     await desk.send(ACTION)
     for state in (GoalState.PLANNING, GoalState.EXECUTING, GoalState.EXECUTING):
         desk.report(Progress(state, ""))
@@ -58,7 +58,7 @@ async def test_a_goal_is_told_its_states_once_each_and_then_its_result(desk: Des
     assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(4, 1)]
 
 
-async def test_a_new_goal_takes_the_place_of_the_one_in_hand(desk: Desk) -> None:
+async def test_a_new_goal_preempts_the_current_one(desk: Desk) -> None:
     await desk.send(ACTION)
     await desk.send(ACTION)
     assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(5, -7)]
@@ -75,7 +75,7 @@ async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: Desk) -> No
     assert desk.results[0].values["error_code"]["message"] == "cancelled by a client of /move"
 
 
-async def test_a_refused_goal_is_answered_and_what_moves_goes_on(desk: Desk) -> None:
+async def test_a_rejected_goal_is_answered_and_the_motion_continues(desk: Desk) -> None:
     await desk.send(ACTION)
     failure = PlanningFailure(MoveItErrorCode.INVALID_GROUP_NAME, "no such group")
     desk.graph.actions.offer(Node("server"), "/other", TYPE, lambda goal: reject_goal(goal, desk.queue, failure, code))
@@ -98,7 +98,7 @@ DONE = Answer(
 )
 
 
-def test_a_result_tells_start_plan_way_and_time() -> None:
+def test_a_result_has_start_planned_and_executed_motion_and_time() -> None:
     result = message("moveit_msgs/action/MoveGroup_Result", **move_group_result(DONE, ROBOT))
     assert result["error_code"] == {"val": 1, "message": "there", "source": "armbridge"}
     assert result["trajectory_start"]["joint_state"]["name"] == ["shoulder_pan"]
@@ -107,7 +107,7 @@ def test_a_result_tells_start_plan_way_and_time() -> None:
     assert result["planning_time"] == 0.25
 
 
-def test_a_goal_for_which_nothing_was_done_has_a_complete_result_too() -> None:
+def test_a_goal_that_was_not_planned_has_a_complete_result() -> None:
     result = message(
         "moveit_msgs/action/MoveGroup_Result", **move_group_result(Answer(MoveItErrorCode.PREEMPTED, "no"), ROBOT)
     )

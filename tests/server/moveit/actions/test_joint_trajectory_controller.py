@@ -126,7 +126,7 @@ async def test_leaving_the_path_tolerance_ends_the_goal(desk: Desk) -> None:
     assert desk.codes == [(GoalStatus.ABORTED, FollowCode.PATH_TOLERANCE_VIOLATED)]
 
 
-async def test_a_trajectory_on_the_topic_is_played_in_place_of_what_moves(desk: Desk) -> None:
+async def test_a_trajectory_on_the_topic_preempts_the_current_motion(desk: Desk) -> None:
     await desk.send(ACTION, trajectory=TRAJECTORY)
     await desk.publish(**TRAJECTORY)
     assert len(desk.asked) == 2
@@ -140,7 +140,7 @@ async def test_an_empty_trajectory_on_the_topic_stops_the_arm(desk: Desk) -> Non
     assert "stopped by an empty trajectory" in desk.results[0].values["error_string"]
 
 
-async def test_a_wrong_trajectory_on_the_topic_is_told_and_disturbs_nothing(desk: Desk) -> None:
+async def test_a_bad_trajectory_on_the_topic_is_rejected_and_the_motion_continues(desk: Desk) -> None:
     await desk.send(ACTION, trajectory=TRAJECTORY)
     await desk.publish(joint_names=["knee"], points=TRAJECTORY["points"])
     assert len(desk.asked) == 1
@@ -219,7 +219,7 @@ def test_a_slow_arm_has_all_of_the_goal_time_tolerance_by_its_own_clock() -> Non
     assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
 
 
-def test_feedback_tells_of_every_joint_while_the_arm_moves() -> None:
+def test_feedback_has_every_joint_while_the_arm_moves() -> None:
     followed = Followed()
     assert followed.goal.feedback(at(0.2, 0.3)) is None
     followed.goal.take_progress(MOVING)
@@ -297,7 +297,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("changes", TAKEN.values(), ids=TAKEN.keys())
-def test_what_other_controllers_reject_without_a_word_is_taken(changes: dict[str, Any]) -> None:
+def test_trajectories_that_other_controllers_reject_silently_are_accepted(changes: dict[str, Any]) -> None:
     assert refusal(**changes) is None
 
 
@@ -333,7 +333,7 @@ STATE = replace(PlayedArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_
 
 
 @pytest.mark.parametrize("name", ["state", "controller_state"])
-async def test_who_listens_hears_where_the_joints_should_be_and_are(name: str) -> None:
+async def test_subscribers_get_reference_and_feedback_of_the_joints(name: str) -> None:
     graph = Graph(Registry.load())
     told = ControllerStatePublisher(graph, GROUP)
     heard: list[Any] = []
@@ -358,7 +358,7 @@ def read(name: str, position_rad: float) -> object:
 
 
 @pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])
-def test_only_a_positive_tolerance_demands_anything(position_rad: float, demanded: dict[str, float]) -> None:
+def test_only_a_positive_tolerance_is_checked(position_rad: float, demanded: dict[str, float]) -> None:
     assert read("elbow_flex", position_rad) == demanded
 
 
@@ -370,7 +370,7 @@ def test_a_wrong_tolerance_is_refused_with_its_field(name: str, position_rad: fl
     assert word in refused.message
 
 
-def test_the_joint_that_is_too_far_away_is_named_with_its_numbers() -> None:
+def test_a_violation_names_the_joint_with_its_numbers() -> None:
     assert violation({"elbow_flex": 0.2}, STANDING, WANTED) == ""
     sentence = violation({"elbow_flex": 0.05}, STANDING, WANTED)
     assert sentence == "joint elbow_flex is 0.100 rad from where it should be (tolerance 0.05 rad)"

@@ -92,7 +92,7 @@ async def test_a_goal_is_carried_out_under_both_names(planning_desk: ActionDesk,
     assert codes(planning_desk) == [1]
 
 
-async def test_a_goal_that_cannot_be_asked_for_is_answered_while_another_moves(planning_desk: ActionDesk) -> None:
+async def test_a_bad_goal_is_answered_while_another_moves(planning_desk: ActionDesk) -> None:
     await planning_desk.send("/move_group", request=to(0.3))
     await planning_desk.send("/move_group", request={"group_name": "leg"})
     await planning_desk.send("/move_group", request=to(0.3), planning_options={"replan_delay": -1.0})
@@ -100,7 +100,7 @@ async def test_a_goal_that_cannot_be_asked_for_is_answered_while_another_moves(p
     assert len(planning_desk.asked) == 1
 
 
-async def test_a_plan_alone_does_not_disturb_what_moves(planning_desk: ActionDesk) -> None:
+async def test_a_plan_only_goal_does_not_disturb_the_motion(planning_desk: ActionDesk) -> None:
     await planning_desk.send("/move_group", request=to(0.3))
     await planning_desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
     assert codes(planning_desk) == [1]
@@ -177,20 +177,20 @@ async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn
     assert problem.start_rad == later_rad
 
 
-async def test_what_cannot_be_asked_for_is_refused_at_once(rig: ServiceRig) -> None:
+async def test_a_bad_request_is_rejected_at_once(rig: ServiceRig) -> None:
     failure = outcome(planned_motion, asked(rig, {**GOAL, "group_name": "leg"}), rig.context)
     assert isinstance(failure, PlanningFailure)
     assert failure.code is MoveItErrorCode.INVALID_GROUP_NAME
 
 
-async def test_a_start_state_is_ignored_and_told_when_the_arm_is_to_move(rig: ServiceRig) -> None:
+async def test_a_start_state_is_ignored_with_a_warning_if_the_arm_is_to_move(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
     motion = planned_motion(asked(rig, {**GOAL, "start_state": start}), rig.context)
     assert isinstance(motion, PlannedMotion)
     assert any("start_state is ignored" in warning for warning in motion.warnings)
 
 
-async def test_a_scene_difference_is_what_the_motion_is_planned_in(rig: ServiceRig) -> None:
+async def test_a_motion_is_planned_in_the_scene_with_the_diff(rig: ServiceRig) -> None:
     box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.1, 0.1, 0.1]}]}
     box["pose"] = {"position": {"x": 2.0}}
     diff = {"world": {"collision_objects": [box]}}
@@ -231,7 +231,7 @@ def options(**fields: Any) -> PlanningOptions:
     return read_planning_options(message("moveit_msgs/msg/PlanningOptions", **fields))
 
 
-def test_what_is_left_out_means_one_attempt_in_the_present_scene() -> None:
+def test_default_options_are_one_attempt_in_the_present_scene() -> None:
     assert options() == PlanningOptions(plan_only=False, attempts=1, delay_s=0.0, scene_diff=None, warnings=())
 
 
@@ -243,7 +243,7 @@ def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int
 
 
 @pytest.mark.parametrize("delay_s", [-1.0, 11.0, math.nan, math.inf])
-def test_a_delay_that_nobody_waits_for_is_refused_with_its_limit(delay_s: float) -> None:
+def test_a_delay_out_of_bounds_is_rejected_with_its_limit(delay_s: float) -> None:
     read = outcome(read_planning_options, message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
     assert isinstance(read, PlanningFailure)
     assert "replan_delay must be from 0 to 10 s" in read.message
@@ -256,7 +256,7 @@ def test_an_object_in_the_scene_diff_is_kept_as_a_difference() -> None:
     assert diff["world"]["collision_objects"][0]["id"] == "box"
 
 
-def test_looking_around_is_ignored_and_told() -> None:
+def test_look_around_is_ignored_with_a_warning() -> None:
     assert "look_around" in options(look_around=True).warnings[0]
 
 
@@ -295,7 +295,7 @@ async def test_a_trajectory_without_points_is_done_at_once(execution_desk: Actio
     assert execution_desk.asked == []
 
 
-async def test_a_wrong_trajectory_is_answered_and_what_moves_goes_on(execution_desk: ActionDesk) -> None:
+async def test_a_bad_trajectory_is_answered_and_the_motion_continues(execution_desk: ActionDesk) -> None:
     await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
     await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(9.0))
     assert [result.values["error_code"]["val"] for result in execution_desk.results] == [-2]
@@ -303,7 +303,7 @@ async def test_a_wrong_trajectory_is_answered_and_what_moves_goes_on(execution_d
     assert len(execution_desk.asked) == 1
 
 
-async def test_joints_of_another_kind_are_ignored_and_told(
+async def test_multi_dof_joints_are_ignored_with_a_warning(
     execution_desk: ActionDesk, caplog: pytest.LogCaptureFixture
 ) -> None:
     await execution_desk.send(EXECUTE_ACTION, trajectory={"multi_dof_joint_trajectory": {"points": [{}]}})

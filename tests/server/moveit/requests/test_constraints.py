@@ -127,7 +127,7 @@ def test_a_point_away_from_the_links_origin_with_an_orientation_holds_as_a_whole
     assert isinstance(asked, ConstraintGoal)
 
 
-def test_a_joint_outside_the_group_that_is_there_already_is_left_out_and_told() -> None:
+def test_a_joint_outside_the_group_at_its_goal_is_ignored_with_a_warning() -> None:
     reading = context()
     asked = goal({"joint_constraints": [joint("gripper", 0.0), joint("elbow_flex", 0.5)]}, reading=reading)
     assert asked == JointGoal({"elbow_flex": 0.5}, 0.01)
@@ -180,11 +180,11 @@ def test_an_unknown_link_in_a_goal_is_named(where: str) -> None:
     assert_refused(goal({where: bad[where]}), MoveItErrorCode.INVALID_LINK_NAME, "'hand'")
 
 
-def test_nothing_need_hold_on_the_way_when_nothing_is_said() -> None:
+def test_an_empty_message_has_no_path_constraints() -> None:
     assert on_the_way() == Constraints()
 
 
-def test_constraints_on_the_way_are_all_that_is_said() -> None:
+def test_path_constraints_are_read_in_full() -> None:
     held = on_the_way(
         joint_constraints=[joint("elbow_flex", 0.0, 0.5, 0.5)],
         position_constraints=[BALL],
@@ -239,14 +239,14 @@ def test_positions_are_within_the_limits_and_ranges_contain_them(position, above
     assert one.below_rad >= 0.0
 
 
-def test_a_position_beyond_the_limit_by_less_than_its_tolerance_goes_to_the_limit_and_is_told() -> None:
+def test_a_position_beyond_the_limit_within_its_tolerance_is_clamped_with_a_warning() -> None:
     reading = context()
     (one,) = read_joints(joint("elbow_flex", ELBOW.upper + 0.3, below=0.4), reading=reading)
     assert one.position_rad == ELBOW.upper
     assert "elbow_flex" in reading.warnings[0]
 
 
-def test_a_position_beyond_the_limit_by_a_hair_goes_to_the_limit() -> None:
+def test_a_position_slightly_beyond_the_limit_is_clamped() -> None:
     (one,) = read_joints(joint("elbow_flex", ELBOW.lower - 0.005))
     assert one.position_rad == ELBOW.lower
 
@@ -339,7 +339,7 @@ def test_an_orientation_with_three_free_axes_asks_for_nothing() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-4, 1e-3, DEFAULT_TOLERANCE_RAD])
-def test_what_clients_fill_in_by_themselves_is_a_wish_for_five_joints(tolerance: float) -> None:
+def test_default_tolerances_do_not_bind_five_joints(tolerance: float) -> None:
     assert not is_binding(read_orientation(turned(tolerance)).tolerance_rad, context())
 
 
@@ -404,7 +404,7 @@ def test_a_pose_without_a_shape_is_a_point_within_the_default_tolerance(primitiv
     assert one.within_m == 0.007
 
 
-def test_every_region_is_told() -> None:
+def test_every_region_is_read() -> None:
     both = read_region(region((SPHERE, [0.01]), (SPHERE, [0.02]), poses=[AT, point(0.2, 0.0, 0.2)]))
     assert [one.within_m for one in both] == [0.01, 0.02]
 

@@ -24,17 +24,17 @@ def test_a_failure_keeps_its_code_and_its_sentence(code: MoveItErrorCode) -> Non
     assert told == {"val": int(code), "message": "so it is", "source": "armbridge"}
 
 
-def test_a_success_tells_what_the_caller_should_know_all_the_same() -> None:
+def test_a_success_has_its_notes_as_message() -> None:
     assert success("a", "", "b") == error_code(MoveItErrorCode.SUCCESS, "a; b")
 
 
-def test_a_deviation_is_told_in_millimetres_and_degrees() -> None:
+def test_a_deviation_is_described_in_millimetres_and_degrees() -> None:
     note = deviation_note(Deviation(position_m=0.0042, orientation_rad=0.5))
     assert "4.2 mm" in note
     assert "28.6 degrees" in note
 
 
-def test_a_deviation_below_what_the_arm_has_anyway_is_not_told() -> None:
+def test_a_deviation_within_the_arms_accuracy_is_not_described() -> None:
     assert not deviation_note(Deviation(position_m=0.0005, orientation_rad=0.005))
 
 
@@ -45,18 +45,18 @@ def halved(value: int) -> int:
     return value // 2
 
 
-def test_a_refusal_that_is_raised_comes_out_as_data() -> None:
+def test_a_raised_failure_is_returned() -> None:
     answer = halved(3)
     assert answer == PlanningFailure(
         MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "value must be even, not 3", {"value": 3}
     )
 
 
-def test_what_is_not_refused_comes_out_as_it_is() -> None:
+def test_a_value_is_returned_unchanged() -> None:
     assert halved(4) == 2
 
 
-def test_a_failure_where_something_is_required_is_raised() -> None:
+def test_a_failure_that_is_required_not_to_be_one_is_raised() -> None:
     failure = PlanningFailure(MoveItErrorCode.INVALID_LINK_NAME, "no such link")
     with pytest.raises(RefusedError) as raised:
         required(failure)

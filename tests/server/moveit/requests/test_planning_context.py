@@ -50,12 +50,12 @@ def test_a_whole_state_needs_no_present_one() -> None:
     assert start(HOME, current=None) == StartState(HOME)
 
 
-def test_joints_that_nobody_knows_are_named() -> None:
+def test_joints_without_a_known_position_are_named() -> None:
     assert_refused(start({"elbow_flex": 0.5}, current=None), MoveItErrorCode.ROBOT_STATE_STALE, "'shoulder_pan'")
 
 
 @given(st.floats(0.0, MAX_START_BOUNDS_ERROR_RAD, exclude_min=True), st.sampled_from([-1.0, 1.0]))
-def test_a_start_beyond_a_limit_by_a_hair_is_moved_to_it_and_told(beyond: float, side: float) -> None:
+def test_a_start_slightly_beyond_a_limit_is_clamped_with_a_warning(beyond: float, side: float) -> None:
     limit = ELBOW.upper if side > 0.0 else ELBOW.lower
     moved = start({"elbow_flex": limit + side * beyond * 0.999})
     assert isinstance(moved, StartState)
@@ -79,7 +79,7 @@ def test_an_unknown_joint_is_named_with_those_that_exist() -> None:
     assert_refused(start({"knee": 0.1}), MoveItErrorCode.INVALID_ROBOT_STATE, "'knee'", "elbow_flex")
 
 
-def test_a_fixed_joint_in_a_state_says_nothing() -> None:
+def test_a_fixed_joint_in_a_state_is_ignored() -> None:
     fixed = next(joint.name for joint in ROBOT.joints.values() if not joint.movable)
     assert start({fixed: 0.0}) == StartState(CURRENT)
 
@@ -104,17 +104,17 @@ def test_joints_of_many_dimensions_are_ignored_with_a_warning() -> None:
     assert "multi_dof_joint_state" in floating.warnings[0]
 
 
-def test_a_state_that_is_asked_about_may_be_beyond_its_limits() -> None:
+def test_a_queried_state_may_be_beyond_its_limits() -> None:
     asked = state_positions(state({"elbow_flex": 3.0}), CURRENT, ROBOT)
     assert asked == CURRENT | {"elbow_flex": 3.0}
 
 
-def test_a_whole_state_says_all_that_is_attached() -> None:
+def test_a_whole_state_lists_all_attached_objects() -> None:
     diff = attached_diff(state({"elbow_flex": 0.1}, is_diff=False))
     assert diff == {"is_diff": True, "robot_state": {"attached_collision_objects": [], "is_diff": False}}
 
 
-def test_a_diff_says_only_what_it_names() -> None:
+def test_a_diff_state_keeps_unlisted_attached_objects() -> None:
     held = {"link_name": "gripper_link", "object": {"id": "mug"}}
     diff = attached_diff(state({"elbow_flex": 0.1}, is_diff=True, attached_collision_objects=[held]))
     assert diff is not None
@@ -123,7 +123,7 @@ def test_a_diff_says_only_what_it_names() -> None:
 
 
 @pytest.mark.parametrize(("positions", "is_diff"), [({}, False), ({}, True), ({"elbow_flex": 0.1}, True)])
-def test_a_state_that_names_nothing_attached_changes_nothing_attached(positions, is_diff: bool) -> None:
+def test_a_state_without_attached_objects_changes_none(positions, is_diff: bool) -> None:
     assert attached_diff(state(positions, is_diff=is_diff)) is None
 
 
@@ -141,13 +141,13 @@ def test_a_request_without_a_start_begins_where_the_arm_is(rig: ServiceRig) -> N
     assert rig.context.start(state(), rig.client).start_rad == rig.arm.at_rad
 
 
-def test_what_a_client_assumes_counts_for_itself_alone(rig: ServiceRig) -> None:
+def test_an_assumed_state_counts_for_its_client_alone(rig: ServiceRig) -> None:
     rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7}
     assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
     assert rig.context.start(state(), Node("other")).start_rad == HOME
 
 
-def test_what_a_request_says_counts_before_what_its_client_assumes(rig: ServiceRig) -> None:
+def test_a_requests_state_overrides_the_assumed_one(rig: ServiceRig) -> None:
     rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7, "wrist_roll": 0.1}
     start = rig.context.start(state({"elbow_flex": 0.2}), rig.client).start_rad
     assert start == HOME | {"elbow_flex": 0.2, "wrist_roll": 0.1}
@@ -164,13 +164,13 @@ def test_the_scene_is_the_present_one_unless_something_is_attached(rig: ServiceR
     assert rig.context.start(state(HOME), rig.client).scene is rig.scene_state.scene
 
 
-def test_what_a_start_state_attaches_is_held_for_this_request_alone(rig: ServiceRig) -> None:
+def test_objects_attached_by_a_start_state_count_for_its_request_alone(rig: ServiceRig) -> None:
     scene = rig.context.start(state(is_diff=True, attached_collision_objects=[HELD]), rig.client).scene
     assert [held.object.name for held in scene.attached] == ["mug"]
     assert not rig.scene_state.scene.attached
 
 
-def test_a_whole_start_state_drops_what_it_does_not_name(rig: ServiceRig) -> None:
+def test_a_whole_start_state_detaches_unlisted_objects(rig: ServiceRig) -> None:
     diff = message("PlanningScene", is_diff=True, robot_state={"is_diff": True, "attached_collision_objects": [HELD]})
     rig.scene_state.apply_diff(diff, HOME)
     assert rig.context.start(state(), rig.client).scene.attached

@@ -54,7 +54,7 @@ def problem(**fields) -> PlanningProblem:
     return read.problem
 
 
-def test_a_request_that_says_nothing_but_its_goal_is_planned_by_the_parameters_at_full_speed() -> None:
+def test_a_request_with_only_a_goal_is_planned_by_the_parameters_at_full_speed() -> None:
     assert problem() == PlanningProblem(
         "arm",
         HOME,
@@ -67,7 +67,7 @@ def test_a_request_that_says_nothing_but_its_goal_is_planned_by_the_parameters_a
     )
 
 
-def test_what_a_request_says_counts() -> None:
+def test_fields_of_a_request_override_the_parameters() -> None:
     said = problem(
         group_name="arm",
         num_planning_attempts=7,
@@ -91,7 +91,7 @@ def test_a_senseless_scaling_is_refused(field: str, value: float) -> None:
     assert_refused(asked(**{field: value}), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, field, f"{value:g}")
 
 
-def test_a_scaling_above_one_is_full_speed_and_told() -> None:
+def test_a_scaling_above_one_is_full_speed_with_a_warning() -> None:
     read = asked(max_velocity_scaling_factor=1.5)
     assert isinstance(read, BuiltProblem)
     assert read.problem.velocity_scaling == 1.0
@@ -103,7 +103,7 @@ def test_time_and_attempts_below_zero_are_the_defaults(field: str, value: float)
     assert problem(**{field: value}) == problem()
 
 
-def test_time_and_attempts_are_bounded_and_that_is_told() -> None:
+def test_time_and_attempts_are_bounded_with_a_warning() -> None:
     read = asked(allowed_planning_time=1e6, num_planning_attempts=10_000)
     assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, PlanningProblem)
@@ -126,7 +126,7 @@ def test_an_unknown_pipeline_is_refused_with_those_that_exist() -> None:
     assert_refused(asked(pipeline_id="chomp"), MoveItErrorCode.FAILURE, "'chomp'", OMPL, PILZ)
 
 
-def test_an_unknown_planner_is_replaced_and_told() -> None:
+def test_an_unknown_planner_is_replaced_with_a_warning() -> None:
     read = asked(planner_id="CHOMP", parameters=MoveItParameters(planner_id="RRT"))
     assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, PlanningProblem)
@@ -139,7 +139,7 @@ def test_planners_are_known_in_moveits_spellings(spelled: str) -> None:
     assert problem(planner_id=spelled).planner_id == PLANNER_IDS[0]
 
 
-def test_the_workspace_says_nothing() -> None:
+def test_the_workspace_is_ignored() -> None:
     box = {"min_corner": {"x": math.nan, "y": 0.0, "z": 0.0}, "header": {"frame_id": "moon"}}
     assert asked(workspace_parameters=box) == asked()
 
@@ -152,7 +152,7 @@ IGNORED = {
 
 
 @pytest.mark.parametrize("field", IGNORED)
-def test_what_is_not_heeded_is_told(field: str) -> None:
+def test_ignored_fields_have_a_warning(field: str) -> None:
     read = asked(**{field: IGNORED[field]})
     assert isinstance(read, BuiltProblem)
     assert field in read.warnings[0]
@@ -174,7 +174,7 @@ def test_pilz_line_is_a_path_of_the_tip() -> None:
     assert isinstance(read.problem, CartesianProblem)
 
 
-def test_an_unknown_planner_of_pilz_is_point_to_point_and_told() -> None:
+def test_an_unknown_planner_of_pilz_is_point_to_point_with_a_warning() -> None:
     read = asked(pipeline_id=PILZ, planner_id="SPLINE")
     assert isinstance(read, BuiltProblem)
     assert isinstance(read.problem, PlanningProblem)
@@ -243,7 +243,7 @@ def test_a_joint_goal_is_where_it_brings_the_tip() -> None:
 
 
 @pytest.mark.parametrize(("asked", "kept"), [(0.0, None), (0.05, 0.05)])
-def test_the_speed_of_the_tip_is_bounded_when_that_is_asked(asked, kept) -> None:
+def test_the_speed_of_the_tip_is_bounded_on_request(asked, kept) -> None:
     assert path(tip_speed=asked).tip_speed_m_s == kept
 
 

@@ -218,7 +218,7 @@ REFUSED: dict[str, tuple[list[str], list[tuple[int, list[float]]], str]] = {
 
 
 @pytest.mark.parametrize(("names", "points", "words"), REFUSED.values(), ids=REFUSED.keys())
-def test_what_cannot_be_played_is_refused_before_it_disturbs_anything(
+def test_a_trajectory_that_cannot_be_played_is_rejected_before_it_replaces_a_motion(
     names: list[str], points: list[tuple[int, list[float]]], words: str
 ) -> None:
     refused = played_by_arm(names, *points)

@@ -47,7 +47,7 @@ def test_the_robots_own_matrix_sent_back_changes_nothing():
 
 
 @given(st.lists(st.booleans(), min_size=10, max_size=10))
-def test_a_matrix_comes_back_as_it_was_told(values):
+def test_a_matrix_is_written_as_it_was_read(values):
     names = ["a", "b", "c", "d", "e"]
     rows = [[False] * 5 for _ in names]
     pairs = [(i, j) for i in range(5) for j in range(i)]

@@ -34,11 +34,11 @@ RICH = collision_object(
 )
 
 
-def test_a_thing_comes_back_as_it_was_told():
+def test_an_object_is_written_as_it_was_read():
     assert read_collision_object(RICH, "base_link", "it").message == RICH
 
 
-def test_shapes_are_in_the_things_frame_in_moveits_order():
+def test_shapes_are_in_the_objects_frame_in_moveits_order():
     thing = read_collision_object(RICH, "base_link", "it")
     assert [type(shape) for shape, _ in thing.shapes] == [Box, Sphere, Plane]
     assert [at.position_m[0] for _, at in thing.shapes] == [0.1, 0.2, 0.0]
@@ -46,18 +46,18 @@ def test_shapes_are_in_the_things_frame_in_moveits_order():
     assert thing.subframes == {"hook": Pose((0.0, 0.4, 0.0))}
 
 
-def test_a_single_shape_lends_its_pose_to_a_thing_without_one():
+def test_an_object_without_a_pose_gets_that_of_its_single_shape():
     thing = read_collision_object(collision_object(**box("b"), primitive_poses=[pose(0.3)]), "", "it")
     assert thing.pose == Pose((0.3, 0.0, 0.0))
     assert thing.shapes[0][1] == Pose()
 
 
-def test_two_shapes_keep_their_poses_whatever_the_things_pose():
+def test_two_shapes_keep_their_poses_whatever_the_objects_pose():
     shapes = ((Sphere(1.0), Pose((1.0, 0.0, 0.0))), (Sphere(2.0), Pose()))
     assert with_object_pose(Pose(), shapes) == (Pose(), shapes)
 
 
-def test_shapes_without_poses_stand_where_the_thing_is():
+def test_shapes_without_poses_have_the_objects_pose():
     thing = read_collision_object(collision_object(id="two", primitives=[BALL, BALL], pose=pose(1.0)), "", "it")
     assert [at for _, at in thing.shapes] == [Pose(), Pose()]
     assert len(thing.message["primitive_poses"]) == 2
@@ -70,7 +70,7 @@ def test_a_quaternion_of_zeros_is_no_rotation_and_others_are_brought_to_length_o
     assert read_collision_object(long, "", "it").pose.orientation == (0.0, 0.0, 1.0, 0.0)
 
 
-def test_what_is_told_again_says_nothing_new_whatever_its_stamp():
+def test_a_repeated_message_equals_its_object_whatever_its_stamp():
     thing = read_collision_object(RICH, "base_link", "it")
     header = {"stamp": {"sec": 9, "nanosec": 9}, "frame_id": "base_link"}
     assert thing.equals_message({**RICH, "header": header})
@@ -80,7 +80,7 @@ def test_what_is_told_again_says_nothing_new_whatever_its_stamp():
 @pytest.mark.parametrize(
     ("at", "same"), [(RICH["pose"], True), (pose(1.0, 2.0, 3.0), False), (pose(turned=QUARTER), False)]
 )
-def test_a_thing_knows_the_pose_that_it_has(at, same):
+def test_an_object_compares_a_pose_with_its_own(at, same):
     assert read_collision_object(RICH, "base_link", "it").has_pose(at) is same
 
 
@@ -95,13 +95,13 @@ DIFFERENCES = {
 
 
 @pytest.mark.parametrize(("field", "value"), DIFFERENCES.items(), ids=DIFFERENCES.keys())
-def test_two_readings_are_the_same_unless_something_tells_them_apart(field, value):
+def test_two_objects_are_equal_unless_a_field_differs(field, value):
     thing = read_collision_object(RICH, "base_link", "it")
     assert thing.equals(read_collision_object(RICH, "base_link", "it"))
     assert not thing.equals(read_collision_object(collision_object(**{**RICH, field: value}), "base_link", "it"))
 
 
-def test_what_a_link_holds_is_the_same_unless_something_tells_it_apart():
+def test_two_attached_objects_are_equal_unless_a_field_differs():
     thing, posture = read_collision_object(RICH, "gripper_link", "it"), {}
     held = AttachedCollisionObject(thing, ("wrist_link",), posture, 0.25)
     assert held.equals(
@@ -111,7 +111,7 @@ def test_what_a_link_holds_is_the_same_unless_something_tells_it_apart():
     assert not any(held.equals(AttachedCollisionObject(thing, *other)) for other in others)
 
 
-def test_what_a_link_holds_comes_back_as_it_was_told():
+def test_an_attached_object_is_written_as_it_was_read():
     posture = message("trajectory_msgs/JointTrajectory", joint_names=["gripper"])
     held = AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
     told = held.message
@@ -154,7 +154,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
-def test_what_cannot_be_used_is_refused_by_object_and_field(fields, words):
+def test_a_bad_value_is_rejected_with_object_and_field(fields, words):
     with pytest.raises(RefusedError) as refusal:
         read_collision_object(collision_object(**{**box("odd one"), **fields}), "", "it")
     assert words in refusal.value.failure.message

@@ -39,7 +39,7 @@ class Files:
         self.state.apply_world(message("PlanningSceneWorld"), BENT)
 
 
-async def test_what_was_saved_is_loaded(tmp_path):
+async def test_a_saved_scene_is_loaded(tmp_path):
     files = Files(tmp_path)
     assert await files.call(SAVE, "kitchen.scene")
     before = files.state.contents.objects
@@ -48,7 +48,7 @@ async def test_what_was_saved_is_loaded(tmp_path):
     assert list(files.state.contents.objects) == list(before)
 
 
-async def test_what_the_file_does_not_name_stays(tmp_path):
+async def test_objects_that_the_file_does_not_name_stay(tmp_path):
     files = Files(tmp_path)
     assert await files.call(SAVE, "two.scene")
     other = Files(tmp_path)
@@ -82,7 +82,7 @@ def test_without_a_folder_there_are_no_files():
         file_within(None, "x")
 
 
-async def test_a_file_that_is_not_there_or_is_none_changes_nothing(tmp_path, caplog):
+async def test_a_missing_or_malformed_file_changes_nothing(tmp_path, caplog):
     files = Files(tmp_path)
     (tmp_path / "binary").write_bytes(b"\xff\xfe")
     (tmp_path / "text").write_text("nonsense")

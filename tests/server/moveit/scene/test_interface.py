@@ -88,7 +88,7 @@ def test_the_scene_has_moveits_names_and_types():
     scene.close()
 
 
-async def test_what_a_client_puts_in_the_way_is_in_the_way_until_it_takes_it_away(client: ArmClient) -> None:
+async def test_an_object_blocks_goals_until_it_is_removed(client: ArmClient) -> None:
     point = {"x": 0.3, "y": 0.1, "z": 0.05}
     block = box("block", at=pose(**point))
     assert (
@@ -131,7 +131,7 @@ def test_every_topic_changes_the_scene(topic, message):
 
 
 @pytest.mark.parametrize("topic", MESSAGES)
-def test_what_is_refused_is_told_to_the_log_by_its_topic(topic, caplog):
+def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
     graph, _ = opened()
     bad = {"id": "ghost", "operation": 1}
     messages = {
@@ -146,7 +146,7 @@ def test_what_is_refused_is_told_to_the_log_by_its_topic(topic, caplog):
     assert "'ghost'" in caplog.text
 
 
-def test_a_message_of_another_shape_is_told_to_the_log_as_well(caplog):
+def test_a_malformed_message_is_logged_as_well(caplog):
     graph, _ = opened()
     with caplog.at_level(logging.WARNING, "armbridge"), pytest.raises(MessageError):
         graph.publish(Node("client"), "/collision_object", {"id": 5})
@@ -191,7 +191,7 @@ def state_of(position_rad):
     return {"is_diff": True, "joint_state": {"name": list(JOINTS), "position": [position_rad] * len(JOINTS)}}
 
 
-def test_what_is_applied_is_there():
+def test_an_applied_scene_is_in_the_response():
     client = Client()
     assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
     (cup,) = client.another().get()["world"]["collision_objects"]
@@ -234,7 +234,7 @@ def test_moving_frames_are_where_the_client_assumes_the_arm():
     np.testing.assert_allclose(matrix_of(client.state.contents.objects["lid"].pose), expected, atol=1e-12)
 
 
-def test_with_a_refusal_nothing_is_assumed():
+def test_a_rejected_scene_assumes_nothing():
     client = Client()
     assert not client.apply(robot_state=state_of(0.5), world={"collision_objects": [{"id": "x"}]})
     assert client.joints() == pytest.approx(BENT)
@@ -247,7 +247,7 @@ def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
     assert client.state.contents.objects == {}
 
 
-def test_compas_fabs_way_to_take_a_thing_again_and_again_keeps_it_in_the_hand():
+def test_an_object_attached_again_as_by_compas_fab_stays_attached():
     """Put everything down, assume a state, move the thing to the hand, take it by its name alone."""
     client = Client()
     assert client.apply(world={"collision_objects": [box("tool")]})
@@ -305,7 +305,7 @@ def test_a_subscriber_gets_the_whole_scene_first():
     assert len(whole["robot_state"]["joint_state"]["name"]) == 6
 
 
-def test_a_change_is_told_as_a_difference():
+def test_a_change_is_published_as_a_diff():
     watched = Watched()
     watched.add("cup")
     watched.clock.advance(0.0)
@@ -313,7 +313,7 @@ def test_a_change_is_told_as_a_difference():
     assert (change["is_diff"], ids(change)) == (True, ["cup"])
 
 
-def test_changes_that_come_fast_are_told_together():
+def test_fast_changes_are_published_together():
     watched = Watched()
     for number in range(10):
         watched.add(str(number))
@@ -322,7 +322,7 @@ def test_changes_that_come_fast_are_told_together():
     assert [len(ids(change)) for change in watched.heard] == [1, 9]
 
 
-def test_who_comes_later_gets_the_whole_scene_as_it_is_then():
+def test_a_late_subscriber_gets_the_whole_present_scene():
     watched = Watched()
     watched.add("cup")
     watched.clock.advance(PERIOD_S)
@@ -330,7 +330,7 @@ def test_who_comes_later_gets_the_whole_scene_as_it_is_then():
     assert (whole["is_diff"], ids(whole)) == (False, ["table", "cup"])
 
 
-def test_a_change_that_is_taken_back_in_time_is_not_told():
+def test_a_change_that_is_reverted_in_time_is_not_published():
     watched = Watched()
     watched.add("cup")
     watched.clock.advance(0.0)
@@ -340,7 +340,7 @@ def test_a_change_that_is_taken_back_in_time_is_not_told():
     assert len(watched.heard) == 1
 
 
-def test_after_the_end_nothing_is_told():
+def test_nothing_is_published_after_the_end():
     watched = Watched()
     watched.add("cup")
     watched.monitored.close()
@@ -376,11 +376,11 @@ def told(components):
 
 
 @pytest.mark.parametrize("components", [0, *(1 << bit for bit in range(10)), 671, EVERYTHING])
-def test_every_field_is_there_whatever_is_asked_for(components):
+def test_every_field_is_present_whatever_components_are_requested(components):
     assert message("PlanningScene", **told(components)) == told(components)
 
 
-def test_asking_for_nothing_gets_everything():
+def test_a_request_for_no_component_gets_everything():
     assert told(0) == told(EVERYTHING)
 
 
@@ -396,20 +396,20 @@ FIELDS = {
 
 
 @pytest.mark.parametrize(("field", "component"), FIELDS.items())
-def test_a_field_is_told_when_it_is_asked_for_and_else_is_empty(field, component):
+def test_a_field_that_is_not_requested_is_empty(field, component):
     nothing = message("PlanningScene")
     assert told(component)[field] == told(0)[field] != nothing[field]
     assert told(EVERYTHING - component)[field] == nothing[field]
 
 
-def test_things_are_told_by_name_or_with_their_shapes():
+def test_objects_are_listed_by_name_or_with_their_shapes():
     (named,), (shaped,) = (told(c)["world"]["collision_objects"] for c in (WORLD_OBJECT_NAMES, WORLD_OBJECT_GEOMETRY))
     assert (named["id"], named["primitives"]) == ("rack", [])
     assert (shaped["id"], shaped["header"]["frame_id"], len(shaped["primitives"])) == ("rack", "base_link", 1)
     assert told(OCTOMAP)["world"]["collision_objects"] == []
 
 
-def test_the_state_is_told_with_or_without_what_is_held():
+def test_the_state_is_listed_with_or_without_attached_objects():
     assert told(ROBOT_STATE)["robot_state"] == STATE
     with_held = told(ROBOT_STATE_ATTACHED_OBJECTS)["robot_state"]
     assert with_held["joint_state"] == STATE["joint_state"]
@@ -417,13 +417,13 @@ def test_the_state_is_told_with_or_without_what_is_held():
     assert told(SCENE_SETTINGS)["robot_state"] == NO_STATE
 
 
-def test_a_scene_told_to_another_server_and_asked_there_is_the_same():
+def test_a_scene_applied_to_another_server_is_the_same_there():
     other = SceneState(ROBOT)
     other.apply_diff(message("PlanningScene", **told(EVERYTHING)), BENT)
     assert scene_message(other.contents, ROBOT, STATE, EVERYTHING) == told(EVERYTHING)
 
 
-def test_a_scene_sent_back_changes_nothing_be_it_as_a_difference_or_whole():
+def test_a_scene_sent_back_as_a_diff_or_whole_changes_nothing():
     state = full()
     contents, scene = state.contents, state.scene
     for is_diff in (True, False):
@@ -464,7 +464,7 @@ def after(changes):
 @example([TAKE], [PUT_DOWN, REMOVE_ALL])
 @examples(30)
 @given(st.lists(st.sampled_from(CHANGES), max_size=4), st.lists(st.sampled_from(CHANGES), max_size=4))
-def test_a_difference_makes_one_scene_of_another(first, then):
+def test_a_diff_turns_one_scene_into_another(first, then):
     follower, leader = after(first), after([*first, *then])
     sent = scene_diff(follower.contents, leader.contents, ROBOT)
     follower.apply_diff(message("PlanningScene", **sent), BENT)

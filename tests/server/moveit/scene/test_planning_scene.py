@@ -40,7 +40,7 @@ from tests.helpers.planning_scene import (
 CUP = collision_object(**box("cup", at=pose(0.3)))
 
 
-def test_a_draft_leaves_what_it_was_made_of_as_it_is():
+def test_a_draft_does_not_change_its_original():
     state = scene_state(CUP)
     before = state.contents
     changing = SceneDraft(before, draft().links)
@@ -50,7 +50,7 @@ def test_a_draft_leaves_what_it_was_made_of_as_it_is():
     assert before.colors == {}
 
 
-def test_a_thing_is_placed_by_the_frame_it_is_told_in():
+def test_an_object_is_transformed_from_its_frame():
     changing = draft(CUP)
     placed = changing.in_planning_frame(
         read_collision_object(collision_object(**box("lid", at=pose(0.0, 0.0, 0.1))), "cup", "it")
@@ -58,7 +58,7 @@ def test_a_thing_is_placed_by_the_frame_it_is_told_in():
     assert (placed.frame, placed.pose) == ("base_link", Pose((0.3, 0.0, 0.1)))
 
 
-def test_a_thing_in_a_frame_that_nobody_knows_is_refused_by_its_name():
+def test_an_object_in_an_unknown_frame_is_rejected_with_its_name():
     with pytest.raises(RefusedError) as refusal:
         draft().in_planning_frame(read_collision_object(collision_object(**box("lid")), "nowhere", "it"))
     failure = refusal.value.failure
@@ -82,7 +82,7 @@ def test_scenes_that_differ_for_planners_do_not_look_alike(part):
     assert not changing.contents().looks_same(contents)
 
 
-def test_what_is_forgotten_has_neither_colour_nor_entries():
+def test_a_forgotten_object_has_neither_colour_nor_entries():
     changing = draft(CUP)
     changing.colors["gripper_link"] = {}
     changing.forget("gripper_link")
@@ -90,7 +90,7 @@ def test_what_is_forgotten_has_neither_colour_nor_entries():
     assert "gripper_link" not in changing.allowed_collisions.names
 
 
-def test_beginning_anew_leaves_what_is_held():
+def test_clearing_keeps_attached_objects():
     changing = draft(CUP)
     changing.attached = {"cup": changing.objects["cup"]}
     changing.clear(changing.allowed_collisions)
@@ -121,12 +121,12 @@ def refusal(told):
     return refused.value.failure
 
 
-def test_a_difference_leaves_what_it_does_not_name():
+def test_a_diff_keeps_objects_that_it_does_not_name():
     changing = changed(diff(name="kitchen", world={"collision_objects": [box("new")]}))
     assert (list(changing.objects), changing.name) == (["cup", "new"], "kitchen")
 
 
-def test_a_whole_scene_takes_the_place_of_the_one_before():
+def test_a_whole_scene_replaces_the_one_before():
     changing = changed(
         diff(
             robot_state={"attached_collision_objects": [held("cup")]},
@@ -140,7 +140,7 @@ def test_a_whole_scene_takes_the_place_of_the_one_before():
     assert (changing.allowed_collisions, changing.padding_m, changing.colors) == (OF_ROBOT, {}, {})
 
 
-def test_a_whole_scene_whose_state_is_a_difference_leaves_what_is_held():
+def test_a_whole_scene_with_a_diff_state_keeps_attached_objects():
     changing = changed(
         diff(robot_state={"attached_collision_objects": [held("cup")]}),
         message("PlanningScene", robot_state={"is_diff": True}),
@@ -148,7 +148,7 @@ def test_a_whole_scene_whose_state_is_a_difference_leaves_what_is_held():
     assert list(changing.attached) == ["cup"]
 
 
-def test_what_is_held_changes_before_what_stands_around():
+def test_attached_objects_change_before_those_of_the_world():
     """A thing is put down and removed by one message."""
     told = diff(
         robot_state={"attached_collision_objects": [held("cup", operation=1)]},
@@ -167,24 +167,24 @@ def test_what_is_held_changes_before_what_stands_around():
         ({"is_diff": False, "attached_collision_objects": [held("pen", **box("pen"))]}, ["pen"]),
     ],
 )
-def test_a_state_that_is_no_difference_leaves_held_only_what_it_lists_unless_it_is_empty(state, still_held):
+def test_a_state_that_is_no_diff_detaches_unlisted_objects_unless_it_is_empty(state, still_held):
     take = diff(robot_state={"attached_collision_objects": [held("cup")]})
     assert list(changed(take, diff(robot_state=state)).attached) == still_held
 
 
-def test_fields_that_are_left_out_say_nothing_but_a_state_of_held_things_counts():
+def test_missing_fields_change_nothing_but_a_state_of_attached_objects_does():
     take = diff(robot_state={"attached_collision_objects": [held("cup")]})
     assert list(changed(take, {"is_diff": True}).attached) == ["cup"]
     emptied = {"is_diff": True, "robot_state": {"is_diff": False, "attached_collision_objects": []}}
     assert changed(take, emptied).attached == {}
 
 
-def test_a_matrix_takes_the_place_of_the_one_before_and_an_empty_one_says_nothing():
+def test_a_matrix_replaces_the_one_before_and_an_empty_one_is_ignored():
     changing = changed(diff(allowed_collision_matrix=ACM), diff())
     assert changing.allowed_collisions.names == ("a", "b")
 
 
-def test_padding_and_scale_are_kept_where_they_say_something():
+def test_padding_and_scale_are_kept_unless_they_are_the_default():
     padding = [{"link_name": link, "padding": value} for link, value in (("wrist_link", 0.01), ("base_link", 0.0))]
     scale = [{"link_name": link, "scale": value} for link, value in (("wrist_link", 1.1), ("base_link", 1.0))]
     changing = changed(diff(link_padding=padding, link_scale=scale))
@@ -193,13 +193,13 @@ def test_padding_and_scale_are_kept_where_they_say_something():
     assert changed(diff(link_padding=padding), back).padding_m == {}
 
 
-def test_frames_that_stand_still_are_kept_and_the_planning_frame_says_nothing():
+def test_fixed_frames_are_kept_and_the_planning_frame_is_ignored():
     wall = {"header": {"frame_id": "base_link"}, "child_frame_id": "/wall", "transform": {"translation": {"x": 2.0}}}
     root = {"header": {"frame_id": "base_link"}, "child_frame_id": "base_link"}
     assert changed(diff(fixed_frame_transforms=[wall, root])).fixed_frames == {"wall": Pose((2.0, 0.0, 0.0))}
 
 
-def test_an_octomap_without_data_is_let_pass():
+def test_an_octomap_without_data_is_accepted():
     empty = {"octomap": {"octomap": {"id": "OcTree", "resolution": 0.1}}}
     assert list(changed(diff(world=empty)).objects) == ["cup"]
 
@@ -262,7 +262,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("fields", "code", "words"), BAD.values(), ids=BAD.keys())
-def test_what_cannot_be_done_is_refused_by_its_field(fields, code, words):
+def test_a_bad_field_is_rejected_with_its_path(fields, code, words):
     failure = refusal(diff(**fields))
     assert failure.code is MoveItErrorCode(code)
     assert words in failure.message
@@ -286,7 +286,7 @@ def object_refusal(*messages):
     return refused.value.failure
 
 
-def test_add_puts_a_thing_where_its_frame_says():
+def test_add_transforms_an_object_from_its_frame():
     lid = after_objects(box("lid", at=pose(0.1), frame="cup")).objects["lid"]
     np.testing.assert_allclose(lid.pose.position_m, (0.3, 0.1, 0.0), atol=1e-12)
 
@@ -296,12 +296,12 @@ def test_add_in_the_frame_of_a_link_stays_where_the_link_is_now():
     np.testing.assert_allclose(matrix_of(thing.pose), FORWARD.transforms(BENT)["gripper_link"], atol=1e-12)
 
 
-def test_add_replaces_a_thing_of_the_same_name():
+def test_add_replaces_an_object_of_the_same_name():
     thing = after_objects({"id": "cup", "primitives": [BALL]}).objects["cup"]
     assert thing.shapes == ((Sphere(0.1), Pose()),)
 
 
-def test_add_of_what_is_known_keeps_the_thing_itself():
+def test_add_of_an_equal_object_keeps_the_present_one():
     before = draft(TURNED_CUP)
     known = before.objects["cup"]
     apply_collision_object(
@@ -320,7 +320,7 @@ def test_append_adds_shapes_where_the_message_has_them():
     )
 
 
-def test_append_in_the_things_own_pose_takes_poses_exactly_as_told():
+def test_append_with_the_objects_own_pose_does_not_round_poses():
     append = {**TURNED_CUP, "primitives": [BALL], "primitive_poses": [pose(0.1)], "operation": APPEND}
     thing = after_objects(append | {"subframe_names": ["rim"], "subframe_poses": [pose(0.2)]}).objects["cup"]
     assert thing.shapes[1][1] == Pose((0.1, 0.0, 0.0))
@@ -335,11 +335,11 @@ def test_append_keeps_moveits_order_of_kinds():
     assert told["primitives"][1]["type"] == 2
 
 
-def test_append_to_nothing_adds():
+def test_append_to_an_unknown_object_adds_it():
     assert "new" in after_objects(box("new", operation=APPEND)).objects
 
 
-def test_append_changes_the_type_only_when_it_tells_one():
+def test_append_changes_the_type_only_if_it_has_one():
     typed = {**TURNED_CUP, "type": {"key": "mug", "db": ""}}
     assert after_objects({**TURNED_CUP, "operation": APPEND}, before=(typed,)).objects["cup"].type["key"] == "mug"
     assert after_objects({**typed, "operation": APPEND}).objects["cup"].type["key"] == "mug"
@@ -351,45 +351,45 @@ def test_move_needs_no_shapes_and_keeps_all_but_the_pose():
     assert thing.shapes[0][0] == Box((0.05, 0.05, 0.05))
 
 
-def test_move_to_where_it_is_keeps_the_thing_itself():
+def test_move_to_the_same_pose_keeps_the_present_object():
     before = draft(TURNED_CUP)
     known = before.objects["cup"]
     apply_collision_object(before, collision_object(id="cup", pose=TURNED_CUP["pose"], operation=MOVE), "it")
     assert before.objects["cup"] is known
 
 
-def test_move_may_move_the_shapes_within_the_thing():
+def test_move_may_move_the_shapes_within_the_object():
     two = collision_object(id="two", primitives=[BALL, BALL], pose=pose(1.0))
     move = {"id": "two", "pose": pose(2.0), "primitive_poses": [pose(0.1), pose(0.2)], "operation": MOVE}
     thing = after_objects(move, before=(two,)).objects["two"]
     assert [at.position_m[0] for _, at in thing.shapes] == [0.1, 0.2]
 
 
-def test_move_by_the_pose_of_a_single_shape_moves_the_thing_as_when_it_was_added():
+def test_move_by_the_pose_of_a_single_shape_moves_the_object():
     thing = after_objects({"id": "cup", "primitive_poses": [pose(0.7)], "operation": MOVE}).objects["cup"]
     assert (thing.pose, thing.shapes[0][1]) == (Pose((0.7, 0.0, 0.0)), Pose())
 
 
-def test_remove_takes_a_thing_its_colour_and_its_entries():
+def test_remove_drops_an_object_its_colour_and_its_entries():
     changing = draft(TURNED_CUP)
     changing.colors["cup"] = {}
     apply_collision_object(changing, collision_object(id="cup", operation=REMOVE), "it")
     assert (changing.objects, changing.colors) == ({}, {})
 
 
-def test_remove_without_name_takes_everything():
+def test_remove_without_name_drops_everything():
     assert after_objects({"operation": REMOVE}, before=(TURNED_CUP, collision_object(**box("other")))).objects == {}
 
 
 @pytest.mark.parametrize("operation", [MOVE, REMOVE])
-def test_what_is_not_there_cannot_be_moved_or_removed(operation):
+def test_an_unknown_object_cannot_be_moved_or_removed(operation):
     failure = object_refusal({"id": "ghost", "operation": operation})
     assert failure.code is MoveItErrorCode.INVALID_OBJECT_NAME
     assert "'ghost'" in failure.message
 
 
 @pytest.mark.parametrize("operation", [ADD, APPEND])
-def test_a_thing_without_shapes_is_refused(operation):
+def test_an_object_without_shapes_is_rejected(operation):
     assert "'x' has no shape" in object_refusal({"id": "x", "operation": operation}).message
 
 
@@ -434,23 +434,23 @@ def new(name, *, at, frame, **fields):
     return held(name, **{**box(name, at=at, frame=frame), **fields})
 
 
-def test_add_by_name_alone_takes_the_thing_from_the_world_where_it_is():
+def test_attach_by_name_alone_takes_the_object_from_the_world():
     changing = after_attached(held("cup"))
     assert changing.objects == {}
     np.testing.assert_allclose(place_in_root(changing.attached["cup"])[:3, 3], (0.3, 0.0, 0.0), atol=1e-12)
 
 
-def test_add_with_shapes_in_the_links_frame_is_exactly_as_told():
+def test_attach_with_shapes_in_the_links_frame_does_not_round_poses():
     thing = after_attached(new("tool", at=pose(0.1), frame="gripper_link")).attached["tool"]
     assert (thing.link, thing.collision_object.pose) == ("gripper_link", Pose((0.1, 0.0, 0.0)))
 
 
-def test_add_with_shapes_in_another_frame_is_brought_into_the_links():
+def test_attach_with_shapes_in_another_frame_transforms_them():
     thing = after_attached(new("tool", at=pose(0.1), frame="cup")).attached["tool"]
     np.testing.assert_allclose(place_in_root(thing)[:3, 3], (0.4, 0.0, 0.0), atol=1e-12)
 
 
-def test_add_with_shapes_replaces_a_thing_of_the_world():
+def test_attach_with_shapes_replaces_an_object_of_the_world():
     changing = after_attached(held("cup", primitives=[BALL], header={"frame_id": "gripper_link"}))
     assert changing.objects == {}
     assert changing.attached["cup"].attached_object.object.shapes[0][0].radius_m == 0.1
@@ -464,7 +464,7 @@ def test_touch_links_weight_and_posture_are_kept():
 
 
 @pytest.mark.parametrize("touch_links", [("wrist_link",), ("wrist_link", "wrist_link")])
-def test_add_of_what_is_held_keeps_the_thing_itself(touch_links):
+def test_attach_of_an_equal_object_keeps_the_present_one(touch_links):
     told = new("tool", at=pose(0.1), frame="gripper_link") | {"touch_links": list(touch_links)}
     before = after_attached(told).contents()
     again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, None))
@@ -472,7 +472,7 @@ def test_add_of_what_is_held_keeps_the_thing_itself(touch_links):
     assert again.attached["tool"] is before.attached["tool"]
 
 
-def test_a_thing_that_is_put_down_and_taken_again_is_held_and_stands_nowhere():
+def test_an_object_detached_and_attached_again_is_not_in_the_world():
     before = after_attached(held("cup")).contents()
     again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, BENT))
     apply_attached_object(again, held("cup", operation=REMOVE), "it")
@@ -480,7 +480,7 @@ def test_a_thing_that_is_put_down_and_taken_again_is_held_and_stands_nowhere():
     assert (again.attached, again.objects) == (before.attached, {})
 
 
-def test_add_by_name_alone_hands_a_thing_from_link_to_link():
+def test_attach_by_name_alone_hands_an_object_from_link_to_link():
     changing = after_attached(held("cup"), held("cup", "wrist_link"))
     assert changing.attached["cup"].link == "wrist_link"
     np.testing.assert_allclose(place_in_root(changing.attached["cup"])[:3, 3], (0.3, 0.0, 0.0), atol=1e-12)
@@ -497,13 +497,13 @@ def test_append_adds_shapes_and_touch_links():
     assert thing.touch_links == ("lower_arm_link", "wrist_link")
 
 
-def test_remove_puts_a_thing_down_where_it_is_now():
+def test_detach_leaves_an_object_where_it_is_now():
     changing = after_attached(held("cup"), held("cup", "", operation=REMOVE))
     assert changing.attached == {}
     np.testing.assert_allclose(matrix_of(changing.objects["cup"].pose), matrix_of(Pose((0.3, 0.0, 0.0))), atol=1e-12)
 
 
-def test_remove_without_name_puts_down_all_that_the_link_holds():
+def test_detach_without_name_detaches_all_objects_of_the_link():
     both = (CUP, collision_object(**box("pen")))
     changing = after_attached(
         held("cup"), held("pen", "wrist_link"), held("", "wrist_link", operation=REMOVE), before=both
@@ -511,13 +511,13 @@ def test_remove_without_name_puts_down_all_that_the_link_holds():
     assert (list(changing.attached), list(changing.objects)) == (["cup"], ["pen"])
 
 
-def test_remove_without_name_and_link_puts_down_everything():
+def test_detach_without_name_and_link_detaches_everything():
     both = (CUP, collision_object(**box("pen")))
     changing = after_attached(held("cup"), held("pen", "wrist_link"), held("", "", operation=REMOVE), before=both)
     assert changing.attached == {}
 
 
-def test_remove_without_name_of_a_link_that_holds_nothing_is_no_error():
+def test_detach_without_name_from_a_link_without_objects_is_no_error():
     assert after_attached(held("", operation=REMOVE)).attached == {}
 
 

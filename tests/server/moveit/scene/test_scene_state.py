@@ -53,7 +53,7 @@ def test_every_change_that_planners_see_has_a_version_of_its_own():
     assert len(versions) == 5
 
 
-def test_what_is_said_again_changes_nothing():
+def test_a_repeated_message_changes_nothing():
     state = scene_state()
     state.apply_diff(ADDED, BENT)
     scene, contents = state.scene, state.contents
@@ -85,7 +85,7 @@ def test_one_bad_object_and_nothing_is_changed(names):
     assert (state.contents, state.scene) == (contents, scene)
 
 
-def test_what_would_be_is_told_and_not_done():
+def test_with_diff_does_not_change_the_scene():
     state = scene_state(box("cup"))
     scene = state.scene
     would_be = state.with_diff(diff(world={"collision_objects": [{"id": "cup", "operation": 1}]}), BENT)
@@ -97,7 +97,7 @@ def test_what_would_be_is_told_and_not_done():
     assert rejection(state.with_diff, diff(world={"collision_objects": [{"id": "x"}]}), BENT).details["object"] == "x"
 
 
-def test_the_world_alone_takes_the_place_of_the_one_before_and_leaves_what_is_held():
+def test_a_world_replaces_the_one_before_and_keeps_attached_objects():
     state = scene_state(box("cup"), box("pen"))
     state.apply_attached_object(held("cup"), BENT)
     state.apply_world(message("PlanningSceneWorld", collision_objects=[box("new")]), BENT)
@@ -155,12 +155,12 @@ def said(*states, told=None):
     return assumed.of(node)
 
 
-def test_nobody_has_assumed_anything_at_first():
+def test_a_client_assumes_nothing_at_first():
     assert said() is None
     assert said(state()) is None
 
 
-def test_what_is_stated_is_assumed_by_that_client_alone():
+def test_a_state_is_assumed_for_its_client_alone():
     assumed, one, other = AssumedStates(ROBOT), Node("one"), Node("other")
     assumed.assume(one, assumed.after(one, state(gripper=0.5)))
     assert (assumed.of(one), assumed.of(other)) == ({"gripper": 0.5}, None)
@@ -171,16 +171,16 @@ def test_a_difference_leaves_the_other_joints_and_a_whole_state_does_not():
     assert said(state(gripper=0.5), state(is_diff=False, wrist_roll=0.1)) == {"wrist_roll": 0.1}
 
 
-def test_what_was_told_says_nothing_when_it_is_sent_back():
+def test_a_state_sent_back_assumes_nothing():
     assert said(state(**BENT), told=BENT) is None
     assert said(state(gripper=0.5), state(gripper=0.5), told=BENT) == {"gripper": 0.5}
 
 
-def test_back_to_what_was_told_before_is_stated_after_something_else():
+def test_an_earlier_state_sent_after_another_is_assumed():
     assert said(state(gripper=0.5), state(gripper=BENT["gripper"]), told=BENT) == {"gripper": BENT["gripper"]}
 
 
-def test_what_is_not_assumed_is_as_measured():
+def test_joints_that_are_not_assumed_are_as_measured():
     assumed = AssumedStates(ROBOT)
     assert assumed.completed({"gripper": 0.5}, BENT) == {**BENT, "gripper": 0.5}
     assert assumed.completed(None, BENT) == BENT

@@ -99,7 +99,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("read", "message", "words"), BAD.values(), ids=BAD.keys())
-def test_what_is_no_shape_is_refused_by_its_field(read, message, words):
+def test_a_bad_shape_is_rejected_with_its_field(read, message, words):
     with pytest.raises(RefusedError) as refusal:
         read(message, "it")
     assert words in refusal.value.failure.message

@@ -184,7 +184,7 @@ def test_the_length_of_a_path_is_that_of_its_lines() -> None:
 
 @examples(50)
 @given(st.floats(0.0, 0.7))
-def test_what_is_left_has_the_length_that_is_wanted(along_m: float) -> None:
+def test_a_cut_path_has_the_length_to_keep(along_m: float) -> None:
     assert length_m(START, cut_lines(START, [ALONG_X, THEN_Y], along_m)) == pytest.approx(along_m, abs=1e-12)
 
 
@@ -258,7 +258,7 @@ def test_of_two_thresholds_the_stricter_counts() -> None:
     assert JumpThresholds(0.3, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == 0.3
 
 
-def test_the_first_jump_is_told_with_the_length_before_it() -> None:
+def test_the_first_jump_has_the_length_before_it() -> None:
     assert jump(EVEN, step_rad=0.01).along_m == 0.0
 
 

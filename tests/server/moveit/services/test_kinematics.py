@@ -109,7 +109,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("fields", "code", "words"), BAD.values(), ids=BAD.keys())
-async def test_what_has_no_solution_has_its_code_and_a_sentence(rig: ServiceRig, fields, code, words) -> None:
+async def test_a_pose_without_solution_has_its_code_and_message(rig: ServiceRig, fields, code, words) -> None:
     answer = await ik(rig, **fields)
     assert answer["error_code"]["val"] == code
     assert words in answer["error_code"]["message"]
@@ -133,7 +133,7 @@ async def test_parts_of_seconds_count_in_a_timeout(rig: ServiceRig, stamp, allow
     assert question.allowed_time_s == allowed_s
 
 
-async def test_the_time_of_who_names_none_can_be_set() -> None:
+async def test_the_default_timeout_can_be_set() -> None:
     rig = ServiceRig(parameters=MoveItParameters(kinematics_solver_timeout=0.125))
     await ik(rig)
     question = rig.pool.requests[-1]
@@ -148,13 +148,13 @@ def test_a_seed_is_brought_within_the_limits(positions_rad) -> None:
         assert ROBOT.joints[name].lower <= value <= ROBOT.joints[name].upper
 
 
-async def test_every_link_is_told_when_none_is_named(rig: ServiceRig) -> None:
+async def test_every_link_is_in_the_response_if_none_is_named(rig: ServiceRig) -> None:
     answer = await rig.call("/compute_fk")
     assert answer["fk_link_names"] == list(ROBOT.links)
     assert len(answer["pose_stamped"]) == len(ROBOT.links)
 
 
-async def test_poses_are_told_in_the_frame_that_is_asked_for(rig: ServiceRig) -> None:
+async def test_poses_are_in_the_requested_frame(rig: ServiceRig) -> None:
     answer = await rig.call("/compute_fk", header={"frame_id": TIP}, fk_link_names=[TIP])
     (told,) = answer["pose_stamped"]
     assert told["header"]["frame_id"] == TIP
@@ -196,7 +196,7 @@ async def test_a_free_state_is_valid(rig: ServiceRig) -> None:
     assert answer["contacts"] == answer["constraint_result"] == []
 
 
-async def test_contacts_are_told_with_bodies_depth_and_place(rig: ServiceRig) -> None:
+async def test_contacts_have_bodies_depth_and_position(rig: ServiceRig) -> None:
     answer = await check(rig, FOLDED)
     deepest = answer["contacts"][0]
     assert not answer["valid"]
@@ -212,7 +212,7 @@ async def test_contacts_are_shown(rig: ServiceRig) -> None:
     assert len(shown[-1]["markers"]) == 1 + len(answer["contacts"])
 
 
-async def test_things_are_told_from_links(rig: ServiceRig) -> None:
+async def test_objects_and_links_have_different_body_types(rig: ServiceRig) -> None:
     box = {"primitives": [{"type": 1, "dimensions": [0.1] * 3}], "primitive_poses": [point(0.39, 0.0, 0.22)]}
     scene = {"is_diff": True, "world": {"collision_objects": [{"id": "crate", **box}]}}
     rig.scene_state.apply_diff(rig.graph.interfaces.complete("moveit_msgs/msg/PlanningScene", scene), HOME)
@@ -252,6 +252,6 @@ async def test_each_constraint_has_its_result(rig: ServiceRig) -> None:
 @pytest.mark.parametrize(
     "fields", [{"group_name": "manipulator"}, {"constraints": {"joint_constraints": [joint("knee", 0.0)]}}]
 )
-async def test_what_cannot_be_asked_about_is_not_valid_and_the_log_says_why(rig, caplog, fields) -> None:
+async def test_a_rejected_state_is_not_valid_and_the_reason_is_logged(rig, caplog, fields) -> None:
     assert not (await check(rig, **fields))["valid"]
     assert any("/check_state_validity" in record.getMessage() for record in caplog.records)

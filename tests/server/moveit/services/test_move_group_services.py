@@ -27,7 +27,7 @@ def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
 
 
 @pytest.mark.parametrize("name", SERVICES)
-async def test_a_request_that_says_nothing_is_answered(rig: ServiceRig, name: str) -> None:
+async def test_an_empty_request_is_answered(rig: ServiceRig, name: str) -> None:
     ok, values = await rig.outcome(name)
     assert ok, values
 
@@ -100,7 +100,7 @@ async def test_a_goal_that_holds_already_is_a_motion_of_one_point(rig: ServiceRi
     assert len(points(response)) == 1
 
 
-async def test_what_was_changed_is_told_with_the_success(rig: ServiceRig) -> None:
+async def test_warnings_are_in_the_message_of_a_success(rig: ServiceRig) -> None:
     code = (await planned(rig, start_state=start_state({"elbow_flex": -1.72}), planner_id="CHOMP"))["error_code"]
     assert code["val"] == MoveItErrorCode.SUCCESS
     assert "elbow_flex" in code["message"]
@@ -151,7 +151,7 @@ UNPLANNABLE = {
 
 
 @pytest.mark.parametrize(("goals", "fields", "code", "words"), UNPLANNABLE.values(), ids=UNPLANNABLE.keys())
-async def test_what_cannot_be_planned_has_its_true_code_and_a_sentence(rig, goals, fields, code, words) -> None:
+async def test_a_failed_plan_has_its_code_and_message(rig, goals, fields, code, words) -> None:
     response = await planned(rig, *goals, **fields)
     assert response["error_code"]["val"] == code
     assert words in response["error_code"]["message"]
@@ -163,13 +163,13 @@ async def test_a_failure_is_in_the_log(rig: ServiceRig, caplog: pytest.LogCaptur
     assert any("INVALID_GROUP_NAME" in record.getMessage() for record in caplog.records)
 
 
-async def test_what_a_success_leaves_out_is_in_the_log(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
+async def test_the_message_of_a_success_is_logged(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "armbridge")
     await planned(rig, planner_id="CHOMP")
     assert any("'CHOMP'" in record.getMessage() for record in caplog.records)
 
 
-async def test_a_goal_in_a_thing_names_it_and_shows_the_contact(rig: ServiceRig) -> None:
+async def test_a_goal_in_collision_names_the_object_and_shows_the_contact(rig: ServiceRig) -> None:
     shown = rig.listen("/display_contacts", "visualization_msgs/MarkerArray")
     put(rig, thing((0.0, 0.35, 0.2)))
     code = (await planned(rig, {"position_constraints": [ball(0.0, 0.35, 0.2)]}))["error_code"]
@@ -199,7 +199,7 @@ async def test_a_plan_is_shown(rig: ServiceRig) -> None:
     assert shown[-1]["trajectory"][0]["joint_trajectory"]["points"] == points(response)
 
 
-async def test_whoever_listens_hears_what_the_planners_were_asked_and_answered(rig: ServiceRig) -> None:
+async def test_the_pipeline_state_has_request_and_response(rig: ServiceRig) -> None:
     heard = rig.listen("/pipeline_state", "moveit_msgs/PipelineState")
     await planned(rig, planner_id="RRT")
     assert heard[-1]["request"]["planner_id"] == "RRT"
@@ -226,7 +226,7 @@ async def test_each_motion_begins_where_the_one_before_ends(rig: ServiceRig) -> 
     assert [last for _, last in motions[:-1]] == [pytest.approx(first) for first, _ in motions[1:]]
 
 
-async def test_the_motions_before_the_one_that_fails_are_told_with_its_place(rig: ServiceRig) -> None:
+async def test_the_motions_before_a_failed_item_are_in_the_response(rig: ServiceRig) -> None:
     far = {"req": {"goal_constraints": [{"position_constraints": [ball(0.9, 0.0, 0.2)]}]}}
     response = await planned_sequence(rig, to(0.3), far)
     assert response["error_code"]["val"] == MoveItErrorCode.NO_IK_SOLUTION
@@ -246,14 +246,14 @@ async def params(rig: ServiceRig, **fields):
     return dict(zip(told["keys"], told["values"], strict=True))
 
 
-async def test_every_planner_is_told_under_its_pipeline(rig: ServiceRig) -> None:
+async def test_every_planner_is_listed_with_its_pipeline(rig: ServiceRig) -> None:
     told = (await rig.call("/query_planner_interface"))["planner_interfaces"]
     by_pipeline = {one["pipeline_id"]: one["planner_ids"] for one in told}
     assert by_pipeline["ompl"] == list(PLANNER_IDS)
     assert by_pipeline["pilz_industrial_motion_planner"] == ["PTP", "LIN", "CIRC"]
 
 
-async def test_what_is_set_is_told(rig: ServiceRig) -> None:
+async def test_parameters_that_were_set_are_returned(rig: ServiceRig) -> None:
     wanted = {"keys": ["num_planning_attempts", "range"], "values": ["3", "0.1"]}
     await rig.call("/set_planner_params", group="arm", params=wanted)
     told = await params(rig, group="arm")
@@ -277,13 +277,13 @@ BAD = {
 
 
 @pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
-async def test_what_cannot_be_set_fails_with_a_sentence(rig: ServiceRig, fields, words) -> None:
+async def test_a_bad_parameter_fails_with_a_message(rig: ServiceRig, fields, words) -> None:
     ok, said = await rig.outcome("/set_planner_params", **fields)
     assert not ok
     assert words in said
 
 
-async def test_what_failed_to_be_set_changed_nothing(rig: ServiceRig) -> None:
+async def test_a_bad_parameter_changes_nothing(rig: ServiceRig) -> None:
     before = await params(rig)
     await rig.outcome("/set_planner_params", params={"keys": ["range", "planner_id"], "values": ["1", "CHOMP"]})
     assert await params(rig) == before

@@ -67,7 +67,7 @@ def jog(names: list[str], velocities: list[float], **more: Any) -> Any:
     return message("control_msgs/JointJog", {"joint_names": names, "velocities": velocities, **more})
 
 
-def test_shares_of_a_stick_become_speeds() -> None:
+def test_unitless_commands_are_scaled_to_speeds() -> None:
     read = read_twist(twist({"x": 0.5}, angular={"z": -1.0}), UNITLESS)
     assert isinstance(read, TwistCommand)
     assert read.linear_m_s == pytest.approx((0.1, 0.0, 0.0))
@@ -75,7 +75,7 @@ def test_shares_of_a_stick_become_speeds() -> None:
     assert read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities({"elbow_flex": 0.25})
 
 
-def test_speeds_in_si_units_are_taken_as_they_are() -> None:
+def test_commands_in_speed_units_are_not_scaled() -> None:
     read = read_twist(twist({"x": 1.5}), SPEEDS)
     assert isinstance(read, TwistCommand)
     assert read.linear_m_s == (1.5, 0.0, 0.0)
@@ -129,12 +129,12 @@ def test_an_unknown_frame_is_refused_by_name() -> None:
         ),
     ],
 )
-def test_what_means_nothing_is_refused_with_field_and_value(read: object, said: str) -> None:
+def test_a_bad_command_is_rejected_with_field_and_value(read: object, said: str) -> None:
     assert isinstance(read, PlanningFailure)
     assert said in read.message
 
 
-def test_what_is_wanted_no_more_is_rest() -> None:
+def test_an_expired_command_becomes_a_halt() -> None:
     for command in (TipTwist((0.1, 0.0, 0.0)), JointVelocities({"elbow_flex": 0.1}), TipTarget(Pose())):
         assert halt_command(command).zero
     # A twist's rest keeps what it did not move.
@@ -197,7 +197,7 @@ def rig() -> Rig:
     return Rig()
 
 
-async def test_a_wish_takes_the_arm_in_hand_and_moves_its_joints(rig: Rig) -> None:
+async def test_a_command_starts_the_loop_and_moves_the_joints(rig: Rig) -> None:
     rig.session.set_command(NORTH)
     await rig.until_asked(2)
     assert rig.questions[0].command == TipTwist((0.1, 0.0, 0.0))
@@ -205,7 +205,7 @@ async def test_a_wish_takes_the_arm_in_hand_and_moves_its_joints(rig: Rig) -> No
     await rig.session.close()
 
 
-async def test_a_wish_holds_for_its_time_and_then_the_arm_is_let_go_of(rig: Rig) -> None:
+async def test_a_command_expires_and_then_the_arm_is_released(rig: Rig) -> None:
     rig.session.set_command(NORTH)
     await rig.until_let_go()
     wanted = [not question.command.zero for question in rig.questions]
@@ -215,21 +215,21 @@ async def test_a_wish_holds_for_its_time_and_then_the_arm_is_let_go_of(rig: Rig)
     assert not rig.interruptions
 
 
-async def test_a_release_before_the_arm_is_in_hand_moves_nothing(rig: Rig) -> None:
+async def test_a_release_before_the_loop_runs_moves_nothing(rig: Rig) -> None:
     rig.session.set_command(NORTH)
     rig.session.release()
     await rig.until_let_go()
     assert all(question.command.zero for question in rig.questions)
 
 
-async def test_the_next_wish_takes_the_arm_again(rig: Rig) -> None:
+async def test_the_next_command_starts_the_loop_again(rig: Rig) -> None:
     for streams in (1, 2):
         rig.session.set_command(NORTH)
         await rig.until_let_go()
         assert len(rig.arm.streams) == streams
 
 
-async def test_every_question_hands_on_the_last_answer(rig: Rig) -> None:
+async def test_every_question_has_velocity_and_anchor_of_the_last_answer(rig: Rig) -> None:
     rig.session.set_command(NORTH)
     await rig.until_asked(2)
     assert (rig.questions[0].velocity_rad_s, rig.questions[0].anchor) == ({}, None)
@@ -237,7 +237,7 @@ async def test_every_question_hands_on_the_last_answer(rig: Rig) -> None:
     await rig.session.close()
 
 
-async def test_what_was_kept_for_a_twist_is_not_kept_for_joints(rig: Rig) -> None:
+async def test_the_anchor_of_a_twist_is_not_used_for_joints(rig: Rig) -> None:
     rig.session.set_command(NORTH)
     await rig.until_asked(2)
     rig.session.set_command(JointVelocities({"elbow_flex": 0.2}))
@@ -247,7 +247,7 @@ async def test_what_was_kept_for_a_twist_is_not_kept_for_joints(rig: Rig) -> Non
     await rig.session.close()
 
 
-async def test_who_else_stops_the_arm_is_told_of(rig: Rig) -> None:
+async def test_a_stop_by_somebody_else_is_an_interruption(rig: Rig) -> None:
     rig.session.set_command(NORTH)
     await rig.until_asked(2)
     rig.arm.stop()
@@ -256,7 +256,7 @@ async def test_who_else_stops_the_arm_is_told_of(rig: Rig) -> None:
     assert rig.interruptions == ["steering was ended: stopped"]
 
 
-async def test_without_an_answer_the_arm_is_told_to_rest_and_why(rig: Rig) -> None:
+async def test_a_failure_of_the_planners_halts_the_arm_with_its_message(rig: Rig) -> None:
     rig.answer = lambda _question: PlanningFailure(MoveItErrorCode.CRASH, "the planner process ended")
     rig.session.set_command(NORTH)
     await rig.until_asked(2)
@@ -265,7 +265,7 @@ async def test_without_an_answer_the_arm_is_told_to_rest_and_why(rig: Rig) -> No
     await rig.session.close()
 
 
-async def test_a_frame_that_is_not_known_moves_nothing(rig: Rig) -> None:
+async def test_an_unknown_frame_moves_nothing(rig: Rig) -> None:
     rig.session.set_command(TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"))
     await rig.until_asked(3)
     assert all(question.command.zero for question in rig.questions)
@@ -273,7 +273,7 @@ async def test_a_frame_that_is_not_known_moves_nothing(rig: Rig) -> None:
     await rig.session.close()
 
 
-async def test_a_bug_lets_go_of_the_arm(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_bug_releases_the_arm(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     def broken(_question: ServoQuestion) -> ServoAnswer:
         raise AssertionError("broken")
 

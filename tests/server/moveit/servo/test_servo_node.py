@@ -88,7 +88,7 @@ async def rig() -> Any:
     await made.node.close()
 
 
-async def test_each_kind_of_command_steers_without_a_word_before(rig: Rig) -> None:
+async def test_each_type_of_command_is_followed_without_selecting_it(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, NORTH)
     await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]})
     await asyncio.sleep(0.03)
@@ -98,7 +98,7 @@ async def test_each_kind_of_command_steers_without_a_word_before(rig: Rig) -> No
     assert len(rig.arm.streams) == 1
 
 
-async def test_a_second_client_does_not_steer_and_does_not_disturb(rig: Rig) -> None:
+async def test_commands_of_a_second_client_are_ignored(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, NORTH)
     told = len([each for each in rig.heard if each["code"] == ServoStatus.INVALID])
     await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]}, rig.other)
@@ -115,7 +115,7 @@ async def test_when_the_first_client_leaves_the_second_may_steer(rig: Rig) -> No
     assert type(rig.asked[-1].command).__name__ == "JointVelocities"
 
 
-async def test_what_cannot_be_followed_is_told_on_the_status(rig: Rig) -> None:
+async def test_a_bad_command_is_published_on_the_status(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, {"twist": {"linear": {"x": 2.0}}})
     assert rig.heard[-1]["code"] == ServoStatus.INVALID
     assert "twist.linear.x" in rig.heard[-1]["message"]
@@ -189,7 +189,7 @@ class StatusRig:
         graph.subscribe(Node("client"), STATUS_TOPIC, type_name, subscriber)
 
 
-def test_code_and_words_are_told() -> None:
+def test_a_status_has_code_and_message() -> None:
     rig = StatusRig("moveit_msgs/ServoStatus")
     rig.topic.publish(ServoStatus.JOINT_BOUND, "elbow_flex at the limit")
     assert rig.heard == [{"code": 6, "message": "elbow_flex at the limit"}]
@@ -202,7 +202,7 @@ def test_humble_gets_its_own_numbers() -> None:
     assert [each["data"] for each in rig.heard] == [5, 4, 2]
 
 
-def test_a_refusal_is_logged_once_while_it_is_repeated(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_repeated_rejection_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     rig = StatusRig("moveit_msgs/ServoStatus")
     with caplog.at_level(logging.WARNING, "armbridge.servo"):
         for _ in range(10):
@@ -237,12 +237,12 @@ def gate_rig() -> GateRig:
     return GateRig()
 
 
-def test_the_first_command_needs_no_permission_and_the_kind_may_change(gate_rig: GateRig) -> None:
+def test_the_first_command_is_followed_and_the_type_may_change(gate_rig: GateRig) -> None:
     assert gate_rig.said(0.0) == ""
     assert gate_rig.said(0.1, kind=JOG) == ""
 
 
-def test_a_second_client_is_turned_away_by_the_name_of_the_first(gate_rig: GateRig) -> None:
+def test_a_second_client_is_rejected_with_the_name_of_the_first(gate_rig: GateRig) -> None:
     gate_rig.said(0.0)
     rejection = gate_rig.gate.rejection(OTHER, TWIST, 0.1)
     assert rejection is not None
@@ -250,21 +250,21 @@ def test_a_second_client_is_turned_away_by_the_name_of_the_first(gate_rig: GateR
     assert not rejection.from_owner
 
 
-def test_a_selected_kind_excludes_the_others_until_the_stick_is_let_go_of(gate_rig: GateRig) -> None:
+def test_a_selected_type_excludes_the_others_until_control_ends(gate_rig: GateRig) -> None:
     gate_rig.gate.select(TWIST)
     assert gate_rig.said(0.0) == ""
     assert "TWIST was selected" in gate_rig.said(0.1, kind=JOG)
     assert gate_rig.said(0.2 + OWNERSHIP_TIMEOUT_S, OTHER, JOG) == ""
 
 
-def test_a_pause_lets_nothing_through(gate_rig: GateRig) -> None:
+def test_a_pause_rejects_all_commands(gate_rig: GateRig) -> None:
     gate_rig.gate.paused = True
     assert "paused" in gate_rig.said(0.0)
     gate_rig.gate.paused = False
     assert gate_rig.said(0.1) == ""
 
 
-def test_after_an_interruption_a_stick_that_is_still_held_does_not_go_on(gate_rig: GateRig) -> None:
+def test_after_an_interruption_commands_are_rejected_until_a_pause_in_them(gate_rig: GateRig) -> None:
     gate_rig.said(0.0)
     gate_rig.gate.interrupt("stopped by /arm/stop")
     for step in range(1, 20):
@@ -279,12 +279,12 @@ def test_an_interruption_can_be_reset(gate_rig: GateRig) -> None:
     assert gate_rig.said(0.1) == ""
 
 
-def test_a_busy_arm_is_told(gate_rig: GateRig) -> None:
+def test_a_busy_arm_rejects_commands_with_its_reason(gate_rig: GateRig) -> None:
     gate_rig.busy = "goal 7 is worked on"
     assert gate_rig.said(0.0) == "goal 7 is worked on"
 
 
-def test_who_takes_it_first_keeps_it_while_it_steers() -> None:
+def test_the_first_client_keeps_control_while_it_sends_commands() -> None:
     ownership = Ownership(lambda _client: True)
     assert ownership.take(ONE, 0.0)
     assert not ownership.take(OTHER, 0.5)
@@ -292,14 +292,14 @@ def test_who_takes_it_first_keeps_it_while_it_steers() -> None:
     assert not ownership.take(OTHER, 1.8 * OWNERSHIP_TIMEOUT_S)
 
 
-def test_silence_sets_it_free() -> None:
+def test_control_ends_by_silence() -> None:
     ownership = Ownership(lambda _client: True)
     ownership.take(ONE, 0.0)
     assert ownership.take(OTHER, 1.1 * OWNERSHIP_TIMEOUT_S)
     assert ownership.owner(1.2 * OWNERSHIP_TIMEOUT_S) is OTHER
 
 
-def test_leaving_sets_it_free() -> None:
+def test_control_ends_when_the_client_leaves() -> None:
     present = {ONE, OTHER}
     ownership = Ownership(lambda client: client in present)
     ownership.take(ONE, 0.0)

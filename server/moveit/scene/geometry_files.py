@@ -65,7 +65,7 @@ def read_geometry(text: str, frame: str) -> list[dict[str, Any]]:
     lines = _Lines(text)
     lines.next("the scene's name")
     objects = []
-    while (line := lines.next(f"a thing or {END!r}")) != END:
+    while (line := lines.next(f"an object or {END!r}")) != END:
         if not line.startswith(OBJECT):
             raise lines.wrong(f"{OBJECT + 'ID'!r} or {END!r}")
         objects.append(_read_object(lines, line.removeprefix(OBJECT).strip(), frame))

@@ -512,7 +512,7 @@ def _apply_colors(draft: SceneDraft, messages: Sequence[Message]) -> None:
             raise invalid(f"object_colors[{i}].color of {entry['id']!r} is not finite: {entry['color']}")
         draft.colors[entry["id"]] = entry["color"]
     if len(draft.colors) > MAX_COLORS:
-        raise invalid(f"object_colors would name {len(draft.colors)} things, more than {MAX_COLORS}")
+        raise invalid(f"object_colors would name {len(draft.colors)} objects, more than {MAX_COLORS}")
 
 
 def _apply_fixed_frames(draft: SceneDraft, messages: Sequence[Message]) -> None:

@@ -90,9 +90,7 @@ async def _measure(rate_hz: int, file: Path | None) -> Cost:
     graph.advertise(talker, "/joint_states", "sensor_msgs/JointState")
     graph.subscribe(Node("listener"), "/joint_states", None, Subscriber(_encode))
     recorder = None if file is None else Recorder(graph, file)
-    if recorder is not None:
-        recorder.open()
-    # As the server does: the garbage collector skips objects that live as long as the process.
+    # As the server does it: what lives as long as the process is not looked at again.
     gc.collect()
     gc.freeze()
     cost = await _publish(graph, talker, rate_hz)

@@ -6,7 +6,8 @@ import asyncio
 import gc
 import logging
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Coroutine
+from typing import TYPE_CHECKING, Any
 
 import uvloop
 
@@ -21,21 +22,21 @@ from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates
 from server.config import RecordingSettings, Settings
-from server.diagnostics import Diagnostics
 from server.errors import StartError
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, page_is_built
 from server.gateway.listener import Listener, ListenerSettings
 from server.graph.topics import Graph
-from server.hangup import on_hangup
 from server.lifecycle import Step, stop_in_order, stop_signals, unless_ended
+from server.monitoring.diagnostics import Diagnostics
+from server.monitoring.monitor import Monitor
+from server.monitoring.ros_logging import Rosout, offer_level_services
+from server.monitoring.signals import on_debug_signal, on_hangup
+from server.monitoring.systemd import SystemdNotifier
 from server.moveit.face import MoveItFace
 from server.moveit.readiness import ARM_START_TIMEOUT_S
-from server.operations.operations import Operations
-from server.operations.service_manager import environment_manager
-from server.rosapi.api import RosApi
-from server.rosout import Rosout
+from server.rosapi import RosApi
 from server.timers import call_later
-from server.zenoh.joining import bridge_of
+from server.zenoh.bridge import bridge_of
 
 if TYPE_CHECKING:
     from server.recording.recorder import Recorder
@@ -80,12 +81,11 @@ class App:
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
-        self._operations = Operations(self._graph, environment_manager())
+        offer_level_services(self._graph)
+        self._monitor = Monitor(SystemdNotifier.from_environment())
         access = self._access = Access(settings.access)
         self._control = ControlServices(self._graph, access.lease, time.monotonic, call_later)
-        self._rosapi = RosApi(
-            self._graph, self._graph.services, self._graph.actions, registry, time.time, access.params
-        )
+        self._rosapi = RosApi(self._graph, params=access.params)
         self._rosout: Rosout | None = None
         self._recorder: Recorder | None = None
         self._joint_states = JointStates(self._graph)
@@ -98,7 +98,7 @@ class App:
             self._graph,
             settings.server.host,
             settings.server.port,
-            HttpHandler(description.robot, routes=self._operations.routes),
+            HttpHandler(description.robot, routes=self._monitor.routes),
             takes_goals_along=settings.goals.on_disconnect == "stop",
             settings=ListenerSettings.from_settings(settings.server, settings.access, access.tokens),
             access=access,
@@ -108,6 +108,7 @@ class App:
         self._pool = PlannerPool(description.robot, planning.workers, planning.memory_limit_bytes)
         self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
+        self._tasks: dict[str, asyncio.Task[None]] = {}
 
     async def run(self) -> None:
         """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
@@ -116,28 +117,28 @@ class App:
         """
         ending, hurry = stop_signals()
         on_hangup(self._listener.reload_certificate, ending.set)
+        on_debug_signal()
         try:
             if await unless_ended(ending, self._start()):
                 self._tell_start()
                 await ending.wait()
             log.info("stopping")
         finally:
-            self._operations.tell_stopping()
+            self._monitor.notify_stopping()
             await stop_in_order(self._steps_of_stop(), self._stop_total_s(), hurry)
-            self._operations.close()
+            await self._end_task("monitor")
+            self._monitor.close()
         log.info("stopped")
 
     def _tell_start(self) -> None:
-        self._operations.tell_started()
+        self._monitor.notify_started()
         log.info("%s", self._what_runs_where())
         if not page_is_built(PAGE_DIRECTORY):
             log.info("%s", HOW_TO_BUILD_PAGE)
 
     async def _start(self) -> None:
         self._rosout = Rosout(self._graph, asyncio.get_running_loop())
-        self._rosout.open()
-        self._operations.open()
-        self._rosapi.open()
+        self._run_task("monitor", self._monitor.run())
         self._recorder = open_recorder(self._settings.recording, self._graph, self._description.robot.name)
         # The port first: nothing else needs to start, and no arm to be switched on, when it is taken.
         await self._listener.bind()
@@ -145,10 +146,10 @@ class App:
         # want to be moved waits for the arm.
         await self._arm.launch()
         self._open_parts()
-        self._show_parts()
+        self._monitor_parts()
         await self._listener.open()
         if self._bridge is not None:
-            self._bridge.open()
+            self._run_task("zenoh", self._bridge.run())
         await self._pool.start()
         # What lives as long as the server need not be looked at by every collection. Nothing moves yet that could wait.
         gc.collect()
@@ -161,20 +162,20 @@ class App:
     def _open_parts(self) -> None:
         self._joint_states.open()
         self._arm_state.open()
-        self._diagnostics.open()
+        self._run_task("diagnostics", self._diagnostics.run())
         self._arm_state.take_state(self._arm.state)
         self._face.open(self._arm, self._pool)
         self._arm_services.open(self._arm, self._face.stop)
         self._arm_pace.open(self._arm)
         self._control.open(lambda: self._face.busy)
 
-    def _show_parts(self) -> None:
-        """Let operations tell of all that is open now."""
-        parts = self._operations.parts
-        parts.traffic, parts.arm, parts.planners = self._listener.traffic, self._arm, self._pool
-        parts.refused_connections = self._listener.refused_connections
-        parts.goal_tally, parts.queue = self._face.goal_tally, self._face.queue
-        parts.recorder, parts.zenoh = self._recorder, self._bridge
+    def _monitor_parts(self) -> None:
+        """Monitor all parts that are open now."""
+        sources = self._monitor.sources
+        sources.traffic, sources.arm, sources.planners = self._listener.traffic, self._arm, self._pool
+        sources.refused_connections = self._listener.refused_connections
+        sources.goal_counters, sources.queue = self._face.goal_counters, self._face.queue
+        sources.recorder, sources.zenoh = self._recorder, self._bridge
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
@@ -185,7 +186,18 @@ class App:
     def _on_health(self, health: ArmHealth) -> None:
         self._arm_state.take_health(health)
         self._diagnostics.take_health(health)
-        self._operations.parts.arm_health = health
+        self._monitor.sources.arm_health = health
+
+    def _run_task(self, name: str, running: Coroutine[Any, Any, None]) -> None:
+        task = self._tasks[name] = asyncio.create_task(running, name=name)
+        task.add_done_callback(_log_failure)
+
+    async def _end_task(self, name: str) -> None:
+        """Cancel a task, if it was started, and wait for its end."""
+        task = self._tasks.pop(name, None)
+        if task is not None:
+            task.cancel()
+            await asyncio.wait([task])
 
     def _steps_of_stop(self) -> list[Step]:
         """The arm first, brought to its end state; then the clients; then what nothing needs any more."""
@@ -194,7 +206,7 @@ class App:
             Step("goals", self._face.close, 1.1),
             Step("the arm", self._arm.close, 0.8 + relaxing_s),
             Step("clients", self._close_clients, 0.6),
-            Step("other machines", self._close_bridge, 0.4),
+            Step("other machines", lambda: self._end_task("zenoh"), 0.4),
             Step("the recording", self._close_recorder, 0.8),
             Step("planners", self._pool.close, 0.4),
         ]
@@ -205,12 +217,8 @@ class App:
 
     async def _close_clients(self) -> None:
         self._control.close()
-        self._diagnostics.close()
+        await self._end_task("diagnostics")
         await self._listener.close()
-
-    async def _close_bridge(self) -> None:
-        if self._bridge is not None:
-            await self._bridge.close()
 
     async def _close_recorder(self) -> None:
         if self._recorder is not None:
@@ -235,6 +243,11 @@ class App:
         )
 
 
+def _log_failure(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and task.exception() is not None:
+        log.error("%s failed", task.get_name(), exc_info=task.exception())
+
+
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:
     """Begin to record, if the settings name a file.
 
@@ -251,6 +264,4 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
     # Imported when it is needed: most servers record nothing, and start without the library.
     from server.recording.recorder import Recorder
 
-    recorder = Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})
-    recorder.open()
-    return recorder
+    return Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})

@@ -1,7 +1,8 @@
-"""What README and docs tell to run or to send is run and sent; what needs an arm or a network is at least a command."""
+"""Commands, programs, messages, settings and links of README and docs: run or sent where possible, else checked."""
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shlex
@@ -24,7 +25,7 @@ SERVER_PORT = "9090"
 RUN_TIMEOUT_S = 60
 ANSWER_TIMEOUT_S = 60
 
-# Begins of commands that bring something of others; they are not run.
+# Beginnings of commands of other programs, which are not run.
 FOREIGN = (
     "python3 -m venv ",
     "python3 -m http.server ",
@@ -37,8 +38,9 @@ FOREIGN = (
     "socat ",
 )
 
-# The page of the protocol shows what comes as well as what is sent.
+# Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.
 SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
+WITH_CODE = ("browser.md", "unity.md", "unreal.md")
 
 
 def commands(page: str) -> list[str]:
@@ -119,10 +121,23 @@ def test_the_options_of_commands_of_dask_exist(command: str) -> None:
     assert told <= {option for parameter in entry.load().params for option in parameter.opts + parameter.secondary_opts}
 
 
+def messages_in_code(page: str) -> list[str]:
+    """Operations that the code on a page (C++, C# or JavaScript) sends after connecting."""
+    text = (ROOT / "docs" / page).read_text()
+    frames = re.findall(r"TEXT\(R\"\((.*?)\)\"\)", text)
+    frames += [line.replace('""', '"') for line in re.findall(r"@\"(\{.*\})\"", text)]
+    for name, type_name in re.findall(r"name: \"(/\w+)\", messageType: \"([\w/]+)\"", text):
+        frames += [json.dumps({"op": op, "topic": name, "type": type_name}) for op in ("advertise", "subscribe")]
+    return frames
+
+
 @pytest.mark.parametrize("page", SENT)
 def test_the_messages_of_a_page_are_taken_without_complaint(page: str, simulated_server: RunningServer) -> None:
     frames = [line for block in blocks(ROOT / "docs" / page, "json") for line in block.splitlines()]
     assert frames
+    in_code = messages_in_code(page)
+    assert bool(in_code) is (page in WITH_CODE)
+    frames += in_code
     calls = {frame["id"] for frame in map(json.loads, frames) if frame["op"] == "call_service"} | {"last"}
     with connect(f"ws://127.0.0.1:{simulated_server.port}") as client:
         client.send(json.dumps({"op": "set_level", "level": "warning"}))
@@ -147,11 +162,54 @@ def test_the_settings_of_a_page_are_taken(settings: str, tmp_path: Path) -> None
     load(file, {})
 
 
-def test_every_test_that_the_security_page_names_exists() -> None:
-    named = re.findall(r"`([\w/.]+\.py)::(\w+)`", (ROOT / "docs" / "security.md").read_text())
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub derives them."""
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_heading_that_is_linked_exists() -> None:
+    missing = []
+    for page in (ROOT / "README.md", ROOT / "tests" / "ATTACKS.md", *PAGES):
+        for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#([^)]+)\)", page.read_text()):
+            linked = page.parent / target if target else page
+            if anchor not in anchors(linked):
+                missing.append(f"{page.name} links to {target}#{anchor}")
+    assert missing == []
+
+
+def test_every_test_that_the_table_of_attacks_names_exists() -> None:
+    named = re.findall(r"`([\w/.]+\.py)::(\w+)`", (ROOT / "tests" / "ATTACKS.md").read_text())
     assert len(named) > 10
-    tests = ROOT / "tests" / "server"
-    assert [name for file, name in named if f"def {name}(" not in (tests / file).read_text()] == []
+    assert [name for file, name in named if f"def {name}(" not in (ROOT / "tests" / file).read_text()] == []
+
+
+def printed_sentences() -> str:
+    """Strings of the code as they are printed, one a line, with an ellipsis for each value."""
+    found = []
+    for file in (
+        path for folder in ("planners", "protocol", "robot", "server") for path in (ROOT / folder).rglob("*.py")
+    ):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                found.append(
+                    "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
+                )
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(re.sub(r"%\.?\w*[sdgfr]|\{[\w:.]*\}", "…", node.value))
+    return "\n".join(found)
+
+
+def test_the_sentences_of_the_page_about_troubles_are_printed_by_the_code() -> None:
+    printed = printed_sentences()
+    text = re.sub(r"```.*?```", "", (ROOT / "docs" / "troubleshooting.md").read_text(), flags=re.DOTALL)
+    others = ("armbridge ", "make ", "curl ", "echo ", "journalctl ", "{", "access.allowed_")
+    quoted = [text for text in re.findall(r"`([^`]+)`", text) if text.count(" ") >= 3 and not text.startswith(others)]
+    assert len(quoted) > 80
+    # Some sentences are joined from two strings at a colon.
+    parts = [part for text in quoted for part in re.split(r"…|: ", text)]
+    assert [part for part in parts if len(part) > 4 and part.strip(" ();,") not in printed] == []
 
 
 # From the engine's axes to ROS's, and metres to the engine's unit.

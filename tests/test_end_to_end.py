@@ -405,7 +405,7 @@ async def test_a_killed_server_leaves_an_arm_at_rest_no_process_behind_and_its_r
     _, alive = psutil.wait_procs(children, timeout=30)
     assert not alive
     assert_comes_to_rest(log)
-    assert "/joint_states" in {track.topic for track in Recording(recording).outline().tracks}
+    assert "/joint_states" in {each.topic for each in Recording(recording).summary().topics}
 
 
 async def test_a_serial_port_that_does_not_exist_leaves_a_server_that_says_so() -> None:

@@ -14,6 +14,7 @@ from robot.messages import ArmState
 from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, QueuedGoal
 from server.graph.topics import Graph
+from server.monitoring.metrics import GoalCounters
 from server.moveit.actions.move_group import MotionActions
 from server.moveit.current_state import CurrentState
 from server.moveit.description import RobotDescription
@@ -33,7 +34,6 @@ from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
 from server.moveit.simple_layer import SimpleLayer
 from server.moveit.transforms_topics import TransformsTopics
-from server.operations.goal_tally import GoalTally
 
 # The queue waits this long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
@@ -49,7 +49,7 @@ class MoveItFace:
         keep_parameter: keeps a parameter for rosapi, its value as JSON text.
 
     Attributes:
-        goal_tally: how goals have ended.
+        goal_counters: counters of answered goals.
         queue: goals on their way; None until it is opened.
     """
 
@@ -74,7 +74,7 @@ class MoveItFace:
         directory, keep = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         self._failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, keep)
         self._servo = ServoNode(graph, robot, settings.moveit, self._scene, self._frames.resolve)
-        self.goal_tally = GoalTally()
+        self.goal_counters = GoalCounters()
         self.queue: GoalQueue[Motion] | None = None
         self._executor: GoalExecutor | None = None
         self._actions: MotionActions | None = None
@@ -102,7 +102,7 @@ class MoveItFace:
         self._servo.open(arm, pool, lambda: queue.busy)
 
     def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
-        self.goal_tally.take(goal.source, answer)
+        self.goal_counters.count(goal.source, answer)
         self._display.contacts_of(answer.details)
         self._simple_layer.on_answer(goal, answer)
 

@@ -1,1 +1,1 @@
-"""Recordings: what is published, written to MCAP files, read back and published again."""
+"""Recordings of everything that is published, in MCAP files: written, read back and replayed."""

@@ -1,4 +1,4 @@
-"""Reads an MCAP file of ROS 2 messages from its beginning, as far as it goes: also one that was never ended."""
+"""Reading of MCAP files of ROS 2 messages, also of files that were not ended or are damaged."""
 
 from __future__ import annotations
 
@@ -18,30 +18,29 @@ from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from server.errors import RecordingError
-from server.recording.mcap_file import Entry
-from server.recording.qos import is_latched
+from server.recording.files import RecordedMessage, is_latched
 
 log = logging.getLogger("armbridge.recording")
 
-# rosbag2's chunks have a megabyte; a record of more than this is damage, or a picture nobody could replay.
+# rosbag2's chunks have a megabyte; a larger record than this is damage, or an image that could not be replayed.
 MAX_RECORD_BYTES = 268_435_456
 
-# Messages that stand outside of chunks are handed on in groups.
+# Messages outside of chunks are yielded in groups of this size.
 MESSAGES_AT_A_TIME = 500
 
-# What the libraries say of octets that are not what they should be.
+# Errors that the libraries raise for damaged data.
 _DAMAGE = (McapError, OSError, struct.error, ValueError, KeyError, RuntimeError, OverflowError, zstandard.ZstdError)
 
 
 @dataclass(frozen=True)
-class Track:
-    """What was recorded of one topic.
+class RecordedTopic:
+    """Topic of a recording.
 
     Attributes:
         topic: fully qualified name.
         type_name: name of the messages' type.
-        latched: whether the topic is latched.
-        problem: why it cannot be read; empty when it can.
+        latched: True if the topic is latched.
+        problem: reason for which it cannot be read; empty if it can.
     """
 
     topic: str
@@ -51,81 +50,81 @@ class Track:
 
 
 @dataclass
-class Outline:
-    """What a file holds.
+class Summary:
+    """Contents of a file.
 
     Attributes:
-        tracks: its topics.
-        messages: how many messages there are.
-        duration_s: from the first message to the last [s].
-        whole: whether the file was ended in good order.
+        topics: its topics.
+        messages: number of its messages.
+        duration_s: time from the first message to the last [s].
+        complete: False if the file was not ended or is damaged.
     """
 
-    tracks: list[Track] = field(default_factory=list)
+    topics: list[RecordedTopic] = field(default_factory=list)
     messages: int = 0
     duration_s: float = 0.0
-    whole: bool = True
+    complete: bool = True
 
 
 class Recording:
-    """A file that can be read.
+    """MCAP file to read.
 
     Args:
-        path: where it is.
+        path: the file.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def outline(self) -> Outline:
-        """Tell what is in the file: by its index, or by reading all of it where there is none.
+    def summary(self) -> Summary:
+        """Return the contents of the file, from its index or, without one, by reading all of it.
 
         Raises:
             RecordingError: the file cannot be read, is no MCAP file, or holds no messages of ROS 2.
         """
-        outline = self._by_index() or self._by_reading()
-        if all(track.problem for track in outline.tracks):
-            reason = f": {outline.tracks[0].topic} {outline.tracks[0].problem}" if outline.tracks else ""
+        summary = self._indexed_summary() or self._counted_summary()
+        if all(topic.problem for topic in summary.topics):
+            reason = f": {summary.topics[0].topic} {summary.topics[0].problem}" if summary.topics else ""
             raise RecordingError(self._path, f"has no messages of ROS 2{reason}")
-        return outline
+        return summary
 
-    def entries(self) -> Iterator[list[Entry]]:
-        """Go through the messages in the order of the file, a chunk at a time; damage ends them.
+    def chunks(self) -> Iterator[list[RecordedMessage]]:
+        """Yield the messages in the order of the file, a chunk at a time, up to the first damage.
 
         Raises:
             RecordingError: the file cannot be read, or is no MCAP file.
         """
-        unpacking = _Unpacking(self._path)
+        unpacker = _Unpacker(self._path)
         with self._open() as stream:
-            yield from unpacking.entries(stream)
-        if unpacking.damaged:
+            yield from unpacker.chunks(stream)
+        if unpacker.damaged:
             log.warning("recording %s: what comes after the last readable chunk is left out", self._path)
 
-    def _by_index(self) -> Outline | None:
+    def _indexed_summary(self) -> Summary | None:
         with self._open() as stream:
             try:
-                summary = SeekingReader(stream, record_size_limit=MAX_RECORD_BYTES).get_summary()
+                index = SeekingReader(stream, record_size_limit=MAX_RECORD_BYTES).get_summary()
             except _DAMAGE:
                 return None
-        if summary is None or summary.statistics is None or not summary.channels:
+        if index is None or index.statistics is None or not index.channels:
             return None
-        counted = summary.statistics
-        return Outline(
-            [_track(channel, summary.schemas.get(channel.schema_id)) for channel in summary.channels.values()],
-            counted.message_count,
-            (counted.message_end_time - counted.message_start_time) / 1e9,
+        statistics = index.statistics
+        return Summary(
+            [_recorded_topic(channel, index.schemas.get(channel.schema_id)) for channel in index.channels.values()],
+            statistics.message_count,
+            (statistics.message_end_time - statistics.message_start_time) / 1e9,
         )
 
-    def _by_reading(self) -> Outline:
-        unpacking, messages = _Unpacking(self._path), 0
+    def _counted_summary(self) -> Summary:
+        unpacker, messages = _Unpacker(self._path), 0
         earliest_ns, latest_ns = math.inf, -math.inf
         with self._open() as stream:
-            for entry in itertools.chain.from_iterable(unpacking.entries(stream)):
+            for message in itertools.chain.from_iterable(unpacker.chunks(stream)):
                 messages += 1
-                earliest_ns = min(earliest_ns, entry.log_time_ns)
-                latest_ns = max(latest_ns, entry.log_time_ns)
+                earliest_ns = min(earliest_ns, message.log_time_ns)
+                latest_ns = max(latest_ns, message.log_time_ns)
         duration_s = (latest_ns - earliest_ns) / 1e9 if messages else 0.0
-        return Outline(list(unpacking.tracks.values()), messages, duration_s, whole=not unpacking.damaged)
+        return Summary(list(unpacker.topics.values()), messages, duration_s, complete=not unpacker.damaged)
 
     def _open(self) -> BinaryIO:
         try:
@@ -134,35 +133,35 @@ class Recording:
             raise RecordingError(self._path, f"cannot be read: {error.strerror or error}") from error
 
 
-class _Unpacking:
-    """Makes entries of records.
+class _Unpacker:
+    """Unpacks the records of a file into messages.
 
     Args:
         path: the file, for errors.
 
     Attributes:
-        tracks: what is known of topics so far, by channel.
-        damaged: whether the file ended before its end, or with octets that are no record.
+        topics: topics found so far, by channel.
+        damaged: True if the file ended before its end, or with octets that are no record.
     """
 
     def __init__(self, path: Path) -> None:
-        self.tracks: dict[int, Track] = {}
+        self.topics: dict[int, RecordedTopic] = {}
         self.damaged = False
         self._path = path
         self._schemas: dict[int, Schema] = {}
 
-    def entries(self, stream: BinaryIO) -> Iterator[list[Entry]]:
+    def chunks(self, stream: BinaryIO) -> Iterator[list[RecordedMessage]]:
         """Yield the messages of each chunk, and those outside of chunks in groups.
 
         Raises:
             RecordingError: it is no MCAP file.
         """
-        outside: list[Entry] = []
+        outside: list[RecordedMessage] = []
         for record in self._records(stream):
             if isinstance(record, Chunk):
-                yield [entry for inside in self._unpack(record) for entry in self._entry(inside)]
+                yield [message for inside in self._unpack(record) for message in self._messages(inside)]
             else:
-                outside += self._entry(record)
+                outside += self._messages(record)
             if self.damaged:
                 break
             if len(outside) >= MESSAGES_AT_A_TIME:
@@ -190,24 +189,24 @@ class _Unpacking:
         self.damaged = True
         return []
 
-    def _entry(self, record: McapRecord) -> list[Entry]:
-        """Note what a record tells of topics; a message of a topic that can be read becomes one entry."""
+    def _messages(self, record: McapRecord) -> list[RecordedMessage]:
+        """Register a schema or channel; return the message of a readable topic, or nothing."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
-            self.tracks[record.id] = _track(record, self._schemas.get(record.schema_id))
+            self.topics[record.id] = _recorded_topic(record, self._schemas.get(record.schema_id))
         elif isinstance(record, Message):
-            track = self.tracks.get(record.channel_id)
-            if track is not None and not track.problem:
+            topic = self.topics.get(record.channel_id)
+            if topic is not None and not topic.problem:
                 times = record.log_time, record.publish_time
-                return [Entry(track.topic, track.type_name, track.latched, *times, record.data)]
+                return [RecordedMessage(topic.topic, topic.type_name, topic.latched, *times, record.data)]
         return []
 
 
-def _track(channel: Channel, schema: Schema | None) -> Track:
+def _recorded_topic(channel: Channel, schema: Schema | None) -> RecordedTopic:
     problem = ""
     if channel.message_encoding != "cdr":
         problem = f"is encoded as {channel.message_encoding!r}, not 'cdr'"
     elif schema is None:
         problem = "has no schema"
-    return Track(channel.topic, schema.name if schema else "", is_latched(channel.metadata), problem)
+    return RecordedTopic(channel.topic, schema.name if schema else "", is_latched(channel.metadata), problem)

@@ -1,38 +1,64 @@
-"""Records every message that is published on the graph."""
+"""Recording of every message that is published on the graph, written to files by a thread."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
+from protocol.codecs import cdr
 from protocol.publication import Publication
+from protocol.registry import Registry
 from server.errors import StartError
 from server.graph.topics import Graph
-from server.recording.file_series import FileSeries
-from server.recording.writer_thread import CLOSE_TIMEOUT_S, Taken, WriterThread
+from server.recording.files import FileSeries, RecordedMessage
 
 log = logging.getLogger("armbridge.recording")
 
-# Types that only clients know; each is told once, and a client that invents them is not.
-MAX_TOLD_TYPES = 100
-
 BYTES_PER_MB = 1_000_000
+
+# Unknown types that are logged, once each: a client can invent more.
+MAX_LOGGED_TYPES = 100
+
+# Messages and bytes that may wait for the disk: seconds of everything an arm publishes, and a few images.
+MAX_QUEUED_MESSAGES = 20_000
+MAX_QUEUED_BYTES = 33_554_432
+
+# Polling so often costs nothing; waking the thread for each message would cost the event loop more.
+POLL_PERIOD_S = 0.05
+
+# A process that is killed loses at most so much of the recording.
+FLUSH_PERIOD_S = 1.0
+
+# Both threads share one interpreter: after so many messages, some 20 us each, the event loop gets it for a moment.
+MESSAGES_AT_A_TIME = 10
+PAUSE_S = 0.0002
+
+DROPS_LOG_PERIOD_S = 10.0
+
+# The server has three seconds to stop.
+CLOSE_TIMEOUT_S = 2.0
 
 
 class Recorder:
-    """Takes messages from the graph to the thread that writes them.
+    """Records a graph from its construction to :meth:`close`.
 
     Args:
-        graph: what is recorded.
-        path: the file; where it exists, a number is added to its name.
-        limit_mb: size of a file from which on the next one is begun [MB]; None for no limit.
-        keep_files: how many files of this recording are kept, the newest; 0 for all.
-        facts: what else each file is to tell.
+        graph: topics to record.
+        path: the file; if it exists, a number is added to its name.
+        limit_mb: size from which on a file is followed by the next [MB]; None for no limit.
+        keep_files: newest files of this recording to keep; 0 for all.
+        facts: further metadata of each file.
         clock_ns: monotonic time [ns].
         wall_clock_ns: time since the epoch [ns].
+
+    Raises:
+        StartError: the file cannot be written.
     """
 
     def __init__(
@@ -48,61 +74,181 @@ class Recorder:
         self._graph = graph
         self._registry = graph.interfaces.registry
         self._path = path
-        self._limit_bytes = None if limit_mb is None else limit_mb * BYTES_PER_MB
-        self._keep_files = keep_files
-        self._facts = facts or {}
         self._clock_ns = clock_ns
-        # A wall clock that is set while a recording runs would tear a hole into it.
+        # A wall clock that is set during a recording would tear a gap into it.
         self._epoch_ns = wall_clock_ns() - clock_ns()
-        self._told_types: set[str] = set()
-        self._writer: WriterThread | None = None
+        self._logged_types: set[str] = set()
+        limit_bytes = None if limit_mb is None else limit_mb * BYTES_PER_MB
+        try:
+            files = FileSeries(path, self._registry, facts or {}, limit_bytes, keep_files)
+        except OSError as error:
+            raise StartError(f"recording.file: {path} cannot be written: {error.strerror or error}") from error
+        self._writer = WriterThread(files, self._registry)
+        self._writer.start()
+        graph.watch(self._record)
 
     @property
     def dropped(self) -> int:
-        """How many messages are missing because the file could not be written fast enough."""
-        return 0 if self._writer is None else self._writer.dropped
+        """Messages missing because the file could not be written fast enough."""
+        return self._writer.dropped
 
     @property
     def queued(self) -> int:
-        """How many messages wait to be written."""
-        return 0 if self._writer is None else self._writer.queued
+        """Messages that wait to be written."""
+        return self._writer.queued
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more is recorded, be it by an error."""
-        return self._writer is None or self._writer.ended
-
-    def open(self) -> None:
-        """Begin the file and record from now on.
-
-        Raises:
-            StartError: the file cannot be written.
-        """
-        try:
-            files = FileSeries(self._path, self._registry, self._facts, self._limit_bytes, self._keep_files)
-        except OSError as error:
-            raise StartError(f"recording.file: {self._path} cannot be written: {error.strerror or error}") from error
-        self._writer = WriterThread(files, self._registry)
-        self._writer.start()
-        self._graph.watch(self._take)
+        """True once nothing more is recorded, after an error too."""
+        return self._writer.ended
 
     async def close(self) -> None:
-        """Record no more, and end the file."""
-        self._graph.unwatch(self._take)
-        if self._writer is not None and not await asyncio.to_thread(self._writer.close):
+        """Stop recording, and end the file."""
+        self._graph.unwatch(self._record)
+        if not await asyncio.to_thread(self._writer.close):
             log.error("recording: %s was not ended within %g s; what is in it can be read", self._path, CLOSE_TIMEOUT_S)
 
-    def _take(self, publication: Publication, latched: bool) -> None:
-        if self._writer is None or self._writer.ended:
+    def _record(self, publication: Publication, latched: bool) -> None:
+        if self._writer.ended:
             return
         if not self._registry.knows(publication.type_name):
-            self._tell_unknown(publication)
+            self._log_unknown_type(publication)
             return
         log_time_ns = self._epoch_ns + self._clock_ns()
-        self._writer.put(Taken(publication, latched, publication.size_bytes, log_time_ns))
+        self._writer.put(QueuedMessage(publication, latched, publication.size_bytes, log_time_ns))
 
-    def _tell_unknown(self, publication: Publication) -> None:
+    def _log_unknown_type(self, publication: Publication) -> None:
         name = publication.type_name
-        if name not in self._told_types and len(self._told_types) < MAX_TOLD_TYPES:
-            self._told_types.add(name)
+        if name not in self._logged_types and len(self._logged_types) < MAX_LOGGED_TYPES:
+            self._logged_types.add(name)
             log.warning("recording: %s is left out, the type %s is unknown", publication.topic, name)
+
+
+class QueuedMessage(NamedTuple):
+    """Message that waits to be written.
+
+    Attributes:
+        publication: the message.
+        latched: True if its topic is latched.
+        size_bytes: its size.
+        log_time_ns: time of recording [ns since the epoch].
+    """
+
+    publication: Publication
+    latched: bool
+    size_bytes: int
+    log_time_ns: int
+
+
+class WriterThread:
+    """Thread that writes queued messages, so that neither disk nor compression blocks the event loop.
+
+    An error ends the recording, and nothing else.
+
+    Args:
+        files: files to write to.
+        registry: types.
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, files: FileSeries, registry: Registry, clock: Callable[[], float] = time.monotonic) -> None:
+        self._files = files
+        self._registry = registry
+        self._clock = clock
+        self._queue: deque[QueuedMessage] = deque()
+        # Each is changed by one thread only; their difference is the size of the queue.
+        self._put_bytes = 0
+        self._written_bytes = 0
+        self._dropped = 0
+        self._dropped_logged = 0
+        self._drops_logged_at_s = -DROPS_LOG_PERIOD_S
+        self._stopping = threading.Event()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that found no room in the queue."""
+        return self._dropped
+
+    @property
+    def queued(self) -> int:
+        """Messages that wait to be written."""
+        return len(self._queue)
+
+    @property
+    def ended(self) -> bool:
+        """True once nothing more will be written."""
+        return self._ended.is_set()
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def put(self, message: QueuedMessage) -> None:
+        """Queue a message, or count it as dropped; never waits."""
+        queued_bytes = self._put_bytes - self._written_bytes
+        if len(self._queue) >= MAX_QUEUED_MESSAGES or queued_bytes + message.size_bytes > MAX_QUEUED_BYTES:
+            self._dropped += 1
+            return
+        self._put_bytes += message.size_bytes
+        self._queue.append(message)
+
+    def close(self) -> bool:
+        """Write the queued messages and end the file; returns False if that takes longer than `CLOSE_TIMEOUT_S`."""
+        self._stopping.set()
+        self._thread.join(CLOSE_TIMEOUT_S)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._write_until_stopped()
+            self._files.end({"dropped_messages": str(self._dropped)})
+        except OSError as error:
+            self._files.abandon()
+            log.error(  # noqa: TRY400 - what matters is the sentence
+                "recording ended: %s cannot be written any further: %s", self._files.path, error.strerror or error
+            )
+        else:
+            log.info("recording ended: %s", self._files.path)
+        finally:
+            self._ended.set()
+            self._queue.clear()
+
+    def _write_until_stopped(self) -> None:
+        flush_at_s = self._clock() + FLUSH_PERIOD_S
+        stopping = False
+        # Once more after the stop, for messages that came until then.
+        while not stopping:
+            stopping = self._stopping.wait(POLL_PERIOD_S)
+            self._write_queued()
+            if self._clock() >= flush_at_s:
+                self._files.flush()
+                flush_at_s = self._clock() + FLUSH_PERIOD_S
+            self._log_drops()
+
+    def _write_queued(self) -> None:
+        """Write the messages that are in the queue now; later ones are left to the next call."""
+        for number in range(len(self._queue)):
+            if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
+                time.sleep(PAUSE_S)
+            message = self._queue.popleft()
+            self._files.add(self._recorded(message))
+            self._written_bytes += message.size_bytes
+
+    def _recorded(self, message: QueuedMessage) -> RecordedMessage:
+        publication = message.publication
+        octets = cdr.serialize(self._registry, publication.type_name, publication.msg)
+        publish_time_ns = publication.received.sec * 1_000_000_000 + publication.received.nanosec
+        return RecordedMessage(
+            publication.topic, publication.type_name, message.latched, message.log_time_ns, publish_time_ns, octets
+        )
+
+    def _log_drops(self) -> None:
+        now_s = self._clock()
+        if self._dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
+            log.warning(
+                "recording: %d messages were dropped, the disk or the processor is too slow for what is published",
+                self._dropped - self._dropped_logged,
+            )
+            self._dropped_logged, self._drops_logged_at_s = self._dropped, now_s

@@ -1,4 +1,4 @@
-"""A server without an arm, which publishes a recording."""
+"""Replay of a recording: a player that publishes it on a graph, and a server without an arm around it."""
 
 from __future__ import annotations
 
@@ -6,39 +6,43 @@ import asyncio
 import contextlib
 import logging
 import signal
-import time
+from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import uvloop
 
+from protocol.codecs import cdr
+from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
+from server.errors import GraphError
 from server.gateway.listener import Listener, ListenerSettings
+from server.graph.node import Node
 from server.graph.topics import Graph
-from server.hangup import on_hangup
-from server.recording.player import Player
-from server.recording.reader import Outline, Recording
-from server.rosapi.api import RosApi
+from server.monitoring.signals import on_hangup
+from server.recording.files import RecordedMessage
+from server.recording.reader import RecordedTopic, Recording, Summary
+from server.rosapi import RosApi
 
 log = logging.getLogger("armbridge.replay")
 
-# Between end and beginning; without it a recording of one message would be a flood.
+# Pause between end and beginning; without it a recording of one message would be a flood.
 LOOP_PAUSE_S = 0.1
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """What to replay, and how.
+    """Options of a replay.
 
     Attributes:
         path: the recording.
-        server: where to listen, and how.
-        access: who may connect.
-        rate: how many seconds of the recording pass in a second.
-        delay_s: how long clients have to connect before it begins [s].
+        server: settings of the listener.
+        access: settings of access.
+        rate: seconds of the recording per second.
+        delay_s: time for clients to connect before the replay begins [s].
         loop: begin again at the end.
     """
 
@@ -51,33 +55,32 @@ class ReplayOptions:
 
 
 def replay(options: ReplayOptions) -> None:
-    """Offer a recording to clients until its end, SIGINT or SIGTERM.
+    """Serve a recording to clients until its end, SIGINT or SIGTERM.
 
     Raises:
         RecordingError: the file cannot be read.
         ConfigurationError: the certificate or the tokens cannot be used, or others could connect without any.
         StartError: the port cannot be taken.
     """
-    uvloop.run(Replay(options).run())
+    uvloop.run(ReplayServer(options).run())
 
 
-class Replay:
-    """The parts of the server.
+class ReplayServer:
+    """Server that replays a recording to its clients.
 
     Args:
-        options: what was asked for.
+        options: options of the replay.
     """
 
     def __init__(self, options: ReplayOptions) -> None:
         self._options = options
-        registry = Registry.load()
-        self._graph = Graph(registry)
-        self._rosapi = RosApi(self._graph, self._graph.services, self._graph.actions, registry, time.time)
-        # Nobody drives an arm here, so nobody has to wait for the lease.
+        self._graph = Graph(Registry.load())
+        RosApi(self._graph)
+        # There is no arm to control, so no client needs the lease.
         access = Access(options.access.model_copy(update={"control": "shared"}))
-        listener_settings = ListenerSettings.from_settings(options.server, options.access, access.tokens)
-        place = options.server
-        self._listener = Listener(self._graph, place.host, place.port, settings=listener_settings, access=access)
+        settings = ListenerSettings.from_settings(options.server, options.access, access.tokens)
+        host, port = options.server.host, options.server.port
+        self._listener = Listener(self._graph, host, port, settings=settings, access=access)
         self._recording = Recording(options.path)
         self._player = Player(self._graph, self._recording, options.rate)
 
@@ -87,27 +90,26 @@ class Replay:
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ending.set)
         on_hangup(self._listener.reload_certificate, ending.set)
-        outline = await asyncio.to_thread(self._recording.outline)
+        summary = await asyncio.to_thread(self._recording.summary)
         try:
-            self._rosapi.open()
             await self._listener.bind()
             await self._listener.open()
-            # After the listener, whose own topics are not to be mixed with recorded ones.
-            self._player.advertise(outline.tracks)
-            log.info("%s", self._what_is_played(outline))
+            # After the listener: recorded topics are not mixed with its own.
+            self._player.advertise(summary.topics)
+            log.info("%s", self._start_message(summary))
             await self._play_until(ending)
         finally:
             await self._listener.close()
-        tally = self._player.tally
-        log.info("replay ended: %d messages published, %d could not be read", tally.published, tally.unreadable)
+        player = self._player
+        log.info("replay ended: %d messages published, %d could not be read", player.published, player.unreadable)
 
     async def _play_until(self, ending: asyncio.Event) -> None:
         playing = asyncio.create_task(self._play())
-        told = asyncio.create_task(ending.wait())
+        ended = asyncio.create_task(ending.wait())
         try:
-            await asyncio.wait([playing, told], return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait([playing, ended], return_when=asyncio.FIRST_COMPLETED)
         finally:
-            told.cancel()
+            ended.cancel()
             playing.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await playing
@@ -119,9 +121,100 @@ class Replay:
             await asyncio.sleep(LOOP_PAUSE_S)
             await self._player.play()
 
-    def _what_is_played(self, outline: Outline) -> str:
-        broken = "" if outline.whole else "; the file was not ended in good order, what can be read of it is played"
+    def _start_message(self, summary: Summary) -> str:
+        incomplete = (
+            "" if summary.complete else "; the file was not ended in good order, what can be read of it is played"
+        )
         return (
             f"armbridge replays {self._options.path}: {self._listener.url} (rosbridge), "
-            f"{len(outline.tracks)} topics, {outline.messages} messages, {outline.duration_s:.1f} s{broken}"
+            f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}"
         )
+
+
+class Player:
+    """Publishes a recording on a graph, with the recorded timing.
+
+    Args:
+        graph: graph to publish on.
+        recording: recording to play.
+        rate: seconds of the recording per second.
+
+    Attributes:
+        published: messages published so far.
+        unreadable: messages that could not be read so far.
+    """
+
+    def __init__(self, graph: Graph, recording: Recording, rate: float = 1.0) -> None:
+        self._graph = graph
+        self._recording = recording
+        self._rate = rate
+        self._node = Node("replay")
+        self._topics: dict[str, RecordedTopic] = {}
+        self._logged_topics: set[str] = set()
+        self.published = 0
+        self.unreadable = 0
+
+    def advertise(self, topics: Iterable[RecordedTopic]) -> None:
+        """Advertise the recorded topics; one that cannot be advertised is logged and left out."""
+        for recorded in topics:
+            if self._is_published_here(recorded.topic):
+                log.info("%s is left out: the replaying server has its own", recorded.topic)
+            elif problem := recorded.problem or self._advertise(recorded):
+                log.warning("%s is left out: it %s", recorded.topic, problem)
+            else:
+                self._topics.setdefault(recorded.topic, recorded)
+
+    async def play(self) -> None:
+        """Publish every message at its time, once through the file.
+
+        Raises:
+            RecordingError: the file can no longer be read.
+        """
+        loop = asyncio.get_running_loop()
+        started_s, first_ns = loop.time(), None
+        async for message in self._messages():
+            first_ns = message.log_time_ns if first_ns is None else first_ns
+            due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
+            # Also when it is late already: clients are served between two messages.
+            await asyncio.sleep(max(0.0, due_s - loop.time()))
+            self._publish(message)
+
+    def _is_published_here(self, topic: str) -> bool:
+        others = (publisher for publisher in self._graph.publishers(topic) if publisher is not self._node)
+        return any(not publisher.remote for publisher in others)
+
+    def _advertise(self, recorded: RecordedTopic) -> str:
+        """Advertise a topic; return the problem, or an empty text."""
+        try:
+            self._graph.advertise(self._node, recorded.topic, recorded.type_name, latch=recorded.latched)
+        except GraphError as error:
+            return f"cannot be offered: {error}"
+        return ""
+
+    def _publish(self, message: RecordedMessage) -> None:
+        recorded = self._topics.get(message.topic)
+        if recorded is None or recorded.type_name != message.type_name:
+            return
+        try:
+            values = cdr.deserialize(self._graph.interfaces.registry, message.type_name, message.octets)
+            self._graph.publish(self._node, message.topic, values)
+        except (ProtocolError, GraphError) as error:
+            self.unreadable += 1
+            if message.topic not in self._logged_topics:
+                self._logged_topics.add(message.topic)
+                log.warning("%s: a message of %s cannot be read: %s", message.topic, message.type_name, error)
+        else:
+            self.published += 1
+
+    async def _messages(self) -> AsyncIterator[RecordedMessage]:
+        """Yield the messages of the file; a thread unpacks the next chunk while one is played."""
+        chunks = self._recording.chunks()
+        coming = asyncio.create_task(asyncio.to_thread(next, chunks, None))
+        try:
+            while (messages := await coming) is not None:
+                coming = asyncio.create_task(asyncio.to_thread(next, chunks, None))
+                for message in messages:
+                    yield message
+        finally:
+            # A thread cannot be cancelled, and the file must not be closed while it reads.
+            await asyncio.wait([coming])

@@ -1,1 +1,1 @@
-"""Topics and services shared over a zenoh network, with other servers and with ROS 2 machines that use rmw_zenoh."""
+"""Topics and services shared with other machines over zenoh, in the way of rmw_zenoh."""

@@ -1,42 +1,67 @@
-"""The bridge: this server's part in a zenoh network, from its settings to the graph."""
+"""Bridge between the graph and a zenoh network: discovers other machines, and shares topics and services with them."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from server.access.authorization import Access
+from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
 from server.access.permissions import Identity, Role
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.zenoh.keys import Tokens
-from server.zenoh.names import Namespace
-from server.zenoh.network import Network
-from server.zenoh.session_config import session_config
-from server.zenoh.session_thread import SessionThread
-from server.zenoh.settings import ZenohSettings
-from server.zenoh.sharing import Sharing
+from server.zenoh.network import NameFilter, Namespace, Network
+from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
+from server.zenoh.services import CalledServices, OfferedServices
+from server.zenoh.session import SessionThread
+from server.zenoh.settings import ZenohSettings, session_config
+from server.zenoh.topics import IncomingTopics, OutgoingTopics
+
+if TYPE_CHECKING:
+    import zenoh
 
 log = logging.getLogger("armbridge.zenoh")
 
+# Delay after which a change in the graph, or of another machine, is known on the other side.
+REFRESH_PERIOD_S = 0.5
 
-class Bridge:
-    """Joins a zenoh network, and shares what the settings say.
+# Entities of other machines, far more than a few robots have: tokens that somebody invents must not grow the server.
+MAX_ENTITIES = 1_000
+
+
+def bridge_of(settings: ZenohSettings, graph: Graph, access: Access, max_message_bytes: int) -> Bridge | None:
+    """Return the bridge that the settings ask for; None if zenoh is off.
 
     Args:
-        graph: topics and services.
-        settings: the section ``zenoh``; its mode is not off.
-        access: what those who send something may do.
-        max_message_bytes: of what comes in [bytes].
+        settings: the section ``zenoh``.
+        graph: topics and services to share.
+        access: permissions of other machines.
+        max_message_bytes: limit of an incoming message [bytes].
 
     Raises:
-        ConfigurationError: zenoh is not installed, or cannot be configured so.
+        ConfigurationError: zenoh is not installed, or rejects the configuration.
+    """
+    return None if settings.mode == "off" else Bridge(graph, settings, access, max_message_bytes)
+
+
+class Bridge:
+    """Member of a zenoh network.
+
+    Args:
+        graph: topics and services to share.
+        settings: the section ``zenoh``; its mode is not off.
+        access: permissions of other machines.
+        max_message_bytes: limit of an incoming message [bytes].
+
+    Raises:
+        ConfigurationError: zenoh is not installed, or rejects the configuration.
     """
 
     def __init__(self, graph: Graph, settings: ZenohSettings, access: Access, max_message_bytes: int) -> None:
-        # Imported when it is needed: most servers share nothing, and few have it installed.
         config = session_config(settings)
+        # Optional, and few servers use it.
         import zenoh
 
         self._graph = graph
@@ -44,51 +69,161 @@ class Bridge:
         self._max_message_bytes = max_message_bytes
         self._node = Node("zenoh", remote=True, identity=Identity("", Role[settings.role.upper()]))
         self._authorizer = access.authorizer(self._node)
-        self._thread = SessionThread(lambda: zenoh.open(config), self._opened)
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread = SessionThread(lambda: zenoh.open(config))
+        # None as long as there is no session.
         self._sharing: Sharing | None = None
-        self._running: asyncio.Task[None] | None = None
 
     @property
     def dropped(self) -> int:
-        """How many messages were lost because the network, or this server, was too slow."""
+        """Messages dropped because the network, or this server, was too slow."""
         return 0 if self._sharing is None else self._sharing.dropped
 
-    def open(self) -> None:
-        """Begin to join; what is shared follows when there is a network."""
-        self._loop = asyncio.get_running_loop()
+    async def run(self) -> None:
+        """Join the network as soon as it can be reached, and share until cancelled; then leave it."""
         self._thread.start()
+        try:
+            session = await asyncio.wrap_future(self._thread.opened)
+            log.info(
+                "zenoh: in the network as %s %s, domain %d", self._settings.mode, session, self._settings.domain_id
+            )
+            self._sharing = Sharing(self._network(session), self._settings, self._authorizer)
+            await self._sharing.run()
+        finally:
+            if not await asyncio.to_thread(self._thread.close):
+                log.error("zenoh: the network was not left in time")
+            self._authorizer.leave()
+            self._graph.remove(self._node)
 
-    async def close(self) -> None:
-        """Leave the network; nothing happens when it was not to be joined yet."""
-        if self._loop is None:
-            return
-        if self._running is not None:
-            self._running.cancel()
-        if not await asyncio.to_thread(self._thread.close):
-            log.error("zenoh: the network was not left in time")
-        self._authorizer.leave()
-        self._graph.remove(self._node)
-
-    def _opened(self, session: str) -> None:
-        # The loop is closed when the server has ended meanwhile.
-        with contextlib.suppress(RuntimeError):
-            if self._loop is not None:
-                self._loop.call_soon_threadsafe(self._share, session)
-
-    def _share(self, session: str) -> None:
+    def _network(self, session: str) -> Network:
         settings = self._settings
-        namespace, tokens = Namespace(settings.namespace), Tokens(settings.domain_id, session, settings.namespace)
-        network = Network(
-            self._thread,
-            self._graph,
-            self._node,
-            session,
-            settings.domain_id,
-            namespace,
-            tokens,
-            self._max_message_bytes,
+        return Network(
+            thread=self._thread,
+            loop=asyncio.get_running_loop(),
+            graph=self._graph,
+            node=self._node,
+            session=session,
+            domain_id=settings.domain_id,
+            namespace=Namespace(settings.namespace),
+            tokens=LivelinessTokens(settings.domain_id, session, settings.namespace),
+            max_message_bytes=self._max_message_bytes,
         )
-        self._sharing = Sharing(network, settings, self._authorizer)
-        self._running = asyncio.ensure_future(self._sharing.run())
-        log.info("zenoh: in the network as %s %s, domain %d", settings.mode, session, settings.domain_id)
+
+
+class Sharing:
+    """Topics and services that are shared, in both directions.
+
+    Args:
+        network: network with an open session.
+        settings: the section ``zenoh``.
+        authorizer: permissions of other machines.
+    """
+
+    def __init__(self, network: Network, settings: ZenohSettings, authorizer: Authorizer) -> None:
+        self._network = network
+        # A machine that may command the arm must be able to stop it.
+        self._subscribe = NameFilter(settings.subscribe, lambda name: rule_of_topic(name).stops)
+        offer = NameFilter(settings.offer, lambda name: rule_of_service(name).stops)
+        self._publish, self._call = NameFilter(settings.publish), NameFilter(settings.call)
+        self._outgoing = OutgoingTopics(network, self._publish)
+        self._incoming = IncomingTopics(network, self._subscribe, authorizer)
+        self._offered = OfferedServices(network, offer, authorizer)
+        self._called = CalledServices(network, self._call)
+        self._entities: tuple[Entity, ...] = ()
+        self._foreign: frozenset[str] = frozenset()
+        self._discovery = Discovery(network.domain_id, network.session, self._is_relevant)
+        network.thread.submit(self._discovery.subscribe)
+        self._node = network.declare(lambda session: [session.liveliness().declare_token(network.tokens.node())])
+
+    @property
+    def dropped(self) -> int:
+        """Messages dropped because the network, or this server, was too slow."""
+        return self._outgoing.dropped + self._incoming.dropped
+
+    async def run(self) -> None:
+        """Refresh regularly, until cancelled."""
+        while True:
+            try:
+                self.refresh()
+            except Exception:  # an error with one name must not end the rest
+                log.exception("zenoh: a refresh failed")
+            await asyncio.sleep(REFRESH_PERIOD_S)
+
+    def refresh(self) -> None:
+        """Follow changes in the graph and of other machines."""
+        entities = self._discovery.entities()
+        self._incoming.refresh(entities)
+        self._called.refresh(entities)
+        if entities is not self._entities:
+            self._entities = entities
+            self._foreign = frozenset(each.endpoint.name for each in entities if self._is_foreign(each))
+        self._outgoing.refresh(self._foreign)
+        self._offered.refresh()
+
+    def _is_relevant(self, entity: Entity) -> bool:
+        """Return True for an entity that may be shared; called in a thread of zenoh."""
+        name = self._network.namespace.to_local(entity.endpoint.name)
+        if entity.kind is EntityKind.SERVICE:
+            return self._call.matches(name)
+        if entity.kind is EntityKind.PUBLISHER and self._subscribe.matches(name):
+            return True
+        return self._is_foreign(entity) and self._publish.matches(name)
+
+    def _is_foreign(self, entity: Entity) -> bool:
+        is_topic = entity.kind in (EntityKind.PUBLISHER, EntityKind.SUBSCRIPTION)
+        return is_topic and not self._network.namespace.contains(entity.endpoint.name)
+
+
+class Discovery:
+    """Entities of other machines, by the liveliness tokens of rmw_zenoh, which vanish together with their machine.
+
+    Updated by zenoh's threads, and read by the event loop.
+
+    Args:
+        domain_id: ROS_DOMAIN_ID.
+        session: id of this server's session, which is left out.
+        is_relevant: selects entities to keep; called in zenoh's threads.
+    """
+
+    def __init__(self, domain_id: int, session: str, is_relevant: Callable[[Entity], bool]) -> None:
+        self._domain_id = domain_id
+        self._session = session
+        self._is_relevant = is_relevant
+        self._lock = threading.Lock()
+        self._by_token: dict[str, Entity] = {}
+        # None after a change.
+        self._entities: tuple[Entity, ...] | None = ()
+
+    def subscribe(self, session: zenoh.Session) -> None:
+        """Subscribe to tokens, those that exist already first; in the session's thread."""
+        import zenoh
+
+        handler = zenoh.handlers.Callback(self._on_token, indirect=False)
+        session.liveliness().declare_subscriber(f"{ADMIN_SPACE}/{self._domain_id}/**", handler, history=True)
+
+    def entities(self) -> tuple[Entity, ...]:
+        """Return the entities that exist now, each once; the same object for as long as nothing changes."""
+        with self._lock:
+            if self._entities is None:
+                self._entities = tuple(dict.fromkeys(self._by_token.values()))
+            return self._entities
+
+    def update(self, token: str, *, alive: bool) -> None:
+        """Add or remove the entity of a token.
+
+        Args:
+            token: the liveliness token.
+            alive: False once it has vanished.
+        """
+        entity = Entity.parse(token) if alive else None
+        is_kept = entity is not None and entity.session != self._session and self._is_relevant(entity)
+        with self._lock:
+            if entity is not None and is_kept and len(self._by_token) < MAX_ENTITIES:
+                self._by_token[token] = entity
+                self._entities = None
+            elif not alive and self._by_token.pop(token, None) is not None:
+                self._entities = None
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        import zenoh
+
+        self.update(str(sample.key_expr), alive=sample.kind == zenoh.SampleKind.PUT)

@@ -1,20 +1,25 @@
-"""What the parts of the bridge have in common: the session, the names, and a log that does not repeat itself."""
+"""Common ground of all that is shared: the network's session and names, filters, declarations, warnings."""
 
 from __future__ import annotations
 
+import asyncio
+import fnmatch
 import logging
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 
 from protocol import type_hash
 from protocol.errors import InterfaceError
 from protocol.registry import Registry
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.zenoh.keys import Endpoint, Tokens
-from server.zenoh.names import Namespace
-from server.zenoh.session_thread import SessionThread
+from server.zenoh.rmw import Endpoint, LivelinessTokens, is_name
+from server.zenoh.session import SessionThread
+
+if TYPE_CHECKING:
+    import zenoh
 
 log = logging.getLogger("armbridge.zenoh")
 
@@ -25,94 +30,179 @@ _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
     "srv": type_hash.service_hash,
 }
 
-# Whoever invents names at the other end must not fill the log.
-MAX_TOLD = 200
+# Names whose match is remembered, as many as a large robot has: all of them are matched twice a second.
+MAX_CACHED_NAMES = 10_000
+
+# Warnings that are logged: a machine that invents names must not fill the log.
+MAX_WARNINGS = 200
 
 # Shared topics and services each, in each direction: more than a large robot has.
 MAX_SHARED = 1_000
 
 
+class NameFilter:
+    """Patterns of names, one of which must match; without any, no name matches.
+
+    Args:
+        patterns: ``*`` stands for any text, also with slashes in it, as in the globs of ``access``.
+        always: tells further names that match as soon as there is a pattern at all.
+    """
+
+    def __init__(self, patterns: Iterable[str], always: Callable[[str], bool] = lambda _name: False) -> None:
+        self._expressions = [re.compile(fnmatch.translate(pattern)) for pattern in patterns]
+        self._always = always
+        self._cache: dict[str, bool] = {}
+
+    def matches(self, name: str) -> bool:
+        """Return True for a name that matches, and that can be the name of something shared."""
+        matches = self._cache.get(name)
+        if matches is None:
+            if len(self._cache) >= MAX_CACHED_NAMES:
+                self._cache.clear()
+            matches = self._cache[name] = self._match(name)
+        return matches
+
+    def _match(self, name: str) -> bool:
+        if not self._expressions or not is_name(name):
+            return False
+        return self._always(name) or any(expression.match(name) for expression in self._expressions)
+
+
+class Namespace:
+    """Namespace of this server's names on the network.
+
+    Args:
+        namespace: with a slash before it, or empty.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        self._namespace = namespace
+
+    def to_network(self, name: str) -> str:
+        """Return the network's name of a name of this server."""
+        return f"{self._namespace}{name}"
+
+    def to_local(self, name: str) -> str:
+        """Return this server's name of a name on the network; names outside of its namespace stay as they are."""
+        return name[len(self._namespace) :] if self.contains(name) else name
+
+    def contains(self, name: str) -> bool:
+        """Return True for a name on the network that is in this server's namespace."""
+        return name.startswith(f"{self._namespace}/")
+
+
 class Declared(Protocol):
-    """What others know of until it is taken back."""
+    """Entity that is declared on a zenoh session."""
 
     def undeclare(self) -> object:
-        """Take it back."""
+        """Take the declaration back."""
 
 
-def undeclare(*declared: Declared | None) -> None:
-    """Take back what has been declared; in the thread of the session."""
-    for each in declared:
-        if each is not None:
-            each.undeclare()
+class Declaration:
+    """Entities that are declared together, such as a publisher and its liveliness token.
+
+    Args:
+        thread: declares and undeclares them.
+        declare: yields each entity as soon as it is declared; called in the thread.
+    """
+
+    def __init__(self, thread: SessionThread, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> None:
+        self._thread = thread
+        self._declared: list[Declared] = []
+        thread.submit(lambda session: self._declared.extend(declare(session)))
+
+    def undeclare(self) -> None:
+        """Take the declarations back, the last one first."""
+        self._thread.submit(self._undeclare)
+
+    def _undeclare(self, _session: zenoh.Session) -> None:
+        while self._declared:
+            self._declared.pop().undeclare()
 
 
-class Told:
-    """Warns of everything once."""
+class WarnOnce:
+    """Logs each warning once."""
 
     def __init__(self) -> None:
-        self._told: set[str] = set()
+        self._logged: set[str] = set()
 
     def warn(self, text: str) -> None:
-        """Write a warning that has not been written yet."""
-        if text not in self._told and len(self._told) < MAX_TOLD:
-            self._told.add(text)
+        """Log a warning, unless it has been logged before."""
+        if text not in self._logged and len(self._logged) < MAX_WARNINGS:
+            self._logged.add(text)
             log.warning("zenoh: %s", text)
 
 
 @dataclass(frozen=True)
 class Network:
-    """A session that is open.
+    """Network with an open session, and this server's graph.
 
     Attributes:
-        thread: has the session.
+        thread: the session's threads.
+        loop: the event loop of the graph.
         graph: this server's topics and services.
-        node: who stands in the graph for all others.
+        node: node of all other machines in the graph.
         session: id of the session.
         domain_id: ROS_DOMAIN_ID.
-        namespace: of this server's names at the others.
-        tokens: writes liveliness tokens.
-        max_message_bytes: of a message, a request or a response, as from any other client [bytes].
-        told: what has been warned of.
+        namespace: of this server's names on the network.
+        tokens: liveliness tokens of this server.
+        max_message_bytes: limit of a message, request or response, as for any other client [bytes].
+        warnings: warnings logged so far.
     """
 
     thread: SessionThread
+    loop: asyncio.AbstractEventLoop
     graph: Graph
     node: Node
     session: str
     domain_id: int
     namespace: Namespace
-    tokens: Tokens
+    tokens: LivelinessTokens
     max_message_bytes: int
-    told: Told = field(default_factory=Told)
+    warnings: WarnOnce = field(default_factory=WarnOnce)
 
-    def endpoint(self, outside: str, type_name: str, kind: SharedKind) -> Endpoint | None:
-        """What the others know a topic or service by; None when its type has no hash.
+    @property
+    def registry(self) -> Registry:
+        """Message and service types of the graph."""
+        return self.graph.interfaces.registry
+
+    def declare(self, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> Declaration:
+        """Declare entities on the session soon; see `Declaration`."""
+        return Declaration(self.thread, declare)
+
+    def endpoint(self, network_name: str, type_name: str, kind: SharedKind) -> Endpoint | None:
+        """Return the endpoint of a topic or service; None if its type is unknown.
 
         Args:
-            outside: its name at the others.
+            network_name: its name on the network.
             type_name: canonical name of its type.
-            kind: which of the two.
+            kind: msg for a topic, srv for a service.
         """
         try:
-            return Endpoint(outside, type_name, _HASHES[kind](self.graph.interfaces.registry, type_name))
+            return Endpoint(network_name, type_name, _HASHES[kind](self.registry, type_name))
         except InterfaceError:
-            self.told.warn(f"{outside} is not shared, the type {type_name} is unknown")
+            self.warnings.warn(f"{network_name} is not shared, the type {type_name} is unknown")
             return None
 
     def agrees(self, endpoint: Endpoint, kind: SharedKind) -> bool:
-        """Whether this server has the same type as somebody else, to the field; else neither hears the other."""
+        """Return True if another machine has the same type as this server, to the field; else neither hears the other.
+
+        Args:
+            endpoint: the other machine's topic or service.
+            kind: msg for a topic, srv for a service.
+        """
         own = self.endpoint(endpoint.name, endpoint.type_name, kind)
         if own is not None and own != endpoint:
-            self.told.warn(
+            self.warnings.warn(
                 f"{endpoint.name} of another machine has another version of {endpoint.type_name}: "
                 f"{endpoint.type_hash} there, {own.type_hash} here"
             )
         return own == endpoint
 
     def is_own_subscription(self, topic: str) -> bool:
-        """Whether a part of the server itself listens to a topic, given as this server names it."""
+        """Return True if the server itself subscribes to a topic of the graph."""
         return any(not node.remote for node in self.graph.subscribers(topic))
 
     def is_own_publication(self, topic: str) -> bool:
-        """Whether a part of the server itself publishes a topic, given as this server names it."""
+        """Return True if the server itself publishes a topic of the graph."""
         return any(not node.remote for node in self.graph.publishers(topic))

@@ -1,18 +1,35 @@
-"""What the server shares over zenoh, and how it gets there."""
+"""The section ``zenoh`` of the settings, and zenoh's configuration made from it."""
 
 from __future__ import annotations
 
+import importlib.util
+import json
+import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from server.zenoh.exposure import is_endpoint
-from server.zenoh.keys import is_name
+from server.access.rate_limits import is_loopback
+from server.errors import ConfigurationError
+from server.zenoh.rmw import is_name
+
+if TYPE_CHECKING:
+    import zenoh
 
 MAX_ENTRIES = 1000
 
-# What others look at; nothing that moves the arm.
+# Time for which a peer may leave responses unread before its link is closed, while responses to others wait [us].
+# zenoh's default is five seconds, by which the stop of a server would be delayed too.
+WAIT_BEFORE_CLOSE_US = 1_000_000
+
+# Protocols that admit only peers with a certificate, if mutual TLS is enabled.
+_WITH_CERTIFICATES = ("tls", "quic")
+
+_ENDPOINT = re.compile(r"(?P<protocol>[a-z0-9_-]+)/(?P<host>\[[^]]+\]|[^:/?#]*)")
+
+# Topics that show the state of the arm; none that moves it.
 STATE_TOPICS = (
     "/joint_states",
     "/tf",
@@ -26,24 +43,23 @@ STATE_TOPICS = (
 
 
 class ZenohSettings(BaseModel):
-    """What is shared with other machines over zenoh.
+    """Topics and services to share with other machines over zenoh.
 
     Attributes:
-        mode: off, or how the server takes part: peer with others, client of a router, or router for others.
-        connect: endpoints to connect to, as in tcp/192.168.1.2:7447; the server goes on trying.
-        listen: endpoints to be connected to; empty for none.
-        scouting_multicast: look for others in the local network by multicast.
-        config_file: zenoh's own configuration, JSON5, for all that has no setting here, such as certificates; the
+        mode: off, or the server's role in the network: peer, client of a router, or router.
+        connect: endpoints to connect to, as in tcp/192.168.1.2:7447; retried until they answer.
+        listen: endpoints to listen on; empty for none.
+        scouting_multicast: find peers in the local network by multicast.
+        config_file: zenoh's own configuration, JSON5, for options without a setting here, such as certificates; the
             settings above override it. None for zenoh's defaults.
-        domain_id: what ROS 2 machines have as ROS_DOMAIN_ID; others are neither seen nor heard.
-        namespace: stands before the names of this server's topics and services at the others, as in /arm1; empty for
-            none.
-        publish: patterns of topics that go out, as this server names them.
-        subscribe: patterns of topics that come in, as this server names them; empty for none.
-        offer: patterns of services of this server that others may call; empty for none.
-        call: patterns of services of others that clients of this server may call; empty for none.
-        role: what others may do here, of all that comes in.
-        insecure: let what subscribe and offer take in come from everyone who can reach an address of listen.
+        domain_id: ROS_DOMAIN_ID; other domains are neither seen nor heard.
+        namespace: prefix of this server's topics and services on the network, as in /arm1; empty for none.
+        publish: patterns of topics to publish, as this server names them.
+        subscribe: patterns of topics to subscribe to, as this server names them; empty for none.
+        offer: patterns of services of this server to offer; empty for none.
+        call: patterns of services of other machines that clients of this server may call; empty for none.
+        role: role of other machines here.
+        insecure: accept data for subscribe and offer from everybody who reaches an address of listen.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -83,3 +99,102 @@ class ZenohSettings(BaseModel):
         if self.mode == "client" and not (self.connect or self.scouting_multicast or self.config_file):
             raise ValueError("mode client needs connect: the endpoint of its router, as in tcp/192.168.1.2:7447")
         return self
+
+
+def check_installed(settings: ZenohSettings) -> None:
+    """Check that zenoh is installed if it is enabled, without importing it.
+
+    Raises:
+        ConfigurationError: it is not installed.
+    """
+    if settings.mode != "off" and importlib.util.find_spec("zenoh") is None:
+        raise ConfigurationError(
+            f"zenoh.mode: {settings.mode} needs the package eclipse-zenoh; pip install 'armbridge[zenoh]' brings it"
+        )
+
+
+def session_config(settings: ZenohSettings) -> zenoh.Config:
+    """Return zenoh's configuration.
+
+    Raises:
+        ConfigurationError: zenoh is not installed, its file cannot be read, it rejects a value, or strangers could send
+            commands.
+    """
+    check_installed(settings)
+    # Optional, and few servers use it.
+    import zenoh
+
+    try:
+        config = zenoh.Config.from_file(str(settings.config_file)) if settings.config_file else zenoh.Config()
+    except zenoh.ZError as error:
+        raise ConfigurationError(f"zenoh.config_file: {settings.config_file}: {error_text(error)}") from None
+    for path, value in _values(settings, config, zenoh.Config()).items():
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            raise ConfigurationError(f"zenoh: {path} = {value!r} is refused: {error_text(error)}") from None
+    _check_exposure(settings, config)
+    return config
+
+
+def error_text(error: Exception) -> str:
+    """Return the sentence of zenoh's error, without its source line and the errors that wrap it."""
+    text = str(error)
+    return (text.partition('msg: "')[2] or text).partition(" at /")[0].partition('", location')[0].rstrip(".! ")
+
+
+def is_endpoint(text: str) -> bool:
+    """Return True for a text of the form ``protocol/address``."""
+    return _ENDPOINT.match(text) is not None
+
+
+def exposed_endpoint(endpoints: Iterable[str], *, mutual_tls: bool) -> str | None:
+    """Return the first endpoint that admits other machines without authentication; None if there is none.
+
+    Args:
+        endpoints: endpoints that zenoh listens on.
+        mutual_tls: True if peers that connect by TLS must show a certificate.
+    """
+    return next((each for each in endpoints if not _is_protected(each, mutual_tls)), None)
+
+
+def _is_protected(endpoint: str, mutual_tls: bool) -> bool:
+    found = _ENDPOINT.match(endpoint)
+    if found is None:
+        return False
+    protocol, host = found["protocol"], found["host"].strip("[]")
+    if protocol.startswith("unix") or host == "localhost":
+        return True
+    if protocol in _WITH_CERTIFICATES and mutual_tls:
+        return True
+    return is_loopback(host)
+
+
+def _check_exposure(settings: ZenohSettings, config: zenoh.Config) -> None:
+    if settings.insecure or not (settings.subscribe or settings.offer):
+        return
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    # zenoh's own file may list endpoints by mode.
+    listening = endpoints.get(settings.mode, []) if isinstance(endpoints, dict) else endpoints
+    mutual_tls = json.loads(config.get_json("transport/link/tls/enable_mtls")) is True
+    exposed = exposed_endpoint(listening, mutual_tls=mutual_tls)
+    if exposed is not None:
+        raise ConfigurationError(
+            f"zenoh.listen: {exposed} lets everyone who reaches it send what zenoh.subscribe and zenoh.offer take in; "
+            "listen on 127.0.0.1, on tls/ with enable_mtls in zenoh.config_file, or set zenoh.insecure = true"
+        )
+
+
+def _values(settings: ZenohSettings, config: zenoh.Config, default: zenoh.Config) -> dict[str, Any]:
+    # The cache of a latched topic orders messages by their timestamps.
+    values: dict[str, Any] = {"mode": settings.mode, "timestamping/enabled": True}
+    if settings.config_file is None:
+        values["transport/link/tx/queue/congestion_control/block/wait_before_close"] = WAIT_BEFORE_CLOSE_US
+    if settings.connect:
+        values["connect/endpoints"] = settings.connect
+    # By default zenoh listens on every address of the machine.
+    if settings.listen or config.get_json("listen/endpoints") == default.get_json("listen/endpoints"):
+        values["listen/endpoints"] = settings.listen
+    if settings.scouting_multicast or settings.config_file is None:
+        values["scouting/multicast/enabled"] = settings.scouting_multicast
+    return values

@@ -9,7 +9,7 @@ from protocol.registry import Registry
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
-from server.rosapi.api import RosApi
+from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock
 
 REGISTRY = Registry.load()
@@ -23,7 +23,7 @@ class AskedWorld:
         self.graph = Graph(
             REGISTRY, wall_clock=lambda: 12.5, call_later=FakeClock().call_later, relay_unknown_types=True
         )
-        RosApi(self.graph, self.graph.services, self.graph.actions, REGISTRY, lambda: 12.5).open()
+        RosApi(self.graph, lambda: 12.5)
         self.graph.advertise(ARM, "/joint_states", "sensor_msgs/JointState")
         self.graph.subscribe(CLIENT, "/joint_states", None, Subscriber(lambda _publication: None))
         self.graph.advertise(CLIENT, "/chatter", "std_msgs/String")

@@ -16,7 +16,7 @@ from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.graph.topics import Graph
-from server.rosapi.api import RosApi
+from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock
 
 REGISTRY = Registry.load()
@@ -38,7 +38,7 @@ class InProcess:
             REGISTRY, self.clock, call_later=self.clock.call_later, relay_unknown_types=relay_unknown_types
         )
         if rosapi:
-            RosApi(self.graph, self.graph.services, self.graph.actions, REGISTRY, self.clock).open()
+            RosApi(self.graph, self.clock)
         self.access = Access(access or AccessSettings(control="shared"), self.clock, self.clock)
         self.closed: dict[str, str] = {}
         self._limits = limits or Limits()

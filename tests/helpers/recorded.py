@@ -10,26 +10,28 @@ from typing import Any
 from protocol.codecs import cdr
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from server.recording.mcap_file import Entry, McapFile
+from server.recording.files import McapFile, RecordedMessage
 
 REGISTRY = Registry.load()
 START_NS = 1_700_000_000_000_000_000
 
 
-def entry(topic: str, type_name: str, msg: dict[str, Any], at_s: float = 0.0, *, latched: bool = False) -> Entry:
+def entry(
+    topic: str, type_name: str, msg: dict[str, Any], at_s: float = 0.0, *, latched: bool = False
+) -> RecordedMessage:
     """A message as a recording has it, published and recorded ``at_s`` after `START_NS`."""
     canonical = REGISTRY.canonical(type_name)
     completed = complete(REGISTRY, canonical, msg, Stamp(0, 0))
     at_ns = START_NS + round(at_s * 1e9)
-    return Entry(topic, canonical, latched, at_ns, at_ns, cdr.serialize(REGISTRY, canonical, completed))
+    return RecordedMessage(topic, canonical, latched, at_ns, at_ns, cdr.serialize(REGISTRY, canonical, completed))
 
 
-def text(number: int, topic: str = "/t") -> Entry:
+def text(number: int, topic: str = "/t") -> RecordedMessage:
     """One message a second: its number."""
     return entry(topic, "std_msgs/String", {"data": str(number)}, number)
 
 
-def record(path: Path, entries: Iterable[Entry]) -> Path:
+def record(path: Path, entries: Iterable[RecordedMessage]) -> Path:
     """Write a whole recording."""
     file = McapFile(path.open("wb"), REGISTRY, {})
     for each in entries:
@@ -38,7 +40,7 @@ def record(path: Path, entries: Iterable[Entry]) -> Path:
     return path
 
 
-def record_killed(path: Path, chunks: Iterable[Iterable[Entry]]) -> Path:
+def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:
     """Write a recording, in these chunks, of a process that ends without ending it."""
     with path.open("wb") as stream:
         file = McapFile(stream, REGISTRY, {})

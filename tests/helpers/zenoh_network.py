@@ -87,14 +87,21 @@ class Site:
         self.access = Access(access or AccessSettings(control="shared"))
         chosen = {"mode": "peer", "publish": (), **endpoints, **settings}
         self.bridge = Bridge(self.graph, ZenohSettings(**chosen), self.access, max_message_bytes)
+        self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Site:
-        self.bridge.open()
+        self._tasks.append(asyncio.create_task(self.bridge.run()))
         await until(lambda: self.bridge._sharing is not None)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self.bridge.close()
+        await self.leave()
+
+    async def leave(self) -> None:
+        """Leave the network, and wait until that is done."""
+        for task in self._tasks:
+            task.cancel()
+            await asyncio.wait([task])
 
     def hear(self, topic: str, type_name: str | None = None, node: Node | None = None) -> list[Publication]:
         """Subscribe, as the client if nobody else; what comes is appended to the list."""
@@ -110,7 +117,7 @@ class Site:
             held.set()
             go_on.wait(TIMEOUT_S)
 
-        self.bridge._thread.do(hold)
+        self.bridge._thread.submit(hold)
         await until(held.is_set)
         return go_on
 

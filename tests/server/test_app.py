@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import pytest
@@ -30,3 +31,16 @@ def test_what_is_set_reaches_its_place() -> None:
     assert app._graph._unregister_timeout_s == 3.0
     assert app._bridge is not None
     assert app._bridge._max_message_bytes == 70_000
+
+
+async def test_a_task_that_fails_is_told_at_once_and_ends(caplog: pytest.LogCaptureFixture) -> None:
+    async def fail() -> None:
+        raise RuntimeError("a bug")
+
+    app = App(Settings())
+    app._run_task("zenoh", fail())
+    await asyncio.wait([*app._tasks.values()])
+    await asyncio.sleep(0)
+    assert "zenoh failed" in caplog.text
+    await app._end_task("zenoh")
+    await app._end_task("zenoh")

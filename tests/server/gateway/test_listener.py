@@ -7,7 +7,6 @@ import json
 import logging
 import resource
 import socket
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -38,7 +37,7 @@ from server.gateway.listener import (
     tells_of_more_than_http,
 )
 from server.graph.topics import Graph
-from server.rosapi.api import RosApi
+from server.rosapi import RosApi
 from tests.helpers.certificates import make_pair
 from tests.helpers.conformance import cases, play
 
@@ -117,7 +116,7 @@ async def listener() -> AsyncIterator[Listener]:
 async def test_conformance_over_sockets(case: dict[str, Any]) -> None:
     graph = Graph(REGISTRY, relay_unknown_types=case.get("relay_unknown_types", False))
     if case.get("rosapi", False):
-        RosApi(graph, graph.services, graph.actions, REGISTRY, time.time).open()
+        RosApi(graph)
     async with open_listener(graph) as listener:
         player = OverSockets(listener)
         try:

@@ -7,15 +7,15 @@ from mcap.writer import CompressionType, Writer
 
 from server.errors import RecordingError
 from server.recording import reader
-from server.recording.mcap_file import Entry
-from server.recording.reader import Recording, Track
+from server.recording.files import RecordedMessage
+from server.recording.reader import RecordedTopic, Recording
 from tests.helpers.recorded import START_NS, record, record_killed, text
 
 CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]
 
 
-def entries(path: Path) -> list[Entry]:
-    return [each for chunk in Recording(path).entries() for each in chunk]
+def entries(path: Path) -> list[RecordedMessage]:
+    return [each for chunk in Recording(path).chunks() for each in chunk]
 
 
 def test_what_was_recorded_is_read_back(tmp_path: Path) -> None:
@@ -23,17 +23,17 @@ def test_what_was_recorded_is_read_back(tmp_path: Path) -> None:
     assert entries(record(tmp_path / "run.mcap", written)) == written
 
 
-def test_the_outline_tells_topics_count_and_length(tmp_path: Path) -> None:
-    outline = Recording(record(tmp_path / "run.mcap", map(text, range(4)))).outline()
-    assert outline.tracks == [Track("/t", "std_msgs/msg/String", False)]
-    assert (outline.messages, outline.duration_s, outline.whole) == (4, 3.0, True)
+def test_the_summary_tells_topics_count_and_length(tmp_path: Path) -> None:
+    summary = Recording(record(tmp_path / "run.mcap", map(text, range(4)))).summary()
+    assert summary.topics == [RecordedTopic("/t", "std_msgs/msg/String", False)]
+    assert (summary.messages, summary.duration_s, summary.complete) == (4, 3.0, True)
 
 
 def test_the_recording_of_a_killed_server_is_read_to_its_last_chunk(tmp_path: Path) -> None:
     path = record_killed(tmp_path / "run.mcap", CHUNKS)
-    outline = Recording(path).outline()
-    assert (outline.messages, outline.duration_s, outline.whole) == (5, 4.0, False)
-    assert [track.topic for track in outline.tracks] == ["/t"]
+    summary = Recording(path).summary()
+    assert (summary.messages, summary.duration_s, summary.complete) == (5, 4.0, False)
+    assert [track.topic for track in summary.topics] == ["/t"]
 
 
 def test_a_file_cut_anywhere_is_read_as_far_as_its_whole_chunks_go(
@@ -88,7 +88,7 @@ def test_a_file_without_messages_of_ros_2_is_refused(tmp_path: Path) -> None:
         writer.add_message(writer.register_channel("/t", "json", 0), 1, b"{}", 1)
         writer.finish()
     with pytest.raises(RecordingError, match="no messages of ROS 2: /t is encoded as 'json', not 'cdr'"):
-        Recording(tmp_path / "other.mcap").outline()
+        Recording(tmp_path / "other.mcap").summary()
 
 
 NO_RECORDINGS = {
@@ -102,14 +102,14 @@ NO_RECORDINGS = {
 def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path: Path, octets: bytes, words: str) -> None:
     (tmp_path / "run.mcap").write_bytes(octets)
     with pytest.raises(RecordingError, match=rf"run\.mcap: {words}"):
-        Recording(tmp_path / "run.mcap").outline()
+        Recording(tmp_path / "run.mcap").summary()
 
 
 def test_a_file_that_is_not_there_is_refused_with_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"run\.mcap: cannot be read: No such file"):
-        Recording(tmp_path / "run.mcap").outline()
+        Recording(tmp_path / "run.mcap").summary()
 
 
 def test_a_recording_of_nothing_is_refused_with_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="has no messages of ROS 2"):
-        Recording(record(tmp_path / "run.mcap", [])).outline()
+        Recording(record(tmp_path / "run.mcap", [])).summary()

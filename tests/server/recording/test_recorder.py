@@ -1,19 +1,23 @@
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from protocol.codecs.cdr import deserialize
+from protocol.messages import Stamp, complete
+from protocol.publication import Publication
 from server.errors import StartError
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.recording import writer_thread
-from server.recording.mcap_file import Entry
+from server.recording import recorder as recorder_module
+from server.recording.files import FileSeries, RecordedMessage
 from server.recording.reader import Recording
-from server.recording.recorder import Recorder
-from tests.helpers.recorded import REGISTRY
+from server.recording.recorder import QueuedMessage, Recorder, WriterThread
+from tests.helpers.recorded import REGISTRY, wait_until
 
 TALKER = Node("talker")
 
@@ -23,13 +27,12 @@ def graph() -> Graph:
     return Graph(REGISTRY, relay_unknown_types=True)
 
 
-async def recorded(graph: Graph, path: Path, publish: Callable[[], None]) -> list[Entry]:
+async def recorded(graph: Graph, path: Path, publish: Callable[[], None]) -> list[RecordedMessage]:
     """What is in the file after something was published."""
     recorder = Recorder(graph, path)
-    recorder.open()
     publish()
     await recorder.close()
-    return [each for chunk in Recording(path).entries() for each in chunk]
+    return [each for chunk in Recording(path).chunks() for each in chunk]
 
 
 async def test_every_message_of_every_topic_is_recorded_with_nobody_listening(graph: Graph, tmp_path: Path) -> None:
@@ -49,12 +52,11 @@ async def test_times_are_of_the_epoch_and_do_not_jump_with_the_wall_clock(graph:
     recorder = Recorder(
         graph, tmp_path / "run.mcap", clock_ns=lambda: next(monotonic_ns), wall_clock_ns=lambda: 1_000_005
     )
-    recorder.open()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
     graph.publish(TALKER, "/a", {})
     await recorder.close()
-    entries = [each for chunk in Recording(tmp_path / "run.mcap").entries() for each in chunk]
+    entries = [each for chunk in Recording(tmp_path / "run.mcap").chunks() for each in chunk]
     assert [each.log_time_ns for each in entries] == [1_000_007, 1_000_009]
 
 
@@ -74,10 +76,8 @@ async def test_a_message_of_an_unknown_type_is_left_out_and_told_once(
 async def test_it_tells_whether_it_records_and_what_waits(
     graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writer_thread, "LOOK_PERIOD_S", 60.0)
+    monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
     recorder = Recorder(graph, tmp_path / "run.mcap")
-    assert recorder.ended
-    recorder.open()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
     assert (recorder.ended, recorder.queued) == (False, 1)
@@ -90,9 +90,113 @@ async def test_after_its_end_nothing_is_taken(graph: Graph, tmp_path: Path) -> N
     assert graph._watchers == ()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
-    assert [each for chunk in Recording(tmp_path / "run.mcap").entries() for each in chunk] == []
+    assert [each for chunk in Recording(tmp_path / "run.mcap").chunks() for each in chunk] == []
 
 
 def test_a_file_that_cannot_be_written_is_refused_with_its_name(graph: Graph, tmp_path: Path) -> None:
     with pytest.raises(StartError, match=r"recording\.file: .*nowhere/run\.mcap cannot be written: No such file"):
-        Recorder(graph, tmp_path / "nowhere" / "run.mcap").open()
+        Recorder(graph, tmp_path / "nowhere" / "run.mcap")
+
+
+# The thread.
+
+
+class BlockedFiles(FileSeries):
+    """Files on a disk that stands still until it is let go."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, REGISTRY, {}, None, 0)
+        self.reached = threading.Event()
+        self.go_on = threading.Event()
+
+    def add(self, entry: RecordedMessage) -> None:
+        self.reached.set()
+        assert self.go_on.wait(5.0)
+        super().add(entry)
+
+
+class FullDisk(FileSeries):
+    """Files on a disk that has no room any more; the errors are the system's."""
+
+    def add(self, entry: RecordedMessage) -> None:
+        with Path("/dev/full").open("wb", buffering=0) as full:
+            full.write(entry.octets)
+
+
+def queued(number: int = 0, size_bytes: int = 20) -> QueuedMessage:
+    stamp = Stamp(7, 5)
+    msg = complete(REGISTRY, "std_msgs/msg/String", {"data": str(number)}, stamp)
+    return QueuedMessage(
+        Publication("/t", "std_msgs/msg/String", msg, REGISTRY, stamp), False, size_bytes, 1000 + number
+    )
+
+
+def read(path: Path) -> list[RecordedMessage]:
+    return [each for chunk in Recording(path).chunks() for each in chunk]
+
+
+def test_what_is_put_is_in_the_file_in_order(tmp_path: Path) -> None:
+    writer = WriterThread(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
+    writer.start()
+    for number in range(100):
+        writer.put(queued(number))
+    assert writer.close()
+    entries = read(tmp_path / "run.mcap")
+    assert [each.log_time_ns for each in entries] == list(range(1000, 1100))
+    assert {each.publish_time_ns for each in entries} == {7_000_000_005}
+
+
+@pytest.mark.parametrize(
+    ("limit", "value"), [("MAX_QUEUED_MESSAGES", 3), ("MAX_QUEUED_BYTES", 80)], ids=["messages", "bytes"]
+)
+def test_a_disk_that_stands_still_costs_messages_and_not_memory(
+    limit: str, value: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(recorder_module, limit, value)
+    files = BlockedFiles(tmp_path / "run.mcap")
+    writer = WriterThread(files, REGISTRY)
+    writer.start()
+    writer.put(queued())
+    assert files.reached.wait(5.0)
+    for number in range(1, 11):
+        writer.put(queued(number))
+    assert (writer.dropped, writer.queued) == (7, 3)
+    files.go_on.set()
+    assert writer.close()
+    assert "7 messages were dropped" in caplog.text
+    assert len(read(tmp_path / "run.mcap")) == 4
+
+
+def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    writer = WriterThread(FullDisk(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
+    writer.start()
+    for number in range(10):
+        writer.put(queued(number))
+    assert wait_until(lambda: writer.ended)
+    assert writer.close()
+    errors = [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
+    assert errors == [
+        f"recording ended: {tmp_path / 'run.mcap'} cannot be written any further: No space left on device"
+    ]
+
+
+def test_what_was_put_a_moment_ago_can_be_read_while_the_recording_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
+    writer = WriterThread(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
+    writer.start()
+    writer.put(queued())
+    assert wait_until(lambda: len(read(tmp_path / "run.mcap")) == 1)
+    assert writer.close()
+
+
+def test_a_disk_that_never_answers_holds_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder_module, "CLOSE_TIMEOUT_S", 0.1)
+    files = BlockedFiles(tmp_path / "run.mcap")
+    writer = WriterThread(files, REGISTRY)
+    writer.start()
+    writer.put(queued())
+    assert not writer.close()
+    files.go_on.set()
+    assert wait_until(lambda: writer.ended)

@@ -5,16 +5,124 @@ import re
 import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
 from server.errors import RecordingError
-from server.recording.player import Player
-from server.recording.replay import Replay, ReplayOptions
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+from server.recording.files import RecordedMessage
+from server.recording.reader import RecordedTopic, Recording
+from server.recording.replay import Player, ReplayOptions, ReplayServer
 from tests.helpers.client import frame_client
-from tests.helpers.recorded import record, record_killed, text
+from tests.helpers.recorded import REGISTRY, entry, record, record_killed, text
+
+LISTENER = Node("listener")
+
+
+class Heard:
+    """What a subscriber got, and when [s]."""
+
+    def __init__(self, graph: Graph, topic: str = "/t") -> None:
+        self.messages: list[Any] = []
+        self.times_s: list[float] = []
+        graph.subscribe(LISTENER, topic, None, Subscriber(lambda publication: self._keep(publication.msg)))
+
+    def _keep(self, message: Any) -> None:
+        self.messages.append(message)
+        self.times_s.append(asyncio.get_running_loop().time())
+
+
+def player(path: Path, graph: Graph, entries: list[RecordedMessage], rate: float = 100.0) -> Player:
+    """A player that has offered what is recorded."""
+    recording = Recording(record(path / "run.mcap", entries))
+    made = Player(graph, recording, rate)
+    made.advertise(recording.summary().topics)
+    return made
+
+
+async def test_messages_are_published_in_order_and_complete(tmp_path: Path) -> None:
+    graph = Graph(REGISTRY)
+    playing = player(tmp_path, graph, [text(number) for number in range(5)])
+    heard = Heard(graph)
+    await playing.play()
+    assert heard.messages == [{"data": str(number)} for number in range(5)]
+    assert (playing.published, playing.unreadable) == (5, 0)
+
+
+@pytest.mark.stepped_time
+async def test_the_rate_is_kept(tmp_path: Path) -> None:
+    graph = Graph(REGISTRY)
+    playing = player(tmp_path, graph, [text(0), text(1), text(3)], rate=20.0)
+    heard = Heard(graph)
+    await playing.play()
+    offsets_s = [at_s - heard.times_s[0] for at_s in heard.times_s]
+    assert offsets_s == pytest.approx([0.0, 0.05, 0.15])
+
+
+async def test_what_was_latched_is_latched_again(tmp_path: Path) -> None:
+    graph = Graph(REGISTRY)
+    await player(tmp_path, graph, [text(7)._replace(latched=True)]).play()
+    kept = graph.subscribe(LISTENER, "/t", None, Subscriber(lambda _: None))
+    assert [publication.msg for publication in kept] == [{"data": "7"}]
+
+
+async def test_a_message_that_cannot_be_read_is_left_out_and_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    graph = Graph(REGISTRY)
+    broken = [text(number)._replace(octets=b"\x00\x01\x00\x00\xff") for number in (1, 2)]
+    playing = player(tmp_path, graph, [text(0), *broken, text(3)])
+    heard = Heard(graph)
+    await playing.play()
+    assert [message["data"] for message in heard.messages] == ["0", "3"]
+    assert playing.unreadable == 2
+    assert len([line for line in caplog.messages if "/t: a message of std_msgs/msg/String cannot be read" in line]) == 1
+
+
+async def test_a_topic_of_a_type_nobody_knows_is_left_out_and_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    graph = Graph(REGISTRY)
+    playing = Player(graph, Recording(tmp_path / "run.mcap"))
+    playing.advertise(
+        [RecordedTopic("/own", "my_msgs/msg/Thing", False), RecordedTopic("/t", "std_msgs/msg/String", False)]
+    )
+    assert list(graph.topic_types()) == ["/t"]
+    assert "/own is left out: it cannot be offered" in caplog.text
+
+
+async def test_the_servers_own_topics_are_not_mixed_with_recorded_ones(tmp_path: Path) -> None:
+    graph = Graph(REGISTRY)
+    graph.advertise(Node("server"), "/client_count", "std_msgs/Int32", latch=True)
+    playing = player(tmp_path, graph, [entry("/client_count", "std_msgs/Int32", {"data": 9}), text(1)])
+    heard = Heard(graph, "/client_count")
+    await playing.play()
+    assert heard.messages == []
+
+
+async def test_a_second_type_on_a_topic_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    graph = Graph(REGISTRY)
+    playing = player(tmp_path, graph, [text(0), entry("/t", "std_msgs/Bool", {}, 1)])
+    heard = Heard(graph)
+    await playing.play()
+    assert heard.messages == [{"data": "0"}]
+    assert playing.unreadable == 0
+    assert "/t is left out: it cannot be offered: topic /t: is already established" in caplog.text
+
+
+async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
+    playing = asyncio.create_task(player(tmp_path, Graph(REGISTRY), [text(0), text(1000)], rate=1.0).play())
+    await asyncio.sleep(0.02)
+    playing.cancel()
+    await asyncio.wait([playing], timeout=30.0)
+    assert playing.cancelled()
+
+
+# The server.
 
 SERVING = re.compile(r"ws://127\.0\.0\.1:(\d+)")
 
@@ -36,7 +144,7 @@ async def url(caplog: pytest.LogCaptureFixture) -> str:
 async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     async with asyncio.timeout(30.0):
-        await Replay(options).run()
+        await ReplayServer(options).run()
     assert "1 topics, 3 messages, 2.0 s" in caplog.text
     assert "replay ended: 3 messages published, 0 could not be read" in caplog.text
 
@@ -53,7 +161,7 @@ async def test_a_client_gets_what_was_recorded(
         await play(player)
 
     monkeypatch.setattr(Player, "play", play_when_subscribed)
-    replay = Replay(options)
+    replay = ReplayServer(options)
     playing = asyncio.create_task(replay.run())
     async with frame_client(await url(caplog)) as client:
         await client.subscribe("/t", "std_msgs/String")
@@ -70,7 +178,7 @@ async def test_a_loop_begins_again_until_a_signal_ends_it(
     options: ReplayOptions, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
-    playing = asyncio.create_task(Replay(replace(options, loop=True)).run())
+    playing = asyncio.create_task(ReplayServer(replace(options, loop=True)).run())
     async with frame_client(await url(caplog)) as client:
         await client.subscribe("/t", "std_msgs/String")
         await client.wait_for("/t", lambda messages: [each["data"] for each in messages].count("2") >= 2)
@@ -84,7 +192,7 @@ async def test_a_recording_that_was_not_ended_is_played_and_told(
 ) -> None:
     caplog.set_level("INFO")
     record_killed(options.path, [[text(0)], [text(1)]])
-    await Replay(options).run()
+    await ReplayServer(options).run()
     assert "not ended in good order" in caplog.text
     assert "2 messages published" in caplog.text
 
@@ -92,4 +200,4 @@ async def test_a_recording_that_was_not_ended_is_played_and_told(
 async def test_a_file_that_disappears_is_an_error(options: ReplayOptions) -> None:
     options.path.unlink()
     with pytest.raises(RecordingError, match="No such file"):
-        await Replay(options).run()
+        await ReplayServer(options).run()

@@ -1,17 +1,27 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from server.access.authorization import unlimited
 from server.errors import ConfigurationError
-from server.zenoh import session_config
+from server.graph.topics import Graph
+from server.zenoh import bridge, settings
+from server.zenoh.bridge import Bridge, Discovery, bridge_of
+from server.zenoh.rmw import Endpoint, Entity, EntityKind, LivelinessTokens
+from server.zenoh.settings import ZenohSettings
+from server.zenoh.topics import OutgoingTopics
 from tests.helpers.certificates import Pair, make_pair, make_signed_pair
 from tests.helpers.server import ROOT
-from tests.helpers.zenoh_network import RosMachine, Site, free_port, until
+from tests.helpers.zenoh_network import REGISTRY, TIMEOUT_S, RosMachine, Site, free_port, until
 from tests.test_readme import blocks
+
+# The bridge.
 
 STRING = "std_msgs/msg/String"
 
@@ -42,7 +52,7 @@ async def test_the_network_is_left_at_once_with_all_that_was_shared(caplog: pyte
         with RosMachine(port) as machine:
             machine.announce_topic("/chat", STRING)
             await until(lambda: machine.has_token("/MS/") and machine.has_token("/MP/%/%/armbridge"))
-            await site.bridge.close()
+            await site.leave()
             await until(lambda: not machine.has_token("armbridge"))
     assert site.graph.publishers("/chat") == site.graph.subscribers("/news") == []
     assert "the network was not left in time" not in caplog.text
@@ -77,11 +87,193 @@ async def test_with_certificates_only_who_has_one_takes_part(tmp_path: Path) -> 
             assert other.graph.topic_type("/news") is None
 
 
-async def test_a_bridge_that_was_never_opened_closes() -> None:
-    await Site(free_port()).bridge.close()
+async def test_a_bridge_that_has_not_joined_yet_ends() -> None:
+    running = asyncio.create_task(Site(free_port()).bridge.run())
+    await asyncio.sleep(0)
+    running.cancel()
+    await asyncio.wait([running], timeout=TIMEOUT_S)
+    assert running.cancelled()
 
 
 def test_who_has_no_zenoh_is_told_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session_config.importlib.util, "find_spec", lambda _name: None)
+    monkeypatch.setattr(settings.importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(ConfigurationError, match="pip install"):
         Site(free_port())
+
+
+# Sharing.
+
+
+async def test_a_client_sends_goals_to_another_arm_by_its_name_there() -> None:
+    port = free_port()
+    async with (
+        Site(port, mode="router", namespace="/arm1", subscribe=("/moveit_goal_*",)) as arm,
+        Site(to=(port,), mode="client", namespace="/arm2", publish=("/joint_states", "/arm1/moveit_goal_*")) as other,
+    ):
+        goals = arm.hear("/moveit_goal_named", STRING, arm.part)
+        other.graph.advertise(other.part, "/joint_states", STRING)
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("/MP/%/%arm2/armbridge/%arm2%joint_states"))
+            await until(lambda: machine.has_token("/MS/%/%arm1/armbridge/%arm1%moveit_goal_named"))
+            other.graph.advertise(other.client, "/arm1/moveit_goal_named", STRING)
+            await until(lambda: machine.has_token("/MP/%/%arm2/armbridge/%arm1%moveit_goal_named"))
+            other.graph.publish(other.client, "/arm1/moveit_goal_named", {"data": "ready"}, lifespan_s=1.0)
+            await until(lambda: goals)
+    assert [goal.msg["data"] for goal in goals] == ["ready"]
+
+
+async def test_a_machine_without_a_namespace_does_not_take_this_arms_out_of_its_own() -> None:
+    port = free_port()
+    async with Site(port, namespace="/arm1", publish=("/joint_states", "/news")) as site:
+        with RosMachine(port) as machine:
+            machine.announce_topic("/joint_states", STRING)
+            site.graph.advertise(site.client, "/news", STRING)
+            await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%news/"))
+            site.graph.advertise(site.part, "/joint_states", STRING)
+            await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%joint_states/"))
+
+
+async def test_one_server_shows_the_arms_of_others_to_its_viewers() -> None:
+    first, second = free_port(), free_port()
+    async with (
+        Site(first, namespace="/arm1", publish=("/joint_states",)) as one,
+        Site(second, namespace="/arm2", publish=("/joint_states",)) as two,
+        Site(to=(first, second), subscribe=("/arm1/*", "/arm2/*")) as edge,
+    ):
+        for site in (one, two):
+            site.graph.advertise(site.part, "/joint_states", STRING, latch=True)
+            site.graph.publish(site.part, "/joint_states", {"data": site.namespace})
+        await until(lambda: {"/arm1/joint_states", "/arm2/joint_states"} <= edge.graph.topic_types().keys())
+        heard = edge.hear("/arm1/joint_states"), edge.hear("/arm2/joint_states")
+        await until(lambda: all(heard))
+    assert [messages[0].msg["data"] for messages in heard] == ["/arm1", "/arm2"]
+
+
+async def test_who_may_send_goals_may_stop_the_arm() -> None:
+    port = free_port()
+    async with Site(port, subscribe=("/moveit_goal_named",), offer=("/arm/enable",)) as site:
+        for topic in ("/moveit_goal_named", "/moveit_goal_joints", "/stop"):
+            site.hear(topic, STRING, site.part)
+        for service in ("/arm/enable", "/arm/relax", "/arm/stop"):
+            site.graph.services.offer(site.part, service, "std_srvs/Trigger", lambda _request: {})
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("/MS/%/%/armbridge/%stop/"))
+            await until(lambda: machine.has_token("/SS/%/%/armbridge/%arm%stop/"))
+            assert not machine.has_token("%moveit_goal_joints")
+            assert not machine.has_token("%arm%relax")
+
+
+async def test_what_goes_wrong_once_does_not_end_the_sharing(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    port, refresh, failures = free_port(), OutgoingTopics.refresh, iter([True])
+
+    def fail_once(topics: OutgoingTopics, foreign: frozenset[str]) -> None:
+        if next(failures, False):
+            raise RuntimeError("a bug")
+        refresh(topics, foreign)
+
+    monkeypatch.setattr(OutgoingTopics, "refresh", fail_once)
+    async with Site(port, publish=("/news",)) as site:
+        site.graph.advertise(site.part, "/news", STRING)
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("%news"))
+    assert "zenoh: a refresh failed" in caplog.text
+
+
+# Zenoh is optional.
+
+MAX_BYTES = 10_000_000
+
+
+def test_a_server_that_shares_nothing_has_no_bridge() -> None:
+    assert bridge_of(ZenohSettings(), Graph(REGISTRY), unlimited(), MAX_BYTES) is None
+
+
+def test_a_server_that_takes_part_has_one() -> None:
+    assert isinstance(bridge_of(ZenohSettings(mode="peer"), Graph(REGISTRY), unlimited(), MAX_BYTES), Bridge)
+
+
+def test_a_server_that_shares_nothing_does_not_load_zenoh() -> None:
+    program = """
+import sys
+from server.access.authorization import unlimited
+from server.graph.topics import Graph
+from server.zenoh.bridge import bridge_of
+from server.zenoh.settings import ZenohSettings
+from protocol.registry import Registry
+bridge_of(ZenohSettings(), Graph(Registry.load()), unlimited(), 10_000_000)
+print("zenoh" in sys.modules)
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=True)
+    assert ran.stdout == "False\n"
+
+
+# Discovery.
+
+CHATTER = Endpoint("/chatter", "std_msgs/msg/String", "RIHS01_0")
+
+
+def all_concern(_entity: Entity) -> bool:
+    return True
+
+
+def test_who_comes_is_known_until_it_goes() -> None:
+    others = Discovery(0, "us", all_concern)
+    token = LivelinessTokens(0, "them", "").entity(EntityKind.PUBLISHER, CHATTER)
+    others.update(token, alive=True)
+    assert others.entities() == (Entity(EntityKind.PUBLISHER, "them", CHATTER, latched=False),)
+    others.update(token, alive=False)
+    assert others.entities() == ()
+
+
+def test_the_server_does_not_discover_itself() -> None:
+    others = Discovery(0, "us", all_concern)
+    others.update(LivelinessTokens(0, "us", "").entity(EntityKind.PUBLISHER, CHATTER), alive=True)
+    assert others.entities() == ()
+
+
+def test_who_does_not_matter_is_not_kept() -> None:
+    others = Discovery(0, "us", lambda entity: entity.kind is EntityKind.SERVICE)
+    others.update(LivelinessTokens(0, "them", "").entity(EntityKind.PUBLISHER, CHATTER), alive=True)
+    assert others.entities() == ()
+
+
+def test_several_that_do_the_same_are_one() -> None:
+    others, tokens = Discovery(0, "us", all_concern), LivelinessTokens(0, "them", "")
+    both = [tokens.entity(EntityKind.PUBLISHER, CHATTER) for _ in range(2)]
+    for token in both:
+        others.update(token, alive=True)
+    assert len(others.entities()) == 1
+    others.update(both[0], alive=False)
+    assert len(others.entities()) == 1
+    others.update(both[1], alive=False)
+    assert others.entities() == ()
+
+
+def test_nothing_new_is_told_by_the_same_object() -> None:
+    others, tokens = Discovery(0, "us", all_concern), LivelinessTokens(0, "them", "")
+    before = others.entities()
+    assert others.entities() is before
+    others.update(tokens.entity(EntityKind.PUBLISHER, CHATTER), alive=True)
+    after = others.entities()
+    assert after is not before
+    others.update(LivelinessTokens(0, "us", "").entity(EntityKind.PUBLISHER, CHATTER), alive=True)
+    assert others.entities() is after
+
+
+def test_whoever_invents_tokens_fills_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bridge, "MAX_ENTITIES", 3)
+    others, tokens = Discovery(0, "us", all_concern), LivelinessTokens(0, "them", "")
+    for number in range(10):
+        others.update(
+            tokens.entity(EntityKind.PUBLISHER, Endpoint(f"/t{number}", CHATTER.type_name, "RIHS01_0")), alive=True
+        )
+    assert len(others.entities()) == 3
+
+
+def test_what_is_no_token_changes_nothing() -> None:
+    others = Discovery(0, "us", all_concern)
+    others.update("@ros2_lv/0/nonsense", alive=True)
+    others.update("@ros2_lv/0/nonsense", alive=False)
+    assert others.entities() == ()

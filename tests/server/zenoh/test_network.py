@@ -1,64 +1,71 @@
 from __future__ import annotations
 
+import asyncio
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
 import pytest
 
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.zenoh import network
-from server.zenoh.keys import Endpoint, Tokens
-from server.zenoh.names import Namespace
-from server.zenoh.network import Network, Told, undeclare
-from server.zenoh.session_thread import SessionThread
+from server.zenoh.network import Declaration, NameFilter, Namespace, Network, WarnOnce
+from server.zenoh.rmw import Endpoint, LivelinessTokens
+from server.zenoh.session import SessionThread
 from tests.helpers.zenoh_network import REGISTRY
+
+# The network.
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
 @pytest.fixture
-def alone() -> Network:
+async def alone() -> Network:
     """A network without a session."""
 
     def never() -> object:
         raise AssertionError
 
-    thread = SessionThread(never, print)  # type: ignore[arg-type]
+    thread = SessionThread(never)  # type: ignore[arg-type]
     node = Node("zenoh", remote=True)
-    return Network(thread, Graph(REGISTRY), node, "us", 0, Namespace(""), Tokens(0, "us", ""), 10_000_000)
+    loop, tokens = asyncio.get_running_loop(), LivelinessTokens(0, "us", "")
+    return Network(thread, loop, Graph(REGISTRY), node, "us", 0, Namespace(""), tokens, 10_000_000)
 
 
 def test_what_is_wrong_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    told = Told()
+    told = WarnOnce()
     for _ in range(3):
         told.warn("a")
     assert [record.message for record in caplog.records] == ["zenoh: a"]
 
 
 def test_whoever_invents_mistakes_fills_no_log(caplog: pytest.LogCaptureFixture) -> None:
-    told = Told()
-    for number in range(network.MAX_TOLD + 10):
+    told = WarnOnce()
+    for number in range(network.MAX_WARNINGS + 10):
         told.warn(str(number))
-    assert len(caplog.records) == network.MAX_TOLD
+    assert len(caplog.records) == network.MAX_WARNINGS
 
 
-def test_messages_and_services_have_endpoints_with_the_hash_of_their_types(alone: Network) -> None:
+async def test_messages_and_services_have_endpoints_with_the_hash_of_their_types(alone: Network) -> None:
     assert alone.endpoint("/a", "std_msgs/msg/String", "msg") == Endpoint("/a", "std_msgs/msg/String", STRING_HASH)
     service = alone.endpoint("/a", "std_srvs/srv/Trigger", "srv")
     assert service is not None
     assert service.type_hash.startswith("RIHS01_eeff2cd6")
 
 
-def test_a_type_that_is_unknown_has_no_endpoint(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_type_that_is_unknown_has_no_endpoint(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
     assert alone.endpoint("/a", "nobodys_msgs/msg/Thing", "msg") is None
     assert "the type nobodys_msgs/msg/Thing is unknown" in caplog.text
 
 
-def test_types_agree_by_their_hash(alone: Network) -> None:
+async def test_types_agree_by_their_hash(alone: Network) -> None:
     assert alone.agrees(Endpoint("/a", "std_msgs/msg/String", STRING_HASH), "msg")
     assert not alone.agrees(Endpoint("/a", "std_msgs/msg/String", "RIHS01_0"), "msg")
     assert not alone.agrees(Endpoint("/a", "nobodys_msgs/msg/Thing", "RIHS01_0"), "msg")
 
 
-def test_parts_of_the_server_are_told_from_clients(alone: Network) -> None:
+async def test_parts_of_the_server_are_told_from_clients(alone: Network) -> None:
     part, client = Node("part"), Node("client", remote=True)
     for node, name in ((part, "/own"), (client, "/theirs")):
         alone.graph.advertise(node, name, "std_msgs/String")
@@ -69,13 +76,69 @@ def test_parts_of_the_server_are_told_from_clients(alone: Network) -> None:
     assert not alone.is_own_subscription("/theirs")
 
 
-def test_only_what_was_declared_is_taken_back() -> None:
+class Jobs:
+    """Thread of a session whose jobs are done at once; one that fails ends no other."""
+
+    def submit(self, job: Callable[[Any], object]) -> bool:
+        with contextlib.suppress(RuntimeError):
+            job(None)
+        return True
+
+
+def test_only_what_was_declared_is_taken_back_the_last_first() -> None:
     taken_back = []
 
     class Declared:
         def undeclare(self) -> None:
             taken_back.append(self)
 
-    declared = Declared()
-    undeclare(None, declared)
-    assert taken_back == [declared]
+    first, second = Declared(), Declared()
+
+    def declare(_session: object) -> Iterator[Declared]:
+        yield first
+        yield second
+        raise RuntimeError("the network")
+
+    Declaration(cast(SessionThread, Jobs()), declare).undeclare()
+    assert taken_back == [second, first]
+
+
+# Names.
+
+
+def test_a_pattern_fits_whole_names_with_all_that_lies_below() -> None:
+    patterns = NameFilter(["/joint_states", "/arm/*"])
+    names = ("/joint_states", "/joint_states2", "/arm/a/b", "/arm", "/armada")
+    assert [name for name in names if patterns.matches(name)] == ["/joint_states", "/arm/a/b"]
+
+
+def test_no_pattern_fits_nothing() -> None:
+    assert not NameFilter([]).matches("/joint_states")
+
+
+def test_further_names_go_along_with_the_first_pattern() -> None:
+    assert NameFilter(["/goal"], lambda name: name == "/stop").matches("/stop")
+    assert not NameFilter([], lambda name: name == "/stop").matches("/stop")
+
+
+def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:
+    assert not NameFilter(["*"]).matches("/**")
+
+
+def test_names_get_the_namespace_on_their_way_out_and_lose_it_on_their_way_in() -> None:
+    namespace = Namespace("/arm1")
+    assert namespace.to_network("/joint_states") == "/arm1/joint_states"
+    assert namespace.to_local("/arm1/joint_states") == "/joint_states"
+
+
+def test_names_of_other_namespaces_come_in_as_they_are() -> None:
+    namespace = Namespace("/arm1")
+    assert namespace.to_local("/arm2/joint_states") == "/arm2/joint_states"
+    assert namespace.to_local("/arm12/joint_states") == "/arm12/joint_states"
+    assert not namespace.contains("/arm12/joint_states")
+
+
+def test_without_a_namespace_names_are_the_same_on_both_sides() -> None:
+    namespace = Namespace("")
+    assert namespace.to_network("/a") == namespace.to_local("/a") == "/a"
+    assert namespace.contains("/a")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import importlib.util
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +9,12 @@ import pytest
 from pydantic import ValidationError
 
 from server.config_loader import load
-from server.zenoh.session_config import session_config
-from server.zenoh.settings import ZenohSettings
+from server.errors import ConfigurationError
+from server.zenoh.settings import ZenohSettings, check_installed, exposed_endpoint, is_endpoint, session_config
 from tests.helpers.server import ROOT
 from tests.test_readme import blocks
+
+# Settings.
 
 PAGE = ROOT / "docs" / "zenoh.md"
 
@@ -52,3 +56,130 @@ def test_the_settings_on_the_page_are_taken(settings: str, tmp_path: Path) -> No
     taken = load(file, {}).zenoh
     assert taken.mode != "off"
     session_config(taken)
+
+
+# zenoh's configuration.
+
+
+def value(settings: ZenohSettings, path: str) -> Any:
+    return json.loads(session_config(settings).get_json(path))
+
+
+def test_a_server_listens_nowhere_unless_told() -> None:
+    assert value(ZenohSettings(mode="peer"), "listen/endpoints") == []
+    assert value(ZenohSettings(mode="peer"), "scouting/multicast/enabled") is False
+
+
+def test_a_machine_that_reads_no_responses_is_let_go_soon() -> None:
+    path = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+    assert value(ZenohSettings(mode="peer"), path) == 1_000_000
+
+
+def test_what_is_set_is_what_zenoh_gets() -> None:
+    connect, listen = ("tcp/127.0.0.1:7447",), ("tcp/127.0.0.1:7448",)
+    settings = ZenohSettings(mode="router", connect=connect, listen=listen, scouting_multicast=True)
+    assert value(settings, "mode") == "router"
+    assert value(settings, "connect/endpoints") == list(connect)
+    assert value(settings, "listen/endpoints") == list(listen)
+    assert value(settings, "scouting/multicast/enabled") is True
+
+
+def test_a_file_of_zenoh_says_what_no_setting_says(tmp_path: Path) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text('{ /* ours */ connect: { endpoints: ["tls/router:7447"] }, queries_default_timeout: 1234, }')
+    settings = ZenohSettings(mode="peer", config_file=file)
+    assert value(settings, "connect/endpoints") == ["tls/router:7447"]
+    assert value(settings, "queries_default_timeout") == 1234
+    assert value(settings, "listen/endpoints") == []
+
+
+def test_a_file_of_zenoh_may_say_where_to_listen(tmp_path: Path) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text('{ listen: { endpoints: ["tcp/127.0.0.1:7449"] } }')
+    assert value(ZenohSettings(mode="peer", config_file=file), "listen/endpoints") == ["tcp/127.0.0.1:7449"]
+
+
+@pytest.mark.parametrize("text", ["{ nonsense: 1 }", "{", None])
+def test_a_file_that_zenoh_cannot_read_is_refused_with_its_name(tmp_path: Path, text: str | None) -> None:
+    file = tmp_path / "zenoh.json5"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ConfigurationError, match=r"^zenoh\.config_file: .*zenoh\.json5: (?!.*cargo)"):
+        session_config(ZenohSettings(mode="peer", config_file=file))
+
+
+def test_an_endpoint_that_zenoh_refuses_is_named() -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        session_config(ZenohSettings(mode="peer", connect=("tcp/",)))
+    assert str(refused.value) == (
+        "zenoh: connect/endpoints = ('tcp/',) is refused: Endpoints must be of the form "
+        "<protocol>/<address>[?<metadata>][#<config>]: tcp/"
+    )
+
+
+@pytest.mark.parametrize("taken_in", [{"subscribe": ("/moveit_goal_*",)}, {"offer": ("/arm/*",)}])
+def test_commands_from_everyone_in_the_network_must_be_asked_for_twice(taken_in: dict[str, Any]) -> None:
+    exposed: dict[str, Any] = {"mode": "peer", "listen": ("tcp/0.0.0.0:7447",), **taken_in}
+    with pytest.raises(ConfigurationError, match=r"^zenoh\.listen: tcp/0\.0\.0\.0:7447 lets .*zenoh\.insecure = true$"):
+        session_config(ZenohSettings(**exposed))
+    session_config(ZenohSettings(**exposed, insecure=True))
+
+
+def test_the_state_of_the_arm_may_be_told_to_everyone() -> None:
+    session_config(ZenohSettings(mode="peer", listen=("tcp/0.0.0.0:7447",)))
+
+
+@pytest.mark.parametrize(
+    "listening", ['["tcp/0.0.0.0:7449"]', '{ peer: ["tcp/0.0.0.0:7449"] }', '["tls/0.0.0.0:7449"]']
+)
+def test_what_a_file_of_zenoh_opens_counts_as_well(tmp_path: Path, listening: str) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text(f"{{ listen: {{ endpoints: {listening} }} }}")
+    with pytest.raises(ConfigurationError, match=r"0\.0\.0\.0:7449 lets everyone"):
+        session_config(ZenohSettings(mode="peer", config_file=file, offer=("/arm/*",)))
+
+
+def test_machines_that_show_a_certificate_may_send_commands(tmp_path: Path) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ transport: { link: { tls: { enable_mtls: true } } } }")
+    session_config(ZenohSettings(mode="peer", config_file=file, listen=("tls/0.0.0.0:7449",), offer=("/arm/*",)))
+
+
+def test_who_wants_zenoh_without_having_it_is_told_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(ConfigurationError, match=r"zenoh\.mode: peer needs .* pip install 'armbridge\[zenoh\]'"):
+        check_installed(ZenohSettings(mode="peer"))
+    check_installed(ZenohSettings())
+
+
+# Endpoints.
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp/127.0.0.1:7447", "udp/127.3.2.1:7447", "tcp/[::1]:7447", "tcp/localhost:7447", "unixsock-stream//s"],
+)
+def test_only_this_machine_reaches_itself(endpoint: str) -> None:
+    assert exposed_endpoint([endpoint], mutual_tls=False) is None
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.2:7447", "tcp/arm.local:7447", "tls/0.0.0.0:7447", "?"],
+)
+def test_everybody_reaches_other_addresses(endpoint: str) -> None:
+    assert exposed_endpoint(["tcp/127.0.0.1:1", endpoint], mutual_tls=False) == endpoint
+
+
+def test_certificates_guard_encrypted_links_alone() -> None:
+    assert exposed_endpoint(["tls/0.0.0.0:7447", "quic/0.0.0.0:7447"], mutual_tls=True) is None
+    assert exposed_endpoint(["tcp/0.0.0.0:7447"], mutual_tls=True) == "tcp/0.0.0.0:7447"
+
+
+def test_who_listens_nowhere_is_open_to_nobody() -> None:
+    assert exposed_endpoint([], mutual_tls=False) is None
+
+
+def test_an_endpoint_has_a_protocol() -> None:
+    assert is_endpoint("tcp/127.0.0.1:7447")
+    assert not is_endpoint("127.0.0.1:7447")

@@ -1,0 +1,152 @@
+"""The topic ``/diagnostics``: health of arm, bus and servos, once a second, for the tools of ROS."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from protocol.messages import Stamp
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from server.arm.topics import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
+from server.graph.node import Node
+from server.graph.topics import Graph
+
+TOPIC = "/diagnostics"
+
+# diagnostic_msgs/DiagnosticStatus: no recent values.
+LEVEL_STALE = 3
+
+PERIOD_S = 1.0
+
+# Three missing reports; diagnostic_aggregator waits longer, 5 s. A simulated arm that runs slower than real time sends
+# its reports more rarely in proportion.
+STALE_AFTER_S = 3.0
+
+# A simulated arm with a smaller real-time factor is reported as slow.
+SLOW_FACTOR = 0.9
+
+# A servo is read a hundred times a second.
+SERVO_STALE_AFTER_S = 1.0
+
+
+class Diagnostics:
+    """Publishes the latest health of the arm, also when no new report comes.
+
+    Args:
+        graph: graph to publish on.
+        robot_name: name of the hardware.
+    """
+
+    def __init__(self, graph: Graph, robot_name: str) -> None:
+        self._graph = graph
+        self._robot_name = robot_name
+        self._node = Node("diagnostics")
+        self._state: ArmState | None = None
+        self._health: ArmHealth | None = None
+        graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticArray")
+
+    async def run(self) -> None:
+        """Publish regularly from the first state on, until cancelled."""
+        while True:
+            await asyncio.sleep(PERIOD_S)
+            if self._state is not None:
+                message = diagnostic_array(self._state, self._health, time.time(), self._robot_name)
+                self._graph.publish(self._node, TOPIC, message)
+
+    def take_state(self, state: ArmState) -> None:
+        """Keep the latest state."""
+        self._state = state
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Keep the latest report."""
+        self._health = health
+
+
+def diagnostic_array(state: ArmState, health: ArmHealth | None, now_s: float, robot_name: str) -> dict[str, Any]:
+    """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos.
+
+    Args:
+        state: latest state.
+        health: latest report; None before the first.
+        now_s: wall-clock time [s since the epoch].
+        robot_name: name of the hardware.
+    """
+    arm = status(state, robot_name)
+    age_s = now_s - state.stamp_s
+    if age_s > STALE_AFTER_S:
+        arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {age_s:.1f} s old"}
+    statuses = [arm]
+    if health is not None:
+        stale = state.mode is Mode.DISCONNECTED or (now_s - health.stamp_s) * health.real_time_factor > STALE_AFTER_S
+        arm["values"] += key_values(_arm_values(health))
+        if health.real_time_factor < SLOW_FACTOR and arm["level"] == LEVEL_OK:
+            share = f"{health.real_time_factor:.0%} of real time"
+            arm |= {"level": LEVEL_WARN, "message": f"{arm['message']}, at {share}: this machine is busy"}
+        faulty = state.fault.joint if state.fault is not None else ""
+        statuses += [_joint_status(joint, stale=stale, faulty=joint.joint == faulty) for joint in health.joints]
+        arm["level"] = max(arm["level"], *(min(each["level"], LEVEL_WARN) for each in statuses))
+    return {"header": {"stamp": Stamp.from_seconds(now_s).as_message(), "frame_id": ""}, "status": statuses}
+
+
+def _arm_values(health: ArmHealth) -> dict[str, str]:
+    values = {
+        "port": health.port,
+        "real_time_priority": str(health.real_time).lower(),
+        "real_time_factor": f"{health.real_time_factor:.2f}",
+        "loop_lateness_ms": _percentiles_ms(health.lateness_s),
+    }
+    bus = health.bus
+    if bus is None:
+        return values
+    return values | {
+        "bus_round_trip_ms": _percentiles_ms(health.round_trip_s),
+        "bus_sent": str(bus.sent),
+        "bus_replies": str(bus.replies),
+        "bus_timeouts": str(bus.timeouts),
+        "bus_discarded_bytes": str(bus.discarded_bytes),
+        "bus_retries": str(bus.retries),
+    }
+
+
+def _percentiles_ms(values_s: Sequence[float]) -> str:
+    p50, p99, greatest = (1e3 * value_s for value_s in values_s)
+    return f"p50 {p50:.3f}, p99 {p99:.3f}, max {greatest:.3f}"
+
+
+def _joint_status(joint: JointHealth, *, stale: bool, faulty: bool) -> dict[str, Any]:
+    level, message = LEVEL_OK, "no complaints"
+    if faulty:
+        level, message = LEVEL_ERROR, "; ".join(("the arm's fault is about this joint", *joint.warnings))
+    elif stale or joint.age_s > SERVO_STALE_AFTER_S:
+        level, message = LEVEL_STALE, "; ".join(joint.warnings) or "the servo is not being read"
+    elif joint.warnings:
+        level, message = LEVEL_WARN, "; ".join(joint.warnings)
+    return {
+        "level": level,
+        "name": f"arm: {joint.joint}",
+        "message": message,
+        "hardware_id": joint.hardware_id,
+        "values": key_values(_joint_values(joint)),
+    }
+
+
+def _joint_values(joint: JointHealth) -> dict[str, str]:
+    """Return the values of a joint, without those that its hardware does not measure."""
+    torque = {None: "unknown", True: "on", False: "off"}[joint.torque_enabled]
+    measured = {
+        "position_rad": (joint.position_rad, ".4f"),
+        "load": (joint.load, ".3f"),
+        "temperature_c": (joint.temperature_c, ".0f"),
+        "voltage_v": (joint.voltage_v, ".1f"),
+        "current_a": (joint.current_a, ".3f"),
+    }
+    return {
+        **{name: format(value, spec) for name, (value, spec) in measured.items() if not math.isnan(value)},
+        "torque": torque,
+        "status_bits": str(joint.status),
+        "age_s": f"{joint.age_s:.3f}",
+        "silent_cycles": str(joint.silent_cycles),
+    }

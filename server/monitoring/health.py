@@ -1,0 +1,216 @@
+"""Health of the server, from the sources that its parts are: liveness and readiness, with the reasons."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Protocol
+
+from robot.messages import ArmHealth, ArmState, Mode
+from server.gateway.connection import Traffic
+from server.gateway.http import Answer
+
+if TYPE_CHECKING:
+    from server.monitoring.metrics import GoalCounters
+
+# Without a bus, the arm process sends a state at each attempt to open it: every 2 s, plus the attempt's own time.
+ARM_SILENT_S = 10.0
+
+# A state comes at least once a second while the arm is connected; a simulated arm may be starved for longer.
+ARM_STALE_S = 1.5
+
+
+class ArmSource(Protocol):
+    """Arm process, as `robot.arm.Arm`."""
+
+    state: ArmState
+    state_max_age_s: float
+
+    @property
+    def pid(self) -> int | None:
+        """Process id; None while it does not run."""
+
+    @property
+    def state_age_s(self) -> float:
+        """Time since the last state [s]."""
+
+
+class PlannersSource(Protocol):
+    """Planner processes, as `planners.pool.PlannerPool`."""
+
+    @property
+    def load_failure(self) -> str | None:
+        """Reason for which no process of this machine can plan; None as long as one may."""
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Process ids on this machine."""
+
+    @property
+    def loaded_count(self) -> int:
+        """Planners that have loaded the robot."""
+
+    @property
+    def idle_count(self) -> int:
+        """Planners that wait for a request."""
+
+    @property
+    def waiting_count(self) -> int:
+        """Requests that wait for a planner."""
+
+
+class RecorderSource(Protocol):
+    """Recording, as `server.recording.recorder.Recorder`."""
+
+    @property
+    def dropped(self) -> int:
+        """Messages missing in the recording."""
+
+    @property
+    def queued(self) -> int:
+        """Messages that wait for the file."""
+
+    @property
+    def ended(self) -> bool:
+        """True once nothing more is recorded."""
+
+
+class ZenohSource(Protocol):
+    """Member of a zenoh network, as `server.zenoh.bridge.Bridge`."""
+
+    @property
+    def dropped(self) -> int:
+        """Messages that were dropped."""
+
+
+class GoalQueueSource(Protocol):
+    """Queue of goals, as `server.goal_queue.GoalQueue`."""
+
+    @property
+    def waiting_count(self) -> int:
+        """Goals that wait."""
+
+    @property
+    def busy(self) -> str:
+        """Goal in progress, in words; empty if there is none."""
+
+
+@dataclass
+class Sources:
+    """Parts of the server that are monitored; those that have not been started are None.
+
+    Attributes:
+        traffic: traffic of clients.
+        refused_connections: returns the number of refused connections by reason.
+        goal_counters: counters of answered goals.
+        queue: queue of goals.
+        arm: arm process.
+        arm_health: its latest report.
+        planners: planner processes.
+        recorder: recording; None also if nothing is to be recorded.
+        zenoh: member of a zenoh network; None also if zenoh is off.
+        started: True once the arm has been taken over, and goals are accepted.
+        stopping: True once the server is about to stop.
+    """
+
+    traffic: Traffic | None = None
+    refused_connections: Callable[[], Mapping[str, int]] | None = None
+    goal_counters: GoalCounters | None = None
+    queue: GoalQueueSource | None = None
+    arm: ArmSource | None = None
+    arm_health: ArmHealth | None = None
+    planners: PlannersSource | None = None
+    recorder: RecorderSource | None = None
+    zenoh: ZenohSource | None = None
+    started: bool = False
+    stopping: bool = False
+
+    def children(self) -> Mapping[str, int]:
+        """Return the process id of every child that runs, by the name of its process."""
+        pids = {} if self.arm is None else {"arm": self.arm.pid}
+        planners = () if self.planners is None else self.planners.pids
+        pids |= {f"planner_{number}": pid for number, pid in enumerate(planners, 1)}
+        return {name: pid for name, pid in pids.items() if pid is not None}
+
+
+@dataclass(frozen=True)
+class Health:
+    """Health of the server.
+
+    Everybody may request it, so its sentences name no device, file, address or client: those are on ``/arm/state``.
+
+    Attributes:
+        live: False if only a restart can help.
+        ready: True if a goal would be carried out now, as far as that depends on the server.
+        reasons: reasons for which it is not live or not ready, a sentence each.
+        warnings: other problems, a sentence each.
+    """
+
+    live: bool
+    ready: bool
+    reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def response(self, *, good: bool) -> Answer:
+        """Return the HTTP response with the health as JSON.
+
+        Args:
+            good: True for status 200, False for 503.
+        """
+        status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
+        return Answer.of_data(status, json.dumps(dataclasses.asdict(self)).encode() + b"\n", "application/json")
+
+
+def check_health(sources: Sources) -> Health:
+    """Return the health of the server at this moment."""
+    dead = tuple(_reasons_not_live(sources.arm)) if sources.started and not sources.stopping else ()
+    reasons = dead or tuple(_reasons_not_ready(sources))
+    return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
+
+
+def _reasons_not_live(arm: ArmSource | None) -> Iterator[str]:
+    if arm is not None and arm.state_age_s > ARM_SILENT_S:
+        yield f"the arm process has been silent for more than {ARM_SILENT_S:g} s"
+
+
+def _reasons_not_ready(sources: Sources) -> Iterator[str]:
+    if sources.stopping:
+        yield "the server is stopping"
+        return
+    if not sources.started:
+        yield "the server is starting"
+    if sources.arm is not None:
+        yield from _reasons_arm_is_not_ready(sources.arm)
+    if sources.planners is not None:
+        yield from _reasons_planners_are_not_ready(sources.planners)
+
+
+def _reasons_arm_is_not_ready(arm: ArmSource) -> Iterator[str]:
+    state = arm.state
+    if state.fault is not None:
+        yield f"the arm has a fault: {state.fault.code.value}"
+    if state.mode is Mode.DISCONNECTED:
+        yield "the arm is not connected"
+    elif state.mode is Mode.CONNECTED:
+        yield "the servos are being checked, or were refused"
+    elif arm.state_age_s > (stale_s := max(ARM_STALE_S, arm.state_max_age_s)):
+        yield f"the last state of the arm is older than {stale_s:g} s"
+
+
+def _reasons_planners_are_not_ready(planners: PlannersSource) -> Iterator[str]:
+    if planners.load_failure is not None:
+        yield "the planners cannot be started"
+    elif planners.loaded_count == 0:
+        yield "the planners are loading"
+
+
+def _warnings(sources: Sources) -> Iterator[str]:
+    if sources.arm is not None and sources.arm.state.mode is Mode.RELAXED:
+        yield "the arm is relaxed, and has to be enabled before it moves"
+    if sources.recorder is not None and sources.recorder.ended and not sources.stopping:
+        yield "the recording has ended; the log tells why"
+    if sources.recorder is not None and sources.recorder.dropped:
+        yield "messages are missing in the recording"

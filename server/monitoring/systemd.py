@@ -1,0 +1,110 @@
+"""Notifications of systemd about a service of type notify, as sd_notify(3): ready, stopping, status, watchdog."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+from collections import deque
+from collections.abc import MutableMapping
+
+log = logging.getLogger("armbridge.monitoring")
+
+# Names of abstract sockets begin with a zero byte, written as "@" in the environment (sd_notify(3)).
+_ABSTRACT = "@"
+
+_US_PER_S = 1_000_000
+
+# Notifications that are kept while systemd does not read, the newest.
+MAX_UNSENT = 8
+
+
+class SystemdNotifier:
+    """Sends notifications to systemd; does nothing if the server is not its service.
+
+    Args:
+        address: systemd's datagram socket; empty for none.
+        watchdog_s: silence after which systemd ends the server [s]; 0 for never.
+    """
+
+    def __init__(self, address: str = "", watchdog_s: float = 0.0) -> None:
+        self.watchdog_s = watchdog_s if address else 0.0
+        self._unsent: deque[bytes] = deque(maxlen=MAX_UNSENT)
+        # None without systemd, and once closed.
+        self._socket = _connected(address) if address else None
+
+    @classmethod
+    def from_environment(
+        cls, environment: MutableMapping[str, str] = os.environ, pid: int | None = None
+    ) -> SystemdNotifier:
+        """Return the notifier for the socket in the environment.
+
+        Its variables are removed from the environment: children must not send notifications for the server.
+
+        Args:
+            environment: variables.
+            pid: process id of the server; None for this process.
+        """
+        address = environment.pop("NOTIFY_SOCKET", "")
+        watchdog_us = environment.pop("WATCHDOG_USEC", "")
+        watchdog_pid = environment.pop("WATCHDOG_PID", "")
+        watched = watchdog_us.isdecimal() and watchdog_pid in ("", str(os.getpid() if pid is None else pid))
+        return cls(address, int(watchdog_us) / _US_PER_S if watched else 0.0)
+
+    def notify_ready(self, status: str) -> None:
+        """Notify that the start is complete."""
+        self._send("READY=1", f"STATUS={status}")
+
+    def notify_status(self, status: str) -> None:
+        """Set the status line."""
+        self._send(f"STATUS={status}")
+
+    def notify_watchdog(self) -> None:
+        """Reset the watchdog's timer."""
+        if not self._unsent:
+            self._send("WATCHDOG=1")
+
+    def notify_stopping(self) -> None:
+        """Notify that the stop has begun."""
+        self._send("STOPPING=1", "STATUS=stopping")
+
+    def flush(self) -> None:
+        """Send notifications that systemd had no room for."""
+        while self._unsent and self._is_sent(self._unsent[0]):
+            self._unsent.popleft()
+
+    def close(self) -> None:
+        """Send the last notifications, and close the socket."""
+        self.flush()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _send(self, *assignments: str) -> None:
+        if self._socket is not None:
+            self._unsent.append("\n".join(each.replace("\n", " ") for each in assignments).encode())
+            self.flush()
+
+    def _is_sent(self, datagram: bytes) -> bool:
+        """Send without waiting; return False if it has to be sent again."""
+        try:
+            if self._socket is not None:
+                self._socket.send(datagram)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            log.debug("systemd cannot be notified: %s", error)
+        return True
+
+
+def _connected(address: str) -> socket.socket | None:
+    """Return a socket that is connected to systemd; None, with a warning in the log, if it cannot be reached."""
+    path = "\0" + address[1:] if address.startswith(_ABSTRACT) else address
+    connecting = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+    try:
+        connecting.connect(path)
+    except (OSError, ValueError) as error:
+        connecting.close()
+        log.warning("NOTIFY_SOCKET: %s cannot be reached: %s", address, error)
+        return None
+    return connecting

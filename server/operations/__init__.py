@@ -1,1 +1,0 @@
-"""Operations: health, metrics, the log's levels, and the service manager."""

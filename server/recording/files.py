@@ -1,0 +1,237 @@
+"""MCAP files that are being written: ROS 2 messages as CDR, in one file or a series of them."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+from collections import deque
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from mcap.writer import CompressionType, Writer
+
+from protocol import interface_text
+from protocol.registry import Registry
+
+log = logging.getLogger("armbridge.recording")
+
+# Messages that are not yet in a chunk are lost with the process; larger chunks would compress better.
+CHUNK_BYTES = 524_288
+
+# Name of the metadata record (MCAP specification, "Metadata") with the server's own facts.
+METADATA_NAME = "armbridge"
+
+# No file is ever overwritten; a directory with more recordings of one name is a mistake.
+MAX_NUMBER = 100_000
+
+# Latched messages, such as descriptions and static transforms, are repeated at the start of every file of a series, so
+# that each can be used alone.
+MAX_LATCHED_BYTES = 67_108_864
+
+# rosbag2's key in a channel's metadata; its value is YAML, and its reader wants every policy named.
+QOS_KEY = "offered_qos_profiles"
+
+_NEVER = "{sec: 9223372036, nsec: 854775807}"
+_QOS_PROFILE = """\
+- history: keep_last
+  depth: {depth}
+  reliability: reliable
+  durability: {durability}
+  deadline: {never}
+  lifespan: {never}
+  liveliness: automatic
+  liveliness_lease_duration: {never}
+  avoid_ros_namespace_conventions: false
+"""
+
+# Releases of rosbag2 before Iron write numbers (rmw_qos_durability_policy_t).
+_LATCHED = re.compile(r"\bdurability: *(transient_local|1)\b")
+
+
+class RecordedMessage(NamedTuple):
+    """Message as a file holds it.
+
+    Attributes:
+        topic: fully qualified name.
+        type_name: canonical name of the message's type.
+        latched: True if the topic is latched.
+        log_time_ns: time of recording [ns since the epoch], by a clock that never jumps.
+        publish_time_ns: time of publication [ns since the epoch].
+        octets: the message as CDR.
+    """
+
+    topic: str
+    type_name: str
+    latched: bool
+    log_time_ns: int
+    publish_time_ns: int
+    octets: bytes
+
+
+class McapFile:
+    """MCAP file with the profile ``ros2`` and a channel for each topic and type.
+
+    All methods may raise OSError.
+
+    Args:
+        stream: the file, open for writing; closed by :meth:`end`.
+        registry: types.
+        facts: further entries of the file's metadata.
+    """
+
+    def __init__(self, stream: BinaryIO, registry: Registry, facts: dict[str, str]) -> None:
+        self._stream = stream
+        self._registry = registry
+        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._schemas: dict[str, int] = {}
+        # By topic and type: the channel's id and its number of messages.
+        self._channels: dict[tuple[str, str], list[int]] = {}
+        version = metadata.version("armbridge")
+        self._writer.start(profile="ros2", library=f"armbridge {version}")
+        self._writer.add_metadata(METADATA_NAME, {"version": version, **facts})
+        # Readers recognize the file from here on, and a full disk has raised its error.
+        self._writer.flush()
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of the file, without the chunk that is not complete yet."""
+        return self._stream.tell()
+
+    def add(self, message: RecordedMessage) -> None:
+        """Append a message."""
+        channel = self._channels.get((message.topic, message.type_name))
+        if channel is None:
+            channel = self._channels[message.topic, message.type_name] = [self._register(message), 0]
+        channel[1] += 1
+        self._writer.add_message(channel[0], message.log_time_ns, message.octets, message.publish_time_ns, channel[1])
+
+    def flush(self) -> None:
+        """End the current chunk, so that it outlives this process."""
+        self._writer.flush()
+
+    def end(self, facts: dict[str, str]) -> None:
+        """Write the index, and close the file.
+
+        Args:
+            facts: metadata that are known only now.
+        """
+        self._writer.flush()
+        if facts:
+            self._writer.add_metadata(METADATA_NAME, facts)
+        self._writer.finish()
+        self._stream.close()
+
+    def _register(self, message: RecordedMessage) -> int:
+        schema = self._schemas.get(message.type_name)
+        if schema is None:
+            text = interface_text.full_text(self._registry, message.type_name)
+            schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
+            self._schemas[message.type_name] = schema
+        return self._writer.register_channel(message.topic, "cdr", schema, channel_metadata(message.latched))
+
+
+class FileSeries:
+    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, none of which existed before.
+
+    All methods, and the constructor, may raise OSError.
+
+    Args:
+        path: the first file.
+        registry: types.
+        facts: metadata of each file.
+        limit_bytes: size from which on a file is followed by the next; None for no limit.
+        keep: newest files of this recording to keep; 0 for all.
+    """
+
+    def __init__(
+        self, path: Path, registry: Registry, facts: dict[str, str], limit_bytes: int | None, keep: int
+    ) -> None:
+        self._path = path
+        self._registry = registry
+        self._facts = facts
+        self._limit_bytes = limit_bytes
+        self._keep = keep
+        self._number = 0
+        self._paths: deque[Path] = deque()
+        self._latched: dict[str, RecordedMessage] = {}
+        self._latched_bytes = 0
+        self._file = self._begin()
+
+    @property
+    def path(self) -> Path:
+        """File that is being written."""
+        return self._paths[-1]
+
+    def add(self, message: RecordedMessage) -> None:
+        """Append a message."""
+        if self._limit_bytes is not None:
+            if self._file.size_bytes >= self._limit_bytes:
+                self._file.end({})
+                self._file = self._begin()
+                self._repeat_latched(message.log_time_ns)
+            if message.latched:
+                self._keep_latched(message)
+        self._file.add(message)
+
+    def flush(self) -> None:
+        """Write everything to the file."""
+        self._file.flush()
+
+    def end(self, facts: dict[str, str]) -> None:
+        """End the last file.
+
+        Args:
+            facts: metadata that are known only now.
+        """
+        self._file.end(facts)
+
+    def abandon(self) -> None:
+        """Close the file as it is, after an error."""
+        # Buffered data meet the same error again.
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
+    def _begin(self) -> McapFile:
+        self._stream, path = self._open_next()
+        self._paths.append(path)
+        if self._keep and len(self._paths) > self._keep:
+            self._paths.popleft().unlink(missing_ok=True)
+        log.info("recording to %s", path)
+        try:
+            return McapFile(self._stream, self._registry, self._facts)
+        except OSError:
+            self.abandon()
+            raise
+
+    def _open_next(self) -> tuple[BinaryIO, Path]:
+        while self._number < MAX_NUMBER:
+            number, self._number = self._number, self._number + 1
+            path = self._path.with_stem(f"{self._path.stem}_{number}") if number else self._path
+            with contextlib.suppress(FileExistsError):
+                return path.open("xb"), path
+        raise FileExistsError(f"{self._path} and {MAX_NUMBER - 1} files numbered after it exist already")
+
+    def _keep_latched(self, message: RecordedMessage) -> None:
+        previous = self._latched.pop(message.topic, None)
+        self._latched_bytes -= 0 if previous is None else len(previous.octets)
+        if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
+            self._latched[message.topic] = message
+            self._latched_bytes += len(message.octets)
+
+    def _repeat_latched(self, now_ns: int) -> None:
+        for message in self._latched.values():
+            self._file.add(message._replace(log_time_ns=now_ns))
+
+
+def channel_metadata(latched: bool) -> dict[str, str]:
+    """Return the metadata of a topic's channel: its quality of service, as rosbag2 writes it."""
+    durability, depth = ("transient_local", 1) if latched else ("volatile", 10)
+    return {QOS_KEY: _QOS_PROFILE.format(durability=durability, depth=depth, never=_NEVER)}
+
+
+def is_latched(metadata: Mapping[str, str]) -> bool:
+    """Return True if a channel's metadata are those of a latched topic."""
+    return _LATCHED.search(metadata.get(QOS_KEY, "")) is not None

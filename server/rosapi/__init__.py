@@ -1,1 +1,0 @@
-"""The services under ``/rosapi/``: what topics, services, types, nodes and parameters there are."""

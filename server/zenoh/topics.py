@@ -1,0 +1,321 @@
+"""Topics shared with other machines: published by this server, and subscribed to by it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+from protocol.codecs import cdr
+from protocol.errors import MessageError
+from protocol.publication import Publication
+from server.access.authorization import Authorizer
+from server.errors import GraphError
+from server.graph.topics import Subscriber
+from server.zenoh.network import MAX_SHARED, Declared, NameFilter, Network
+from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of
+from server.zenoh.session import ReceiveQueue
+
+if TYPE_CHECKING:
+    import zenoh
+    import zenoh.ext
+
+    Publisher: TypeAlias = zenoh.Publisher | zenoh.ext.AdvancedPublisher
+
+# Messages of a topic that wait for the network, the newest; as many as ROS keeps by default.
+MAX_WAITING = 10
+
+
+class OutgoingTopic:
+    """Topic of this server that is published on the network.
+
+    Args:
+        network: the network.
+        name: its name in this server.
+        endpoint: its name and type on the network.
+        latched: True if later subscribers get the last message.
+    """
+
+    def __init__(self, network: Network, name: str, endpoint: Endpoint, *, latched: bool) -> None:
+        self.latched = latched
+        self.endpoint = endpoint
+        self.dropped = 0
+        self._network = network
+        self._name = name
+        self._token = network.tokens.entity(EntityKind.PUBLISHER, endpoint, latched=latched)
+        self._gid = gid_of(self._token)
+        self._waiting: deque[Publication] = deque(maxlen=MAX_WAITING)
+        self._submitted = False
+        self._sent = 0
+        # Set in the session's thread, which alone uses it.
+        self._publisher: Publisher | None = None
+        self._declaration = network.declare(self._declare)
+        subscriber = Subscriber(self._queue)
+        for publication in network.graph.subscribe(network.node, name, endpoint.type_name, subscriber):
+            self._queue(publication)
+
+    def close(self) -> None:
+        """Stop publishing the topic."""
+        self._network.graph.unsubscribe(self._network.node, self._name)
+        self._declaration.undeclare()
+
+    def _queue(self, publication: Publication) -> None:
+        # Messages from the network are there already.
+        if publication.publisher is self._network.node:
+            return
+        self.dropped += len(self._waiting) == MAX_WAITING
+        self._waiting.append(publication)
+        if not self._submitted:
+            self._submitted = self._network.thread.submit(self._send)
+
+    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
+        import zenoh.ext
+
+        key = self.endpoint.key(self._network.domain_id)
+        if self.latched:
+            cache = zenoh.ext.CacheConfig(1)
+            self._publisher = zenoh.ext.declare_advanced_publisher(session, key, cache=cache, publisher_detection=True)
+        else:
+            self._publisher = session.declare_publisher(key)
+        yield self._publisher
+        yield session.liveliness().declare_token(self._token)
+
+    def _send(self, _session: zenoh.Session) -> None:
+        # First, so that later messages are submitted anew.
+        self._submitted = False
+        for _ in range(len(self._waiting)):
+            publication = self._waiting.popleft()
+            octets = cdr.serialize(self._network.registry, publication.type_name, publication.msg)
+            self._sent += 1
+            attachment = Attachment(self._sent, time.time_ns(), self._gid).encode()
+            if self._publisher is not None:
+                self._publisher.put(octets, attachment=attachment)
+
+
+class OutgoingTopics:
+    """All topics of this server that are published on the network.
+
+    Args:
+        network: the network.
+        names: topics to publish.
+    """
+
+    def __init__(self, network: Network, names: NameFilter) -> None:
+        self._network = network
+        self._names = names
+        self._topics: dict[str, OutgoingTopic] = {}
+        self._dropped_by_closed = 0
+
+    @property
+    def dropped(self) -> int:
+        """Messages dropped because the network was too slow."""
+        return self._dropped_by_closed + sum(topic.dropped for topic in self._topics.values())
+
+    def refresh(self, foreign: frozenset[str]) -> None:
+        """Publish the topics that exist now, and no others.
+
+        Args:
+            foreign: names on the network that other machines use, outside of this server's namespace.
+        """
+        wanted = self._wanted(foreign)
+        for name, topic in list(self._topics.items()):
+            if wanted.get(name) != (topic.endpoint, topic.latched):
+                self._dropped_by_closed += topic.dropped
+                self._topics.pop(name).close()
+        for name, (endpoint, latched) in wanted.items():
+            if name not in self._topics and len(self._topics) < MAX_SHARED:
+                self._topics[name] = OutgoingTopic(self._network, name, endpoint, latched=latched)
+
+    def _wanted(self, foreign: frozenset[str]) -> dict[str, tuple[Endpoint, bool]]:
+        graph, found = self._network.graph, {}
+        for name, type_name in graph.topic_types().items():
+            if self._names.matches(name) and set(graph.publishers(name)) - {self._network.node}:
+                endpoint = self._endpoint(name, type_name, foreign)
+                if endpoint is not None:
+                    found[name] = endpoint, graph.is_latched(name)
+        return found
+
+    def _endpoint(self, name: str, type_name: str, foreign: frozenset[str]) -> Endpoint | None:
+        # A client may publish to another server's topic, by its name there.
+        is_foreign = name in foreign and not self._network.is_own_publication(name)
+        network_name = name if is_foreign else self._network.namespace.to_network(name)
+        return self._network.endpoint(network_name, type_name, "msg")
+
+
+class Source(NamedTuple):
+    """Topic of other machines to subscribe to.
+
+    Attributes:
+        endpoint: its name and type on the network.
+        latched: True if one of its publishers keeps its last message.
+        announced: True if a machine publishes it.
+    """
+
+    endpoint: Endpoint
+    latched: bool
+    announced: bool
+
+
+class IncomingTopic:
+    """Topic of other machines that this server subscribes to.
+
+    Args:
+        network: the network.
+        name: its name in this server.
+        source: the topic on the network.
+        received: takes its messages.
+
+    Raises:
+        GraphError: this server has a topic of that name and another type.
+    """
+
+    def __init__(
+        self, network: Network, name: str, source: Source, received: ReceiveQueue[tuple[IncomingTopic, bytes]]
+    ) -> None:
+        self.name = name
+        self.source = source
+        self._network = network
+        self._received = received
+        self._key = source.endpoint.key(network.domain_id)
+        self._token = network.tokens.entity(EntityKind.SUBSCRIPTION, source.endpoint, latched=source.latched)
+        if source.announced:
+            network.graph.advertise(network.node, name, source.endpoint.type_name, latch=source.latched)
+        self._declaration = network.declare(self._declare)
+
+    def close(self) -> None:
+        """Unsubscribe from the topic."""
+        self._network.graph.unadvertise(self._network.node, self.name)
+        self._declaration.undeclare()
+
+    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
+        import zenoh.ext
+
+        handler, remote = zenoh.handlers.Callback(self._on_sample, indirect=False), zenoh.Locality.REMOTE
+        if self.source.latched:
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            yield zenoh.ext.declare_advanced_subscriber(
+                session, self._key, handler, allowed_origin=remote, history=history
+            )
+        else:
+            yield session.declare_subscriber(self._key, handler, allowed_origin=remote)
+        yield session.liveliness().declare_token(self._token)
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        # A message for every key that matches a pattern is ignored: it would be a goal here, and a stop there.
+        if str(sample.key_expr) != self._key:
+            return
+        limit = self._network.max_message_bytes
+        if len(sample.payload) > limit:
+            reason = f"more than {limit} bytes (server.limits.max_message_bytes)"
+            self._network.warnings.warn(f"a message on {self.source.endpoint.name} is left out, it has {reason}")
+            return
+        octets = bytes(sample.payload)
+        self._received.put((self, octets), len(octets))
+
+
+class IncomingTopics:
+    """All topics of other machines that this server subscribes to.
+
+    Args:
+        network: the network.
+        names: topics to subscribe to, by their names in this server.
+        authorizer: permissions of other machines.
+    """
+
+    def __init__(self, network: Network, names: NameFilter, authorizer: Authorizer) -> None:
+        self._network = network
+        self._names = names
+        self._authorizer = authorizer
+        self._received = ReceiveQueue[tuple[IncomingTopic, bytes]](network.loop, self._publish)
+        self._topics: dict[str, IncomingTopic] = {}
+        self._entities: tuple[Entity, ...] = ()
+        self._announced: dict[str, Source] = {}
+
+    @property
+    def dropped(self) -> int:
+        """Messages dropped because this server was too slow."""
+        return self._received.dropped
+
+    def refresh(self, entities: tuple[Entity, ...]) -> None:
+        """Subscribe to the topics that exist now, and to no others.
+
+        Args:
+            entities: entities of other machines; the same object for as long as nothing changes.
+        """
+        if entities is not self._entities:
+            self._entities, self._announced = entities, self._sources(entities)
+        wanted = self._wanted()
+        for name, topic in list(self._topics.items()):
+            if wanted.get(name) != topic.source:
+                self._topics.pop(name).close()
+        for name, source in wanted.items():
+            if name not in self._topics and len(self._topics) < MAX_SHARED:
+                self._subscribe(name, source)
+
+    def _subscribe(self, name: str, source: Source) -> None:
+        try:
+            self._topics[name] = IncomingTopic(self._network, name, source, self._received)
+        except GraphError as error:
+            self._network.warnings.warn(f"{source.endpoint.name} does not come in: {error}")
+
+    def _wanted(self) -> dict[str, Source]:
+        network, found = self._network, dict[str, Source]()
+        for name, type_name in network.graph.topic_types().items():
+            if self._names.matches(name) and network.is_own_subscription(name) and not network.is_own_publication(name):
+                own = network.endpoint(network.namespace.to_network(name), type_name, "msg")
+                if own is not None:
+                    announced = self._announced.get(name)
+                    # A latched goal is an old one; it must not move the arm of a server that starts.
+                    found[name] = Source(own, False, announced is not None and announced.endpoint == own)
+        for name, source in self._announced.items():
+            if name not in found and not self._is_taken(name, source.endpoint.name):
+                found[name] = source
+        return found
+
+    def _sources(self, entities: Iterable[Entity]) -> dict[str, Source]:
+        """Return topics that other machines publish and this server may subscribe to, by their names here."""
+        found = dict[str, Source]()
+        for entity in entities:
+            endpoint, name = entity.endpoint, self._network.namespace.to_local(entity.endpoint.name)
+            if entity.kind is not EntityKind.PUBLISHER or not self._names.matches(name):
+                continue
+            known = found.get(name)
+            if known is not None and known.endpoint == endpoint:
+                found[name] = known._replace(latched=known.latched or entity.latched)
+            elif known is None and self._network.agrees(endpoint, "msg"):
+                found[name] = Source(endpoint, entity.latched, announced=True)
+        return found
+
+    def _is_taken(self, name: str, network_name: str) -> bool:
+        """Return True if this server publishes a topic of this name itself; other machines do not speak for it."""
+        is_taken = self._network.is_own_publication(name)
+        if is_taken:
+            self._network.warnings.warn(
+                f"{network_name} of another machine does not come in, this server has a topic of that name; "
+                "set zenoh.namespace on one of them"
+            )
+        return is_taken
+
+    def _publish(self, item: tuple[IncomingTopic, bytes]) -> None:
+        topic, octets = item
+        if self._topics.get(topic.name) is not topic:
+            return
+        network, type_name = self._network, topic.source.endpoint.type_name
+        try:
+            message = cdr.deserialize(network.registry, type_name, octets)
+            if not self._is_rejected(topic.name, message):
+                network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
+        except (MessageError, GraphError) as error:
+            network.warnings.warn(f"a message on {topic.name} is left out: {error}")
+
+    def _is_rejected(self, name: str, message: Mapping[str, Any]) -> bool:
+        """Reject a message to the server that other machines have no permission for; return True if it was rejected."""
+        if not self._network.is_own_subscription(name):
+            return False
+        refusal = self._authorizer.publishing(name, message)
+        if refusal is None:
+            return False
+        self._network.graph.turn_away(self._network.node, name, message, refusal)
+        self._network.warnings.warn(refusal)
+        return True

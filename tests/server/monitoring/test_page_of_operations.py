@@ -1,0 +1,86 @@
+"""What docs/operations.md tells is so."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from robot.faults import FaultCode
+from server.commands.systemd_unit import unit
+from server.gateway.connection import Traffic
+from server.monitoring.health import Sources
+from server.monitoring.metrics import GoalCounters, Metrics
+from tests.helpers.server import ROOT
+from tests.helpers.watched_parts import (
+    WatchedArm,
+    WatchedPlanners,
+    WatchedQueue,
+    WatchedRecorder,
+    arm_health,
+    arm_state,
+)
+from tests.test_readme import blocks
+
+PAGE = ROOT / "docs" / "operations.md"
+
+# Nothing latches it: without its process the arm is not connected.
+NEVER_LATCHED = {FaultCode.PROCESS_LOST.value}
+
+SUFFIXES = {"counter": "_total", "info": "_info"}
+
+
+def rows() -> list[list[str]]:
+    lines = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    return [re.split(r" *\| *", line)[1:-1] for line in lines]
+
+
+def everything() -> Sources:
+    return Sources(
+        Traffic(),
+        lambda: {"limit": 0},
+        GoalCounters(),
+        WatchedQueue(),
+        WatchedArm(arm_state()),
+        arm_health(),
+        WatchedPlanners(),
+        WatchedRecorder(),
+        WatchedRecorder(),
+        started=True,
+    )
+
+
+def test_every_metric_is_on_the_page_with_its_kind_and_labels() -> None:
+    told = {}
+    for cells in rows():
+        for name in re.findall(r"`(armbridge_\w+)`", cells[0]):
+            told[name] = (cells[1], set(filter(None, re.split(r",? +", cells[2].strip()))))
+    found = {}
+    for family in Metrics(everything()).registry.collect():
+        labels = {label for each in family.samples for label in each.labels} - {"le"}
+        # Nobody has sent a goal.
+        labels |= {"source", "result"} if family.name == "armbridge_goals" else set()
+        kind = "gauge" if family.type == "info" else family.type
+        found[family.name + SUFFIXES.get(family.type, "")] = (kind, labels)
+    assert told == found
+
+
+def test_every_fault_is_on_the_page() -> None:
+    told = {cells[0] for cells in rows()}
+    assert {code.value for code in FaultCode} - told == NEVER_LATCHED
+
+
+def test_the_page_and_the_unit_agree() -> None:
+    text = unit(["/a"], None, None, "dialout")
+    (table,) = re.findall(r"\| in the unit .*?\n\n", PAGE.read_text(), re.DOTALL)
+    for setting in re.findall(r"`([A-Z]\w+)(=[\w-]+)?`", table):
+        assert "".join(setting) in text
+
+
+def test_prometheus_can_read_what_it_is_to_scrape() -> None:
+    yaml = pytest.importorskip("yaml")
+    (snippet,) = blocks(PAGE, "yaml")
+    (job,) = yaml.safe_load(snippet)["scrape_configs"]
+    assert job["static_configs"] == [{"targets": ["127.0.0.1:9090"]}]
+    with_token = yaml.safe_load(re.sub(r"# (?=authorization|  credentials)", "", snippet))
+    assert set(with_token["scrape_configs"][0]["authorization"]) == {"credentials_file"}

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import pty
+import signal
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+
+from robot import logs as changed
+from robot.logs import OUR_LOGGER
+from server.monitoring import signals
+from server.monitoring.signals import on_hangup, toggle_debug
+
+
+class Told:
+    """What a hangup has led to."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+
+    def reload(self) -> None:
+        self.calls.append("reload")
+
+    def end(self) -> None:
+        self.calls.append("end")
+
+    async def after_hangup(self) -> list[str]:
+        signal.raise_signal(signal.SIGHUP)
+        async with asyncio.timeout(30.0):
+            while not self.calls:
+                await asyncio.sleep(0.005)
+        return self.calls
+
+
+@pytest.fixture
+async def told() -> AsyncIterator[Told]:
+    yield Told()
+    asyncio.get_running_loop().remove_signal_handler(signal.SIGHUP)
+
+
+async def test_a_service_reads_its_files_again(told: Told) -> None:
+    on_hangup(told.reload, told.end, lambda _descriptor: False)
+    assert await told.after_hangup() == ["reload"]
+
+
+async def test_a_program_in_a_terminal_reads_its_files_again_when_it_is_asked_to(told: Told) -> None:
+    ours, theirs = pty.openpty()
+    on_hangup(told.reload, told.end, lambda _descriptor: os.isatty(theirs))
+    assert await told.after_hangup() == ["reload"]
+    os.close(ours)
+    os.close(theirs)
+
+
+async def test_a_program_whose_terminal_is_gone_ends(told: Told) -> None:
+    ours, theirs = pty.openpty()
+    on_hangup(told.reload, told.end, lambda _descriptor: os.isatty(theirs))
+    os.close(ours)
+    assert await told.after_hangup() == ["end"]
+    os.close(theirs)
+
+
+@pytest.fixture
+def levels_are_put_back(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(changed, "_changed", {})
+    before = {name: logging.getLogger(name).level for name in (OUR_LOGGER, "armbridge.gateway")}
+    yield
+    for name, level in before.items():
+        logging.getLogger(name).setLevel(level)
+
+
+@pytest.mark.usefixtures("levels_are_put_back")
+def test_the_signal_begins_and_ends_debugging(caplog: pytest.LogCaptureFixture) -> None:
+    toggle_debug()
+    assert signals.log.isEnabledFor(logging.DEBUG)
+    toggle_debug()
+    assert logging.getLogger(OUR_LOGGER).level == logging.NOTSET
+    assert ["debug now" in record.message for record in caplog.records] == [True, False]

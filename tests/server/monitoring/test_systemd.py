@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import logging
+import os
+import select
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from server.monitoring.systemd import SystemdNotifier
+
+
+class Systemd:
+    """The socket of systemd, which hears what services say."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
+        self.socket.settimeout(5.0)
+
+    def heard(self) -> list[str]:
+        return self.socket.recv(4096).decode().splitlines()
+
+    def all_heard(self) -> list[list[str]]:
+        """What has come until now."""
+        heard = []
+        while select.select([self.socket], [], [], 0.0)[0]:
+            heard.append(self.heard())
+        return heard
+
+
+@pytest.fixture(params=["path", "abstract"])
+def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]:
+    found = Systemd(str(tmp_path / "notify") if request.param == "path" else f"@armbridge-test-{os.getpid()}")
+    with found.socket:
+        yield found
+
+
+def test_it_is_told_what_systemd_understands(systemd: Systemd) -> None:
+    notifier = SystemdNotifier(systemd.address)
+    notifier.notify_status("starting")
+    notifier.notify_ready("ready")
+    notifier.notify_watchdog()
+    notifier.notify_stopping()
+    assert [systemd.heard() for _ in range(4)] == [
+        ["STATUS=starting"],
+        ["READY=1", "STATUS=ready"],
+        ["WATCHDOG=1"],
+        ["STOPPING=1", "STATUS=stopping"],
+    ]
+    notifier.close()
+
+
+def test_a_status_cannot_smuggle_in_another_assignment(systemd: Systemd) -> None:
+    notifier = SystemdNotifier(systemd.address)
+    notifier.notify_status("bad\nREADY=1")
+    assert systemd.heard() == ["STATUS=bad READY=1"]
+    notifier.close()
+
+
+def test_one_that_does_not_read_holds_nobody_up(systemd: Systemd) -> None:
+    notifier = SystemdNotifier(systemd.address)
+    for _ in range(5000):
+        notifier.notify_watchdog()
+        notifier.notify_status("there is news")
+    notifier.close()
+    notifier.notify_watchdog()
+
+
+def test_what_it_did_not_read_in_time_is_told_again(systemd: Systemd) -> None:
+    notifier = SystemdNotifier(systemd.address)
+    for _ in range(1000):
+        notifier.notify_watchdog()
+    notifier.notify_ready("ready")
+    assert not any("READY=1" in heard for heard in systemd.all_heard())
+    notifier.flush()
+    notifier.notify_watchdog()
+    assert [systemd.heard(), systemd.heard()] == [["WATCHDOG=1"], ["READY=1", "STATUS=ready"]]
+    assert systemd.heard() == ["WATCHDOG=1"]
+    notifier.close()
+
+
+def test_without_one_nothing_is_told() -> None:
+    notifier = SystemdNotifier.from_environment({}, 7)
+    notifier.notify_ready("ready")
+    assert notifier.watchdog_s == 0.0
+
+
+def test_one_that_cannot_be_reached_is_told_of_and_passed_over(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING)
+    notifier = SystemdNotifier(str(tmp_path / "nobody"))
+    notifier.notify_ready("ready")
+    assert "NOTIFY_SOCKET" in caplog.text
+
+
+WATCHED = {
+    "this process": ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "7"}, 2.5),
+    "whoever reads it": ({"WATCHDOG_USEC": "2500000"}, 2.5),
+    "another process": ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "8"}, 0.0),
+    "nonsense": ({"WATCHDOG_USEC": "often", "WATCHDOG_PID": "7"}, 0.0),
+    "nobody": ({}, 0.0),
+}
+
+
+@pytest.mark.parametrize(("variables", "watchdog_s"), WATCHED.values(), ids=WATCHED.keys())
+def test_the_watchdog_is_for_the_process_that_it_names(
+    systemd: Systemd, variables: dict[str, str], watchdog_s: float
+) -> None:
+    notifier = SystemdNotifier.from_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
+    assert notifier.watchdog_s == watchdog_s
+    notifier.close()
+
+
+def test_children_do_not_inherit_the_variables(monkeypatch: pytest.MonkeyPatch, systemd: Systemd) -> None:
+    variables = {"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "1", "WATCHDOG_PID": str(os.getpid())}
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    notifier = SystemdNotifier.from_environment()
+    assert not set(variables) & set(os.environ)
+    assert notifier.watchdog_s == pytest.approx(1e-6)
+    notifier.close()

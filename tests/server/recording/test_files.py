@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import base64
+import random
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from server.recording import files
+from server.recording.files import (
+    METADATA_NAME,
+    QOS_KEY,
+    FileSeries,
+    McapFile,
+    RecordedMessage,
+    channel_metadata,
+    is_latched,
+)
+from server.recording.reader import Recording
+from tests.helpers.recorded import REGISTRY, START_NS, entry, record, text
+
+# One file: what is written is read by the MCAP project's own reader for ROS 2.
+
+
+def foreign(path: Path) -> list[Any]:
+    """Schema, channel, message and what was decoded, of each message."""
+    with path.open("rb") as stream:
+        return list(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
+
+
+def test_a_foreign_reader_decodes_what_was_recorded(tmp_path: Path) -> None:
+    states = [
+        entry("/joint_states", "sensor_msgs/JointState", {"name": ["a", "b"], "position": [0.5, float(n)]}, n)
+        for n in range(3)
+    ]
+    read = foreign(record(tmp_path / "run.mcap", states))
+    assert [list(one.decoded_message.position) for one in read] == [[0.5, 0.0], [0.5, 1.0], [0.5, 2.0]]
+    assert read[0].decoded_message.name == ["a", "b"]
+    assert [one.message.log_time - START_NS for one in read] == [0, 10**9, 2 * 10**9]
+    assert [one.message.sequence for one in read] == [1, 2, 3]
+
+
+def test_a_foreign_reader_understands_the_schema_of_every_type(tmp_path: Path) -> None:
+    names = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
+    path = record(tmp_path / "run.mcap", [entry(f"/t/{name}", name, {}, n) for n, name in enumerate(names)])
+    assert [one.schema.name for one in foreign(path)] == names
+
+
+def test_profile_schema_and_channel_are_those_that_viewers_expect(tmp_path: Path) -> None:
+    path = record(tmp_path / "run.mcap", [entry("/d", "std_msgs/String", {"data": "<robot/>"}, latched=True)])
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+    assert summary is not None
+    schema, channel = summary.schemas[1], summary.channels[1]
+    assert (schema.name, schema.encoding, schema.data) == ("std_msgs/msg/String", "ros2msg", b"string data\n")
+    assert (channel.topic, channel.message_encoding) == ("/d", "cdr")
+    assert is_latched(channel.metadata)
+
+
+def test_readers_of_rosbag2_know_which_topics_are_latched(tmp_path: Path) -> None:
+    entries = [
+        entry("/plain", "std_msgs/Bool", {}),
+        entry("/latched", "std_msgs/Bool", {"data": True}, 1, latched=True),
+    ]
+    path = record(tmp_path / "run.mcap", entries)
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        offered = {one.topic: cast(Any, one.ext).offered_qos_profiles[0].durability.name for one in reader.connections}
+        assert [reader.deserialize(octets, one.msgtype).data for one, _, octets in reader.messages()] == [False, True]
+    assert offered == {"/plain": "VOLATILE", "/latched": "TRANSIENT_LOCAL"}
+
+
+def test_facts_are_kept_as_metadata(tmp_path: Path) -> None:
+    McapFile((tmp_path / "run.mcap").open("wb"), REGISTRY, {"robot": "so101"}).end({"dropped_messages": "3"})
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        first, last = (each.metadata for each in make_reader(stream).iter_metadata() if each.name == METADATA_NAME)
+    assert (first["robot"], last["dropped_messages"]) == ("so101", "3")
+
+
+def test_a_topic_with_two_types_has_two_channels(tmp_path: Path) -> None:
+    entries = [entry("/t", "std_msgs/Bool", {}), entry("/t", "std_msgs/Int8", {}, 1)]
+    read = foreign(record(tmp_path / "run.mcap", entries))
+    assert [one.schema.name for one in read] == ["std_msgs/msg/Bool", "std_msgs/msg/Int8"]
+
+
+# A series of files.
+
+LIMIT = 20_000
+
+
+def series(path: Path, limit: int | None = LIMIT, keep: int = 0) -> FileSeries:
+    return FileSeries(path, REGISTRY, {}, limit, keep)
+
+
+def picture(number: int) -> RecordedMessage:
+    """Ten kilobytes that do not compress."""
+    octets = base64.b64encode(random.Random(number).randbytes(10_000)).decode()
+    return entry("/picture", "sensor_msgs/CompressedImage", {"format": str(number), "data": octets}, number)
+
+
+def fill(written: FileSeries, count: int) -> None:
+    for number in range(count):
+        written.add(picture(number))
+        written.flush()
+    written.end({})
+
+
+def topics(path: Path) -> list[str]:
+    return [each.topic for chunk in Recording(path).chunks() for each in chunk]
+
+
+def names(directory: Path) -> list[str]:
+    return sorted(path.name for path in directory.iterdir())
+
+
+def test_a_file_that_exists_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_text("precious")
+    written = series(tmp_path / "run.mcap")
+    written.end({})
+    assert written.path == tmp_path / "run_1.mcap"
+    assert (tmp_path / "run.mcap").read_text() == "precious"
+
+
+def test_a_file_that_has_its_size_is_followed_by_the_next(tmp_path: Path) -> None:
+    fill(series(tmp_path / "run.mcap"), 5)
+    assert names(tmp_path) == ["run.mcap", "run_1.mcap", "run_2.mcap"]
+    assert [len(topics(tmp_path / name)) for name in names(tmp_path)] == [2, 2, 1]
+
+
+def test_without_a_limit_there_is_one_file(tmp_path: Path) -> None:
+    fill(series(tmp_path / "run.mcap", limit=None), 5)
+    assert names(tmp_path) == ["run.mcap"]
+
+
+def test_the_oldest_files_of_the_series_are_given_up(tmp_path: Path) -> None:
+    (tmp_path / "other.mcap").touch()
+    fill(series(tmp_path / "run.mcap", keep=2), 7)
+    assert names(tmp_path) == ["other.mcap", "run_2.mcap", "run_3.mcap"]
+
+
+def test_what_is_latched_stands_at_the_beginning_of_every_file(tmp_path: Path) -> None:
+    written = series(tmp_path / "run.mcap")
+    written.add(entry("/robot_description", "std_msgs/String", {"data": "<robot/>"}, latched=True))
+    fill(written, 3)
+    assert topics(tmp_path / "run_1.mcap") == ["/robot_description", "/picture"]
+
+
+def test_only_so_much_that_is_latched_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MAX_LATCHED_BYTES", 15)
+    written = series(tmp_path / "run.mcap")
+    written.add(text(1, "/small")._replace(latched=True))
+    written.add(text(1, "/one_too_many")._replace(latched=True))
+    fill(written, 3)
+    assert topics(tmp_path / "run_1.mcap") == ["/small", "/picture"]
+
+
+def test_a_disk_that_is_full_from_the_beginning_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = Path("/dev/full")
+    monkeypatch.setattr(FileSeries, "_open_next", lambda _series: (full.open("wb"), full))
+    with pytest.raises(OSError, match="No space left"):
+        series(tmp_path / "run.mcap")
+
+
+def test_there_are_only_so_many_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MAX_NUMBER", 1)
+    (tmp_path / "run.mcap").touch()
+    with pytest.raises(FileExistsError, match="numbered after it exist already"):
+        series(tmp_path / "run.mcap")
+
+
+# Quality of service.
+
+
+@pytest.mark.parametrize("latched", [True, False])
+def test_whether_a_topic_is_latched_is_read_back(latched: bool) -> None:
+    assert is_latched(channel_metadata(latched)) is latched
+
+
+@pytest.mark.parametrize(("number", "latched"), [(1, True), (2, False)])
+def test_the_numbers_of_older_releases_are_understood(number: int, latched: bool) -> None:
+    assert is_latched({QOS_KEY: f"- history: 1\n  depth: 10\n  durability: {number}\n"}) is latched
+
+
+def test_a_channel_without_profiles_is_not_latched() -> None:
+    assert not is_latched({})

@@ -1,0 +1,306 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from protocol.dialect import Dialect
+from server import rosapi
+from server.access.permissions import NameFilter
+from server.errors import ServiceError
+from server.rosapi import MAX_PARAMETER_BYTES, Parameters, Request, names_of_type, node_name
+from tests.helpers.asked_world import ARM, CLIENT, AskedWorld
+
+
+@pytest.fixture
+def world() -> AskedWorld:
+    return AskedWorld()
+
+
+def test_the_time_is_the_servers(world: AskedWorld) -> None:
+    assert world.ask("get_time")["time"] == {"sec": 12, "nanosec": 500_000_000}
+
+
+@pytest.mark.parametrize(
+    ("dialect", "version"),
+    [("ros2", {"version": 2, "distro": "jazzy"}), ("ros1", {"version": 1, "distro": "noetic"})],
+)
+def test_the_version_is_one_that_clients_of_the_dialect_know(
+    world: AskedWorld, dialect: Dialect, version: dict[str, object]
+) -> None:
+    assert world.ask("get_ros_version", dialect) == version
+
+
+@pytest.mark.parametrize("dialect", ["ros2", "ros1"])
+def test_every_service_answers_in_both_dialects(world: AskedWorld, dialect: Dialect) -> None:
+    requests = {"message_details": {"type": "std_msgs/String"}, "set_param": {"name": "/a", "value": "1"}}
+    services = [name for name in world.graph.services.types() if name.startswith("/rosapi/")]
+    assert len(services) == 26
+    for service in services:
+        short = service.removeprefix("/rosapi/")
+        kind = {"type": "std_srvs/SetBool"} if short.startswith("service_re") else {}
+        world.ask(short, dialect, **requests.get(short, kind))
+
+
+def test_a_failed_question_fails_the_call_with_its_reason(world: AskedWorld) -> None:
+    response = world.response("set_param", {"name": "/speed", "value": "{"})
+    assert not response.ok
+    assert "value: must be JSON text" in response.values
+
+
+# Topics, services and nodes.
+
+
+def test_topics_come_with_their_types(world: AskedWorld) -> None:
+    answer = world.ask("topics")
+    assert dict(zip(answer["topics"], answer["types"], strict=True)) == {
+        "/joint_states": "sensor_msgs/msg/JointState",
+        "/chatter": "std_msgs/msg/String",
+    }
+
+
+@pytest.mark.parametrize("type_name", ["std_msgs/String", "std_msgs/msg/String"])
+def test_topics_are_found_by_either_spelling_of_their_type(world: AskedWorld, type_name: str) -> None:
+    assert world.ask("topics_for_type", type=type_name)["topics"] == ["/chatter"]
+
+
+def test_a_type_that_nobody_knows_has_no_topics_and_no_services(world: AskedWorld) -> None:
+    assert world.ask("topics_for_type", type="no/Such")["topics"] == []
+    assert world.ask("services_for_type", type="no/Such")["services"] == []
+
+
+@pytest.mark.parametrize(("topic", "type_name"), [("joint_states", "sensor_msgs/msg/JointState"), ("/nowhere", "")])
+def test_the_type_of_a_topic_is_told_and_empty_when_unknown(world: AskedWorld, topic: str, type_name: str) -> None:
+    assert world.ask("topic_type", topic=topic)["type"] == type_name
+
+
+def test_services_are_listed_with_type_and_node(world: AskedWorld) -> None:
+    assert {"/arm/stop", "/rosapi/services"} <= set(world.ask("services")["services"])
+    assert world.ask("service_type", service="/arm/stop")["type"] == "std_srvs/srv/Trigger"
+    assert world.ask("service_type", service="/nobody")["type"] == ""
+    assert world.ask("services_for_type", type="std_srvs/Trigger")["services"] == ["/arm/stop"]
+    assert world.ask("service_node", service="/arm/stop")["node"] == "/arm"
+    assert world.ask("service_node", service="/nobody")["node"] == ""
+
+
+def test_providers_are_asked_for_by_type(world: AskedWorld) -> None:
+    assert world.ask("service_providers", service="std_srvs/Trigger")["providers"] == ["/arm"]
+
+
+def test_nodes_and_what_they_do_are_told(world: AskedWorld) -> None:
+    client = "/client_127_0_0_1_53944"
+    assert set(world.ask("nodes")["nodes"]) == {"/arm", client, "/rosapi"}
+    assert world.ask("node_details", node=client) == {
+        "subscribing": ["/joint_states"],
+        "publishing": ["/chatter"],
+        "services": [],
+    }
+    assert world.ask("node_details", node="/arm")["services"] == ["/arm/stop"]
+    assert world.ask("publishers", topic="/joint_states")["publishers"] == ["/arm"]
+    assert world.ask("subscribers", topic="joint_states")["subscribers"] == [client]
+
+
+def test_names_of_nodes_are_ros_names() -> None:
+    assert node_name(CLIENT) == "/client_127_0_0_1_53944"
+
+
+def test_a_service_is_on_the_servers_host(world: AskedWorld) -> None:
+    assert world.ask("service_host", service="/arm/stop")["host"]
+    assert world.ask("service_host", service="/nobody")["host"] == ""
+
+
+def test_types_are_spelled_as_the_callers_generation_does(world: AskedWorld) -> None:
+    topics = world.ask("topics", "ros1")
+    assert dict(zip(topics["topics"], topics["types"], strict=True)) == {
+        "/joint_states": "sensor_msgs/JointState",
+        "/chatter": "std_msgs/String",
+    }
+    assert world.ask("topic_type", "ros1", topic="chatter")["type"] == "std_msgs/String"
+    assert world.ask("topic_type", "ros1", topic="/nowhere")["type"] == ""
+    assert world.ask("service_type", "ros1", service="/arm/stop")["type"] == "std_srvs/Trigger"
+    assert world.ask("service_type", "ros1", service="/rosapi/topics")["type"] == "rosapi/Topics"
+
+
+# Types.
+
+
+def test_raw_types_hold_the_text_of_every_dependency(world: AskedWorld) -> None:
+    answer = world.ask("topics_and_raw_types")
+    text = dict(zip(answer["topics"], answer["typedefs_full_text"], strict=True))["/joint_states"]
+    assert "float64[] position" in text
+    assert "MSG: std_msgs/Header" in text
+    assert "MSG: builtin_interfaces/Time" in text
+
+
+def test_message_details_have_plain_field_names(world: AskedWorld) -> None:
+    main, *others = world.ask("message_details", type="sensor_msgs/JointState")["typedefs"]
+    assert main["type"] == "sensor_msgs/JointState"
+    assert main["fieldnames"] == ["header", "name", "position", "velocity", "effort"]
+    assert main["fieldarraylen"] == [-1, 0, 0, 0, 0]
+    assert {"std_msgs/Header", "builtin_interfaces/Time"} == {other["type"] for other in others}
+
+
+def test_service_details_tell_both_members(world: AskedWorld) -> None:
+    request = world.ask("service_request_details", type="std_srvs/SetBool")["typedefs"][0]
+    response = world.ask("service_response_details", type="std_srvs/srv/SetBool")["typedefs"][0]
+    assert request["fieldnames"] == ["data"]
+    assert response["fieldnames"] == ["success", "message"]
+
+
+@pytest.mark.parametrize("service", ["message_details", "service_request_details", "service_response_details"])
+def test_details_of_a_type_that_nobody_knows_fail_with_its_name(world: AskedWorld, service: str) -> None:
+    response = world.response(service, {"type": "no/Such"})
+    assert not response.ok
+    assert "no/Such" in response.values
+
+
+def test_raw_types_are_those_of_the_callers_generation(world: AskedWorld) -> None:
+    world.graph.advertise(ARM, "/log", "rcl_interfaces/Log")
+    answer = world.ask("topics_and_raw_types", "ros1")
+    texts = dict(zip(answer["topics"], answer["typedefs_full_text"], strict=True))
+    names = dict(zip(answer["topics"], answer["types"], strict=True))
+    assert "MSG: std_msgs/Header\nuint32 seq\ntime stamp\n" in texts["/joint_states"]
+    assert (names["/joint_states"], names["/log"]) == ("sensor_msgs/JointState", "rcl_interfaces/Log")
+    assert "time stamp\n" in texts["/log"]
+    assert "builtin_interfaces" not in "".join(texts.values())
+    assert "builtin_interfaces" in "".join(world.ask("topics_and_raw_types")["typedefs_full_text"])
+
+
+def test_a_type_that_is_relayed_unknown_has_no_text(world: AskedWorld) -> None:
+    world.graph.advertise(ARM, "/thing", "acme_msgs/Thing")
+    for dialect, spelled in (("ros2", "acme_msgs/msg/Thing"), ("ros1", "acme_msgs/Thing")):
+        answer = world.response("topics_and_raw_types", {}, dialect).values
+        assert (answer["types"][-1], answer["typedefs_full_text"][-1]) == (spelled, "")
+
+
+def test_details_are_those_of_the_callers_generation(world: AskedWorld) -> None:
+    header, time = world.ask("message_details", "ros1", type="std_msgs/Header")["typedefs"]
+    assert (header["fieldnames"], header["fieldtypes"]) == (["seq", "stamp", "frame_id"], ["uint32", "time", "string"])
+    assert (time["type"], time["fieldnames"]) == ("time", ["secs", "nsecs"])
+    request = world.ask("service_request_details", "ros1", type="rosapi/GetParam")["typedefs"][0]
+    assert (request["type"], request["fieldnames"]) == ("rosapi/GetParamRequest", ["name", "default"])
+
+
+def test_the_texts_of_many_topics_are_bounded(world: AskedWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = world.ask("topics_and_raw_types")["typedefs_full_text"]
+    monkeypatch.setattr(rosapi, "MAX_TEXTS_CHARACTERS", sum(map(len, whole)) - 1)
+    answer = world.ask("topics_and_raw_types")
+    assert answer["typedefs_full_text"] == [whole[0], ""]
+    assert len(answer["topics"]) == len(answer["types"]) == 2
+
+
+# Requests.
+
+
+def test_a_name_is_qualified() -> None:
+    assert Request({"topic": "chat"}, "ros2").name("topic") == "/chat"
+
+
+def test_types_are_spelled_for_the_caller() -> None:
+    names = ["std_msgs/msg/String", "rosapi_msgs/srv/Topics"]
+    assert Request({}, "ros2").spell_all(names) == names
+    assert Request({}, "ros1").spell_all(names) == ["std_msgs/String", "rosapi/Topics"]
+    assert Request({}, "ros1").spell("") == ""
+
+
+@pytest.mark.parametrize(
+    "wanted", ["rosapi_msgs/srv/Topics", "rosapi_msgs/Topics", "rosapi/Topics", "rosapi/srv/Topics"]
+)
+def test_names_are_found_by_any_spelling_of_their_type(wanted: str) -> None:
+    types = {"/b": "rosapi_msgs/srv/Topics", "/c": "std_srvs/srv/Trigger", "/a": "rosapi_msgs/srv/Topics"}
+    assert names_of_type(types, wanted) == ["/a", "/b"]
+
+
+def test_a_time_is_found_by_the_name_that_either_generation_has_for_it() -> None:
+    types = {"/now": "builtin_interfaces/msg/Time"}
+    assert names_of_type(types, "builtin_interfaces/Time") == names_of_type(types, "time") == ["/now"]
+
+
+def test_nothing_is_of_a_type_that_nobody_knows() -> None:
+    assert names_of_type({"/a": "std_msgs/msg/String"}, "no/Such") == []
+
+
+# Parameters.
+
+
+class Kept(Parameters):
+    """Parameters, asked as by a service."""
+
+    def ask(self, service: str, **request: Any) -> dict[str, Any]:
+        return self.handlers[service][1](Request(request, "ros2"))
+
+
+@pytest.fixture
+def kept() -> Kept:
+    return Kept()
+
+
+def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
+    assert kept.ask("get_param", name="/speed", default_value="0.1") == {"value": "0.1"}
+    kept.ask("set_param", name="/speed", value="0.5")
+    assert kept.ask("get_param", name="/speed", default_value="") == {"value": "0.5"}
+    assert kept.ask("search_param", name="/speed") == {"global_name": "/speed"}
+    kept.ask("delete_param", name="/speed")
+    assert kept.ask("has_param", name="/speed") == {"exists": False}
+    assert kept.ask("search_param", name="/speed") == {"global_name": ""}
+
+
+@pytest.mark.parametrize("value", ["", "{", "[" * 200_000])
+def test_what_is_no_json_is_refused(kept: Kept, value: str) -> None:
+    with pytest.raises(ServiceError, match="value: must be JSON text"):
+        kept.ask("set_param", name="/speed", value=value)
+    assert kept.ask("get_param_names") == {"names": []}
+
+
+def test_the_servers_own_parameters_are_there_for_clients(kept: Kept) -> None:
+    kept.keep("/robot_description", '"<robot/>"')
+    assert kept.ask("get_param", name="/robot_description", default_value="") == {"value": '"<robot/>"'}
+    kept.ask("delete_param", name="/robot_description")
+    assert kept.ask("get_param_names") == {"names": []}
+
+
+def test_the_number_of_parameters_is_bounded(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rosapi, "MAX_PARAMETERS", 2)
+    for name in ("/a", "/b", "/a"):
+        kept.ask("set_param", name=name, value="1")
+    with pytest.raises(ServiceError, match="there are 2 parameters already"):
+        kept.ask("set_param", name="/c", value="1")
+
+
+def test_all_parameters_together_are_bounded_in_bytes_and_a_deleted_one_makes_room(kept: Kept) -> None:
+    half = json.dumps("x" * (MAX_PARAMETER_BYTES // 2))
+    kept.ask("set_param", name="/a", value=half)
+    kept.ask("set_param", name="/a", value=half)
+    with pytest.raises(ServiceError, match=f"the limit is {MAX_PARAMETER_BYTES}"):
+        kept.ask("set_param", name="/b", value=half)
+    kept.ask("delete_param", name="/a")
+    kept.ask("delete_param", name="/a")
+    kept.ask("set_param", name="/b", value=half)
+    assert kept.ask("get_param_names") == {"names": ["/b"]}
+
+
+def test_long_names_count_too(kept: Kept) -> None:
+    with pytest.raises(ServiceError, match="the limit is"):
+        kept.ask("set_param", name="x" * MAX_PARAMETER_BYTES, value="1")
+
+
+class TestNameFilters:
+    @pytest.fixture
+    def some(self) -> Kept:
+        some = Kept(NameFilter("access.params_glob", ["/open/*"]))
+        some.keep("/robot_description", '"<robot/>"')
+        some.ask("set_param", name="/open/speed", value="1")
+        return some
+
+    def test_parameters_that_fit_are_open(self, some: Kept) -> None:
+        assert some.ask("get_param", name="/open/speed", default_value="") == {"value": "1"}
+
+    @pytest.mark.parametrize("service", ["get_param", "set_param", "has_param", "delete_param", "search_param"])
+    @pytest.mark.parametrize("name", ["/robot_description", "//open/speed", "open/speed"])
+    def test_others_are_refused_with_what_to_set(self, some: Kept, service: str, name: str) -> None:
+        with pytest.raises(ServiceError, match=r"fits no pattern of access\.params_glob"):
+            some.ask(service, name=name, value="0", default_value="")
+
+    def test_others_are_not_listed(self, some: Kept) -> None:
+        assert some.ask("get_param_names") == {"names": ["/open/speed"]}

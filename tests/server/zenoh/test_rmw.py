@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import pytest
+import zenoh.ext
+
+from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, LivelinessTokens, gid_of, is_name
+
+# Keys and tokens; the examples are those of ros2/rmw_zenoh, docs/design.md.
+
+STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
+CHATTER = Endpoint("/chatter", "std_msgs/msg/String", STRING_HASH)
+ADD = Endpoint("/add_two_ints", "example_interfaces/srv/AddTwoInts", ADD_HASH)
+
+TALKER = (
+    "@ros2_lv/2/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/"
+    f"{STRING_HASH}/::,7:,:,:,,"
+)
+ADDER = (
+    "@ros2_lv/2/f9980ee0495eaafb3e38f0d19e2eae12/0/10/SS/%/%/add_two_ints_server/%add_two_ints/"
+    f"example_interfaces::srv::dds_::AddTwoInts_/{ADD_HASH}/::,10:,:,:,,"
+)
+
+
+def test_a_topic_has_the_key_that_rmw_zenoh_gives_it() -> None:
+    robot = Endpoint("/robot1/chatter", "std_msgs/msg/String", STRING_HASH)
+    assert CHATTER.key(0) == f"0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
+    assert robot.key(0) == f"0/robot1/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
+
+
+def test_a_service_has_the_key_that_rmw_zenoh_gives_it() -> None:
+    assert ADD.key(2) == f"2/add_two_ints/example_interfaces::srv::dds_::AddTwoInts_/{ADD_HASH}"
+
+
+def test_a_node_announces_itself_as_those_of_rmw_zenoh_do() -> None:
+    assert LivelinessTokens(2, "aac3", "").node() == "@ros2_lv/2/aac3/0/0/NN/%/%/armbridge"
+    assert LivelinessTokens(2, "aac3", "/arm1").node() == "@ros2_lv/2/aac3/0/0/NN/%/%arm1/armbridge"
+
+
+def test_everything_announced_has_a_number_of_its_own() -> None:
+    tokens = LivelinessTokens(0, "aac3", "")
+    first, second = tokens.entity(EntityKind.SUBSCRIPTION, CHATTER), tokens.entity(EntityKind.SUBSCRIPTION, CHATTER)
+    behind = f"MS/%/%/armbridge/%chatter/std_msgs::msg::dds_::String_/{STRING_HASH}/::,10:,:,:,,"
+    assert (first, second) == (f"@ros2_lv/0/aac3/0/1/{behind}", f"@ros2_lv/0/aac3/0/2/{behind}")
+
+
+def test_tokens_of_rmw_zenoh_are_read() -> None:
+    assert Entity.parse(TALKER) == Entity(
+        EntityKind.PUBLISHER, "8b20917502ee955ac4476e0266340d5c", CHATTER, latched=False
+    )
+    assert Entity.parse(ADDER) == Entity(EntityKind.SERVICE, "f9980ee0495eaafb3e38f0d19e2eae12", ADD, latched=False)
+
+
+@pytest.mark.parametrize("latched", [True, False])
+def test_own_tokens_are_read_back(latched: bool) -> None:
+    token = LivelinessTokens(0, "aac3", "/arm1").entity(EntityKind.PUBLISHER, CHATTER, latched=latched)
+    assert Entity.parse(token) == Entity(EntityKind.PUBLISHER, "aac3", CHATTER, latched=latched)
+
+
+@pytest.mark.parametrize(
+    "token",
+    [
+        "",
+        "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener",
+        TALKER.replace("@ros2_lv", "@adv"),
+        TALKER.replace("/MP/", "/XX/"),
+        TALKER.replace("%chatter", "chatter"),
+        TALKER.replace("%chatter", "%**"),
+        TALKER.replace("%chatter", "%" + "c" * 2048),
+        TALKER.replace("::dds_::", "::"),
+    ],
+)
+def test_what_is_no_topic_and_no_service_is_passed_over(token: str) -> None:
+    assert Entity.parse(token) is None
+
+
+@pytest.mark.parametrize("name", ["/joint_states", "/arm1/joint_states", "/_hidden"])
+def test_names_of_ros_are_names(name: str) -> None:
+    assert is_name(name)
+
+
+@pytest.mark.parametrize("name", ["", "/", "joint_states", "/a//b", "/a/", "/*", "/a/**", "/a$*", "/1a", "/a b", "/ä"])
+def test_what_means_something_else_in_a_key_is_no_name(name: str) -> None:
+    assert not is_name(name)
+
+
+# Attachments.
+
+GID = bytes(range(16))
+
+
+def test_an_attachment_is_written_as_zenoh_serializes_its_parts() -> None:
+    parts = (zenoh.ext.Int64(3), zenoh.ext.Int64(1_700_000_000_000_000_001), GID)
+    assert Attachment(3, 1_700_000_000_000_000_001, GID).encode() == bytes(zenoh.ext.z_serialize(parts))
+
+
+def test_an_attachment_is_read_back() -> None:
+    written = Attachment(7, 12, GID).encode()
+    assert Attachment.decode(written) == Attachment(7, 12, GID)
+
+
+def test_octets_that_are_no_attachment_are_none() -> None:
+    written = Attachment(7, 12, GID).encode()
+    assert Attachment.decode(b"") is None
+    assert Attachment.decode(written + b"\0") is None
+    assert Attachment.decode(written[:16] + b"\x0f" + GID) is None
+
+
+def test_everybody_has_an_id_of_their_own_that_stays() -> None:
+    assert gid_of("one") == gid_of("one") != gid_of("another")
+    assert len(gid_of("one")) == GID_BYTES

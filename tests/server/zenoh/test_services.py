@@ -1,0 +1,295 @@
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+import zenoh
+
+from server.access.settings import AccessSettings
+from server.errors import ServiceError
+from server.zenoh import services
+from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port, until
+
+TRIGGER = "std_srvs/srv/Trigger"
+DONE = b"\x00\x01\x00\x00\x01\x00\x00\x00\x05\x00\x00\x00done\x00"
+
+
+def offered(site: Site, name: str = "/arm/stop") -> list[dict[str, Any]]:
+    """Offer a service as a part of the server; returns its requests as they come."""
+    requests: list[dict[str, Any]] = []
+
+    def answer(request: dict[str, Any]) -> dict[str, Any]:
+        requests.append(request)
+        return {"success": True, "message": "done"}
+
+    site.graph.services.offer(site.part, name, TRIGGER, answer)
+    return requests
+
+
+async def replies(machine: RosMachine, service: str = "/arm/stop", **how: Any) -> list[zenoh.Reply]:
+    await until(lambda: machine.has_token(f"/SS/%/%/armbridge/{service.replace('/', '%')}/"))
+    return await asyncio.to_thread(machine.call, service, **how)
+
+
+async def test_a_ros_2_machine_calls_a_service_and_knows_its_answer_again() -> None:
+    port = free_port()
+    async with Site(port, offer=("/arm/*",)) as site:
+        requests = offered(site)
+        with RosMachine(port) as machine:
+            (reply,) = await replies(machine, number=42)
+    assert len(requests) == 1
+    assert reply.ok is not None
+    assert str(reply.ok.key_expr) == f"0/arm/stop/{TRIGGER_KEY}"
+    assert bytes(reply.ok.payload) == DONE
+    assert reply.ok.attachment is not None
+    answered = bytes(reply.ok.attachment)
+    assert answered[:8] == attached(42)[:8]
+    assert answered[16:] == attached(42)[16:]
+
+
+async def test_a_service_that_fits_no_pattern_cannot_be_called() -> None:
+    port = free_port()
+    async with Site(port, offer=("/arm/stop",)) as site:
+        offered(site)
+        requests = offered(site, "/arm/enable")
+        with RosMachine(port) as machine:
+            assert await replies(machine, "/arm/stop")
+            assert await asyncio.to_thread(machine.call, "/arm/enable") == []
+    assert requests == []
+
+
+async def test_whoever_asks_for_all_keys_calls_nothing() -> None:
+    port = free_port()
+    async with Site(port, offer=("/arm/*",)) as site:
+        requests = offered(site)
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("%arm%stop"))
+            ask, request = machine.session.get, b"\0\1\0\0\0"
+            for asked, payload in (("0/**", None), (f"0/arm/stop/{TRIGGER_KEY}", None), ("0/arm/**", request)):
+                assert await asyncio.to_thread(lambda to=asked, what=payload: list(ask(to, payload=what))) == []
+    assert requests == []
+
+
+async def test_a_service_that_fails_says_why() -> None:
+    port = free_port()
+
+    def fail(_request: dict[str, Any]) -> dict[str, Any]:
+        raise ServiceError("the arm is not there")
+
+    async with Site(port, offer=("/arm/*",)) as site:
+        site.graph.services.offer(site.part, "/arm/stop", TRIGGER, fail)
+        with RosMachine(port) as machine:
+            (reply,) = await replies(machine)
+    assert reply.err is not None
+    assert bytes(reply.err.payload) == b"the arm is not there"
+
+
+async def test_a_request_that_cannot_be_read_is_refused() -> None:
+    port = free_port()
+    async with Site(port, offer=("/arm/*",)) as site:
+        requests = offered(site)
+        with RosMachine(port) as machine:
+            (reply,) = await replies(machine, payload=b"\xff")
+    assert requests == []
+    assert reply.err is not None
+    assert bytes(reply.err.payload).startswith(b"Service /arm/stop: message: wanted CDR")
+
+
+async def test_a_request_that_is_too_large_is_refused() -> None:
+    port = free_port()
+    async with Site(port, max_message_bytes=4, offer=("/arm/*",)) as site:
+        requests = offered(site)
+        with RosMachine(port) as machine:
+            (reply,) = await replies(machine)
+    assert requests == []
+    assert reply.err is not None
+
+
+async def test_who_may_only_look_is_told_what_is_missing_but_may_stop_the_arm() -> None:
+    port = free_port()
+    async with Site(port, offer=("/arm/*",), role="view") as site:
+        requests = offered(site, "/arm/enable")
+        offered(site)
+        with RosMachine(port) as machine:
+            (refused,) = await replies(machine, "/arm/enable")
+            (stopped,) = await replies(machine)
+    assert requests == []
+    assert refused.err is not None
+    assert b"needs the role operate" in bytes(refused.err.payload)
+    assert stopped.ok is not None
+
+
+async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
+    port = free_port()
+    async with Site(port, offer=("/arm/*",), access=AccessSettings(control="lease")) as site:
+        offered(site, "/arm/enable")
+        site.access.lease.drive(site.client, 0.0)
+        site.access.lease.connect(lambda: True)
+        with RosMachine(port) as machine:
+            (reply,) = await replies(machine, "/arm/enable")
+    assert reply.err is not None
+    assert b"client has controlled the arm since" in bytes(reply.err.payload)
+
+
+async def test_of_too_many_calls_at_a_time_those_beyond_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(services, "MAX_INCOMING_CALLS", 2)
+    port, go_on = free_port(), asyncio.Event()
+
+    async def answer(_request: dict[str, Any]) -> dict[str, Any]:
+        await go_on.wait()
+        return {"success": True, "message": "done"}
+
+    async with Site(port, offer=("/arm/*",)) as site:
+        site.graph.services.offer(site.part, "/arm/stop", TRIGGER, answer)
+        with RosMachine(port) as machine:
+            first = [asyncio.create_task(replies(machine)) for _ in range(2)]
+            await until(lambda: len(site.calls_of("/arm/stop")) == 2)
+            (refused,) = await replies(machine)
+            go_on.set()
+            answered = [(await call)[0] for call in first]
+            (later,) = await replies(machine)
+    assert refused.err is not None
+    assert bytes(refused.err.payload) == b"Service /arm/stop: 2 calls are on their way already"
+    assert all(reply.ok is not None for reply in (*answered, later))
+
+
+async def test_a_service_that_is_withdrawn_is_taken_back() -> None:
+    port = free_port()
+    async with Site(port, offer=("/arm/*",)) as site:
+        offered(site)
+        with RosMachine(port) as machine:
+            assert await replies(machine)
+            site.graph.services.withdraw(site.part, "/arm/stop")
+            await until(lambda: not machine.has_token("%arm%stop"))
+            assert await asyncio.to_thread(machine.call, "/arm/stop") == []
+
+
+# Services of other machines that clients call.
+
+
+class Offering:
+    """A std_srvs/Trigger on a ROS 2 machine."""
+
+    def __init__(self, machine: RosMachine, service: str = "/lamp/switch", response: bytes | None = DONE) -> None:
+        self.queries: list[tuple[bytes, bytes]] = []
+        self._response = response
+        self._key = f"0{service}/{TRIGGER_KEY}"
+        self._held: list[zenoh.Query] = []
+        machine.session.declare_queryable(self._key, self._answer, complete=True)
+        self.token = machine.announce("SS", service, TRIGGER_KEY)
+
+    def give_up(self) -> None:
+        """End the calls without a response."""
+        while self._held:
+            self._held.pop().drop()
+
+    def _answer(self, query: zenoh.Query) -> None:
+        assert query.payload is not None
+        assert query.attachment is not None
+        self.queries.append((bytes(query.payload), bytes(query.attachment)))
+        if self._response is None:
+            self._held.append(query)
+        else:
+            query.reply(self._key, self._response, attachment=query.attachment)
+
+
+async def found_by(site: Site, service: str = "/lamp/switch") -> None:
+    await until(lambda: site.graph.services.type_of(service) == "std_srvs/srv/Trigger")
+
+
+async def test_a_client_calls_a_service_of_a_ros_2_machine() -> None:
+    port = free_port()
+    async with Site(port, call=("/lamp/*",)) as site:
+        with RosMachine(port) as machine:
+            offering = Offering(machine)
+            await found_by(site)
+            response = await site.called("/lamp/switch")
+            again = await site.called("/lamp/switch")
+    assert response.values == again.values == {"success": True, "message": "done"}
+    # An empty request is one octet; the calls are counted.
+    assert [payload for payload, _ in offering.queries] == [b"\x00\x01\x00\x00\x00"] * 2
+    assert [int.from_bytes(attachment[:8], "little") for _, attachment in offering.queries] == [1, 2]
+    assert {len(attachment) for _, attachment in offering.queries} == {33}
+
+
+async def test_a_service_that_goes_is_gone_and_calls_on_their_way_fail() -> None:
+    port = free_port()
+    async with Site(port, call=("/lamp/*",)) as site:
+        with RosMachine(port) as machine:
+            offering = Offering(machine, response=None)
+            await found_by(site)
+            call = asyncio.create_task(site.called("/lamp/switch"))
+            await until(lambda: offering.queries)
+        response = await call
+        await until(lambda: site.graph.services.type_of("/lamp/switch") is None)
+    assert not response.ok
+    assert "/lamp/switch" in response.values
+
+
+async def test_a_response_that_cannot_be_read_fails_the_call() -> None:
+    port = free_port()
+    async with Site(port, call=("/lamp/*",)) as site:
+        with RosMachine(port) as machine:
+            Offering(machine, response=b"nonsense")
+            await found_by(site)
+            response = await site.called("/lamp/switch")
+    assert not response.ok
+    assert "gave a response that does not fit std_srvs/srv/Trigger" in response.values
+
+
+async def test_a_response_that_is_too_large_fails_the_call() -> None:
+    port = free_port()
+    async with Site(port, max_message_bytes=len(DONE) - 1, call=("/lamp/*",)) as site:
+        with RosMachine(port) as machine:
+            Offering(machine)
+            await found_by(site)
+            response = await site.called("/lamp/switch")
+    assert response.values == f"Service /lamp/switch gave a response of more than {len(DONE) - 1} bytes"
+
+
+async def test_a_name_that_is_taken_here_keeps_its_service(caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+
+    def answer(_request: dict[str, Any]) -> dict[str, Any]:
+        return {"success": True, "message": "here"}
+
+    async with Site(port, call=("/lamp/*",)) as site:
+        site.graph.services.offer(site.client, "/lamp/switch", "std_srvs/Trigger", answer)
+        with RosMachine(port) as machine:
+            Offering(machine)
+            Offering(machine, "/lamp/other")
+            await found_by(site, "/lamp/other")
+            response = await site.called("/lamp/switch")
+    assert response.values["message"] == "here"
+    assert "/lamp/switch of another machine cannot be called" in caplog.text
+
+
+async def test_services_that_fit_no_pattern_are_not_there() -> None:
+    port = free_port()
+    async with Site(port, call=("/lamp/*",)) as site:
+        with RosMachine(port) as machine:
+            Offering(machine, "/door/open")
+            Offering(machine)
+            await found_by(site)
+    assert site.graph.services.type_of("/door/open") is None
+
+
+async def test_of_too_many_calls_at_a_time_those_beyond_fail_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(services, "MAX_OUTGOING_CALLS", 1)
+    port = free_port()
+    async with Site(port, call=("/lamp/*",)) as site:
+        with RosMachine(port) as machine:
+            offering = Offering(machine, response=None)
+            await found_by(site)
+            waiting = asyncio.create_task(site.called("/lamp/switch"))
+            await until(lambda: offering.queries)
+            response = await site.called("/lamp/switch")
+            offering.give_up()
+            unanswered = await waiting
+            again = asyncio.create_task(site.called("/lamp/switch"))
+            await until(lambda: len(offering.queries) == 2)
+            offering.give_up()
+            await again
+    assert unanswered.values == "Service /lamp/switch has not answered"
+    assert response.values == "Service /lamp/switch: 1 calls are on their way already"

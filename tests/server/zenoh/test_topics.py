@@ -1,0 +1,330 @@
+from __future__ import annotations
+
+import asyncio
+import logging
+import struct
+
+import pytest
+import zenoh
+import zenoh.ext
+
+from server.access.settings import AccessSettings
+from server.graph.topics import Subscriber
+from server.zenoh import topics
+from tests.helpers.zenoh_network import RosMachine, Site, free_port, until
+
+# Published topics.
+
+STRING = "std_msgs/msg/String"
+
+
+async def test_a_message_goes_out_as_a_ros_2_machine_expects_it() -> None:
+    port = free_port()
+    async with Site(port, publish=("/news",)) as site:
+        site.graph.advertise(site.part, "/news", STRING)
+        with RosMachine(port) as machine:
+            heard = machine.hear("/news", STRING)
+            await until(lambda: machine.has_token("/MP/%/%/armbridge/%news/std_msgs::msg::dds_::String_/RIHS01_df66"))
+            for text in ("one", "two"):
+                site.graph.publish(site.part, "/news", {"data": text})
+            await until(lambda: len(heard) == 2)
+    assert [message.data for message, _ in heard] == ["one", "two"]
+    first, second = (struct.unpack("<qqB16s", attached) for _, attached in heard)
+    assert (first[0], second[0]) == (1, 2)
+    assert 0 <= second[1] - first[1] < 1_000_000_000
+    assert first[2:] == second[2:]
+
+
+async def test_a_namespace_stands_before_the_names_at_the_others() -> None:
+    port = free_port()
+    async with Site(port, publish=("/news",), namespace="/arm1") as site:
+        site.graph.advertise(site.part, "/news", STRING)
+        with RosMachine(port) as machine:
+            heard = machine.hear("/arm1/news", STRING)
+            await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%news/"))
+            site.graph.publish(site.part, "/news", {"data": "one"})
+            await until(lambda: heard)
+
+
+async def test_who_comes_later_gets_what_is_latched() -> None:
+    port = free_port()
+    async with Site(port, publish=("/description",)) as site:
+        site.graph.advertise(site.part, "/description", STRING, latch=True)
+        site.graph.publish(site.part, "/description", {"data": "an arm"})
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("%description/std_msgs"))
+            assert machine.has_token("/:1:,1:,:,:,,")
+            heard: list[bytes] = []
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            zenoh.ext.declare_advanced_subscriber(
+                machine.session,
+                machine.key("/description", STRING),
+                lambda sample: heard.append(bytes(sample.payload)),
+                history=history,
+            )
+            await until(lambda: heard)
+            assert heard == [machine.message(STRING, data="an arm")]
+
+
+async def test_what_fits_no_pattern_and_what_has_no_name_of_ros_stays_here() -> None:
+    port = free_port()
+    async with Site(port, publish=("/news*", "/*\\*")) as site:
+        for name in ("/other", "/news/**", "/news"):
+            site.graph.advertise(site.part, name, STRING)
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("%news"))
+            assert len([token for token in machine.tokens if "/MP/" in token]) == 1
+
+
+async def test_a_topic_that_nobody_publishes_any_more_is_taken_back() -> None:
+    port = free_port()
+    async with Site(port, publish=("/news",)) as site:
+        site.graph.advertise(site.client, "/news", STRING)
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("%news"))
+            site.graph.unadvertise(site.client, "/news")
+            await until(lambda: not machine.has_token("%news"))
+        assert site.graph.subscribers("/news") == []
+
+
+async def test_what_a_client_publishes_on_a_new_topic_is_not_lost() -> None:
+    port = free_port()
+    async with Site(port, publish=("/news",)) as site:
+        with RosMachine(port) as machine:
+            heard = machine.hear("/news", STRING)
+            await until(lambda: machine.has_token("/NN/"))
+            site.graph.advertise(site.client, "/news", STRING)
+            site.graph.publish(site.client, "/news", {"data": "one"}, lifespan_s=1.0)
+            await until(lambda: heard)
+
+
+async def test_of_messages_that_come_faster_than_the_network_takes_them_the_newest_go_out() -> None:
+    port = free_port()
+    count = 3 * topics.MAX_WAITING
+    async with Site(port, publish=("/news",)) as site:
+        site.graph.advertise(site.part, "/news", STRING)
+        with RosMachine(port) as machine:
+            heard = machine.hear("/news", STRING)
+            await until(lambda: machine.has_token("%news"))
+            go_on = await site.held_network()
+            for number in range(count):
+                site.graph.publish(site.part, "/news", {"data": str(number)})
+            go_on.set()
+            await until(lambda: heard and heard[-1][0].data == str(count - 1))
+        assert [message.data for message, _ in heard] == [
+            str(each) for each in range(count - topics.MAX_WAITING, count)
+        ]
+        assert site.bridge.dropped == count - topics.MAX_WAITING
+
+
+# Subscribed topics.
+
+GOALS = ("/moveit_goal_*", "/stop")
+
+
+async def listening(machine: RosMachine, topic: str = "%moveit_goal_named") -> None:
+    await until(lambda: machine.has_token(f"/MS/%/%/armbridge/{topic}/"))
+
+
+async def test_a_goal_of_a_ros_2_machine_reaches_the_part_that_takes_goals() -> None:
+    port = free_port()
+    async with Site(port, subscribe=GOALS) as site:
+        goals = site.hear("/moveit_goal_named", STRING, site.part)
+        with RosMachine(port) as machine:
+            await listening(machine)
+            machine.publish("/moveit_goal_named", STRING, data="ready")
+            await until(lambda: goals)
+    assert goals[0].msg == {"data": "ready"}
+
+
+async def test_a_goal_in_the_namespace_is_for_this_server_and_one_outside_is_not() -> None:
+    port = free_port()
+    async with Site(port, subscribe=GOALS, namespace="/arm1") as site:
+        goals = site.hear("/moveit_goal_named", STRING, site.part)
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("%arm1%moveit_goal_named"))
+            machine.publish("/moveit_goal_named", STRING, data="other")
+            machine.publish("/arm1/moveit_goal_named", STRING, data="own")
+            await until(lambda: goals)
+    assert [goal.msg["data"] for goal in goals] == ["own"]
+
+
+async def test_what_others_publish_can_be_seen_by_clients_until_they_go() -> None:
+    port = free_port()
+    async with Site(port, subscribe=("/camera/*",)) as site:
+        with RosMachine(port) as machine:
+            machine.announce_topic("/camera/name", STRING)
+            await until(lambda: site.graph.topic_type("/camera/name") == STRING)
+            heard = site.hear("/camera/name")
+            await listening(machine, "%camera%name")
+            machine.publish("/camera/name", STRING, data="left")
+            await until(lambda: heard)
+        await until(lambda: not site.graph.publishers("/camera/name"))
+
+
+async def test_nothing_comes_in_that_fits_no_pattern() -> None:
+    port = free_port()
+    async with Site(port, subscribe=("/camera/*",)) as site:
+        goals = site.hear("/moveit_goal_named", STRING, site.part)
+        with RosMachine(port) as machine:
+            machine.announce_topic("/camera/name", STRING)
+            machine.announce_topic("/moveit_goal_named", STRING)
+            await listening(machine, "%camera%name")
+            machine.publish("/moveit_goal_named", STRING, data="ready")
+            await asyncio.sleep(0.1)
+            assert not machine.has_token("/MS/%/%/armbridge/%moveit_goal_named")
+    assert goals == []
+
+
+async def test_what_came_in_does_not_go_out_again() -> None:
+    port = free_port()
+    async with Site(port, subscribe=("/chat",), publish=("/chat",)) as site:
+        with RosMachine(port) as machine:
+            machine.announce_topic("/chat", STRING)
+            site.graph.advertise(site.client, "/chat", STRING)
+            heard, echoes = site.hear("/chat", STRING), machine.hear("/chat", STRING)
+            await listening(machine, "%chat")
+            machine.publish("/chat", STRING, data="hello")
+            await until(lambda: heard)
+            site.graph.publish(site.client, "/chat", {"data": "answer"})
+            await until(lambda: [message.data for message, _ in echoes] == ["hello", "answer"])
+            await asyncio.sleep(0.05)
+    assert len(echoes) == 2
+    assert len(heard) == 2
+
+
+async def test_what_others_publish_is_not_announced_as_this_servers() -> None:
+    port = free_port()
+    async with Site(port, subscribe=("/chat",), publish=("/*",)) as site:
+        with RosMachine(port) as machine:
+            machine.announce_topic("/chat", STRING)
+            await listening(machine, "%chat")
+            site.graph.advertise(site.part, "/news", STRING)
+            await until(lambda: machine.has_token("/MP/%/%/armbridge/%news/"))
+            assert not machine.has_token("/MP/%/%/armbridge/%chat/")
+
+
+async def test_another_machine_cannot_speak_for_the_arm(caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+    async with Site(port, subscribe=("/*",)) as site:
+        site.graph.advertise(site.part, "/joint_states", STRING)
+        heard = site.hear("/joint_states")
+        with RosMachine(port) as machine:
+            machine.announce_topic("/joint_states", STRING)
+            machine.announce_topic("/news", STRING)
+            await listening(machine, "%news")
+            machine.publish("/joint_states", STRING, data="false")
+            await asyncio.sleep(0.1)
+    assert heard == []
+    assert "set zenoh.namespace on one of them" in caplog.text
+
+
+async def test_a_publisher_of_another_type_does_not_keep_goals_away() -> None:
+    port = free_port()
+    async with Site(port, subscribe=GOALS) as site:
+        goals = site.hear("/moveit_goal_named", STRING, site.part)
+        with RosMachine(port) as machine:
+            machine.announce_topic("/moveit_goal_named", "std_msgs/msg/Bool")
+            await listening(machine)
+            await asyncio.sleep(0.1)
+            machine.publish("/moveit_goal_named", STRING, data="ready")
+            await until(lambda: goals)
+
+
+async def test_a_goal_that_was_latched_before_the_server_came_does_not_move_the_arm() -> None:
+    port = free_port()
+    async with Site(port, mode="router"):
+        with RosMachine(port) as machine:
+            publisher = zenoh.ext.declare_advanced_publisher(
+                machine.session,
+                machine.key("/moveit_goal_named", STRING),
+                cache=zenoh.ext.CacheConfig(1),
+                publisher_detection=True,
+            )
+            machine.announce_topic("/moveit_goal_named", STRING, ":1:,1:,:,:,,")
+            publisher.put(machine.message(STRING, data="old"))
+            site = Site(to=(port,), mode="client", subscribe=GOALS)
+            goals = site.hear("/moveit_goal_named", STRING, site.part)
+            async with site:
+                await listening(machine)
+                await asyncio.sleep(0.1)
+                publisher.put(machine.message(STRING, data="new"))
+                await until(lambda: goals)
+    assert [goal.msg["data"] for goal in goals] == ["new"]
+
+
+async def test_a_key_for_all_topics_is_for_none() -> None:
+    port = free_port()
+    async with Site(port, subscribe=GOALS) as site:
+        goals = site.hear("/moveit_goal_named", STRING, site.part)
+        with RosMachine(port) as machine:
+            await listening(machine)
+            machine.session.put("0/**", machine.message(STRING, data="every"))
+            machine.publish("/moveit_goal_named", STRING, data="one")
+            await until(lambda: goals)
+    assert [goal.msg["data"] for goal in goals] == ["one"]
+
+
+async def test_garbage_costs_a_warning_and_nothing_else(caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+    async with Site(port, max_message_bytes=100, subscribe=GOALS) as site:
+        goals = site.hear("/moveit_goal_named", STRING, site.part)
+        with RosMachine(port) as machine:
+            await listening(machine)
+            key = machine.key("/moveit_goal_named", STRING)
+            for octets in (b"", b"\0\1\0\0\xff\xff\xff\xff", machine.message(STRING, data="x" * 200)):
+                machine.session.put(key, octets)
+            machine.publish("/moveit_goal_named", STRING, data="ready")
+            await until(lambda: goals)
+    assert [goal.msg["data"] for goal in goals] == ["ready"]
+    assert caplog.text.count("a message on /moveit_goal_named is left out") == 3
+    assert "more than 100 bytes (server.limits.max_message_bytes)" in caplog.text
+
+
+async def test_who_may_only_look_sends_no_goals_and_is_answered(caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+    turned_away: list[str] = []
+    async with Site(port, subscribe=GOALS, role="view") as site:
+        goals, stops = [], site.hear("/stop", "std_msgs/msg/Empty", site.part)
+        subscriber = Subscriber(goals.append, None, lambda _asked, _sender, reason: turned_away.append(reason))
+        site.graph.subscribe(site.part, "/moveit_goal_named", STRING, subscriber)
+        with RosMachine(port) as machine:
+            await listening(machine)
+            machine.publish("/moveit_goal_named", STRING, data="ready")
+            await until(lambda: turned_away)
+            machine.publish("/stop", "std_msgs/msg/Empty")
+            await until(lambda: stops)
+    assert goals == []
+    assert "needs the role operate" in turned_away[0]
+    assert [record.levelno for record in caplog.records if "needs the role" in record.message] == [logging.WARNING]
+
+
+async def test_while_a_client_controls_the_arm_others_send_no_goals_but_stop_it() -> None:
+    port = free_port()
+    async with Site(port, subscribe=GOALS, access=AccessSettings(control="lease")) as site:
+        goals, stops = (
+            site.hear("/moveit_goal_named", STRING, site.part),
+            site.hear("/stop", "std_msgs/msg/Empty", site.part),
+        )
+        assert site.access.lease.drive(site.client, 0.0) is None
+        site.access.lease.connect(lambda: True)
+        with RosMachine(port) as machine:
+            await listening(machine, "%stop")
+            machine.publish("/moveit_goal_named", STRING, data="ready")
+            machine.publish("/stop", "std_msgs/msg/Empty")
+            await until(lambda: stops)
+            assert goals == []
+            site.access.lease.leave(site.client)
+            machine.publish("/moveit_goal_named", STRING, data="ready")
+            await until(lambda: goals)
+
+
+async def test_a_topic_of_another_version_of_its_type_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+    async with Site(port, subscribe=("/*",)) as site:
+        with RosMachine(port) as machine:
+            machine.announce("MP", "/news", f"std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}")
+            await until(lambda: "another version of std_msgs/msg/String" in caplog.text)
+            await asyncio.sleep(0.1)
+    assert caplog.text.count("another version") == 1
+    assert site.graph.topic_type("/news") is None

@@ -34,7 +34,7 @@ from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.execution.scene_monitor import SceneMonitor, SceneSource
 from server.execution.splicing import START_TOLERANCE_RAD, with_lead_in
 from server.execution.time_limits import TimeLimits
-from server.moveit.requests.refusals import required
+from server.moveit.requests.error_codes import required
 
 log = logging.getLogger("armbridge.execution")
 

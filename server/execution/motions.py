@@ -11,7 +11,7 @@ from planners.scene import Scene
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.queue import Performed
-from server.moveit.requests.codes import deviation_note
+from server.moveit.requests.error_codes import deviation_note
 
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]

@@ -21,7 +21,7 @@ from server.graph.topics import Graph
 from server.moveit.goal_messages import GoalTranslator, Message, PositionSource
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import matrix_of
-from server.moveit.requests.refusals import required
+from server.moveit.requests.error_codes import required
 
 SERVICE = "/check_goals"
 

@@ -16,7 +16,7 @@ from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, read_pose
-from server.moveit.requests.refusals import required
+from server.moveit.requests.error_codes import required
 
 Message: TypeAlias = Mapping[str, Any]
 

@@ -22,7 +22,7 @@ from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.metrics import GoalCounters
-from server.moveit.actions.motion_actions import MotionActions
+from server.moveit.actions.move_group import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
 from server.moveit.goal_checks import GoalChecks, GoalReports
@@ -31,12 +31,11 @@ from server.moveit.goal_topics import Confirmation, GoalStatusTopics, GoalTopics
 from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
 from server.moveit.named_states import NamedStates, NamedStatesFile, NamedStatesServices, default_path
 from server.moveit.parameters import PlannerParameters
-from server.moveit.scene.assumed import AssumedStates
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.state import SceneState
-from server.moveit.services.offer import offer_services
-from server.moveit.services.planning_context import PlanningContext
+from server.moveit.scene.scene_state import AssumedStates, SceneState
+from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.

@@ -12,7 +12,7 @@ from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimi
 from robot.control.streaming import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
-from server.moveit.servo.session import LEAD_S
+from server.moveit.servo.servo_loop import LEAD_S
 
 TIP = "gripper_frame_link"
 PERIOD_S = 0.02

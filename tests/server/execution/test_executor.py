@@ -30,7 +30,7 @@ from server.execution.motions import ExternalTrajectory, PlannedMotion, Position
 from server.execution.queue import GoalState, Progress
 from server.execution.splicing import STATE_AGE_S
 from server.execution.time_limits import TimeLimits
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
 

@@ -29,7 +29,7 @@ from server.moveit.goal_checks import (
 )
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, pose_of
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.goal_translator import TRANSLATOR, At
 from tests.helpers.moveit_services import DirectPool
 

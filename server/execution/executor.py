@@ -34,7 +34,6 @@ from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.execution.scene_monitor import SceneMonitor, SceneSource
 from server.execution.splicing import START_TOLERANCE_RAD, with_lead_in
 from server.execution.time_limits import TimeLimits
-from server.moveit.requests.error_codes import required
 
 log = logging.getLogger("armbridge.execution")
 
@@ -188,7 +187,7 @@ class GoalExecutor:
             return None
         point, scene = outgoing.splice_point, self._scene.scene
         try:
-            problem = required(request.steps[0]({**self._held_rad(), **point.positions_rad}))
+            problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
         except RefusedError:
             return None
         if not isinstance(problem, PlanningProblem) or problem.group != outgoing.motion.group:
@@ -227,7 +226,7 @@ class GoalExecutor:
     async def _play_external(self, request: ExternalTrajectory, report: Callable[[Progress], None]) -> Answer:
         await self._until_ready()
         held_rad = self._held_rad()
-        motion = required(request.trajectory(held_rad))
+        motion = request.trajectory(held_rad)
         planned = PlannedSequence(Performed(held_rad, (motion,)), ("as given",))
         self._show_soon(planned)
         return await self._play(planned, UNCHECKED, report)
@@ -258,7 +257,7 @@ class GoalExecutor:
         planned = None
         for _ in range(MAX_STARTS):
             held_rad = self._held_rad()
-            scene = self._scene.scene if request.scene is None else required(request.scene(held_rad))
+            scene = self._scene.scene if request.scene is None else request.scene(held_rad)
             planned = await self._unless_cancelled(plan_sequence(request.steps, held_rad, scene, self._pool.ask))
             if planned is None:
                 break

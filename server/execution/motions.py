@@ -16,8 +16,9 @@ from server.moveit.requests.error_codes import deviation_note
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]
 
-# Makes a problem for a start, or refuses; when a goal's turn comes the arm may hold elsewhere than when the goal came.
-Step: TypeAlias = Callable[[Positions], PlanningProblem | CartesianProblem | PlanningFailure]
+# Makes a problem for a start, or raises RefusedError; when a goal's turn comes the arm may hold elsewhere than when the
+# goal came.
+Step: TypeAlias = Callable[[Positions], PlanningProblem | CartesianProblem]
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class PlannedMotion:
 
     Attributes:
         steps: each makes its problem from the end of the one before.
-        scene: makes the scene to plan in for the arm's positions, or refuses; None for the present scene.
+        scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
         delay_s: pause before another attempt [s].
         warnings: parts of the request that were ignored, a sentence each.
@@ -34,7 +35,7 @@ class PlannedMotion:
     """
 
     steps: tuple[Step, ...]
-    scene: Callable[[Positions], Scene | PlanningFailure] | None = None
+    scene: Callable[[Positions], Scene] | None = None
     attempts: int = 1
     delay_s: float = 0.0
     warnings: tuple[str, ...] = ()
@@ -46,10 +47,10 @@ class ExternalTrajectory:
     """Trajectory that a client has planned.
 
     Attributes:
-        trajectory: makes it for the positions that the arm holds, or refuses.
+        trajectory: makes it for the positions that the arm holds, or raises RefusedError.
     """
 
-    trajectory: Callable[[Positions], Trajectory | PlanningFailure]
+    trajectory: Callable[[Positions], Trajectory]
 
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
@@ -119,7 +120,7 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
     for number, step in enumerate(steps):
         problem = None
         try:
-            problem = _problem(step, now_rad)
+            problem = step(now_rad)
             plan = await _plan(problem, scene, ask)
         except RefusedError as error:
             failure = error.failure if len(steps) == 1 else _in_item(number, error.failure)
@@ -133,18 +134,6 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
 def _end_positions(motion: Trajectory) -> dict[str, float]:
     """Return the positions of a motion's joints at its end [rad]."""
     return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
-
-
-def _problem(step: Step, start_rad: Positions) -> PlanningProblem | CartesianProblem:
-    """Return the problem of a step.
-
-    Raises:
-        RefusedError: there is none.
-    """
-    problem = step(start_rad)
-    if isinstance(problem, PlanningFailure):
-        raise RefusedError(problem)
-    return problem
 
 
 async def _plan(problem: PlanningProblem | CartesianProblem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:

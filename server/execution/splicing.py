@@ -22,6 +22,10 @@ SENDING_S = 0.03
 # The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.
 STATE_AGE_S = 0.1
 
+# A point of the motion so near to an end of the lead is left out: on a piece of 1e-18 s, which rounding makes, the
+# accelerations of the cubic are arbitrary.
+MIN_PIECE_S = 1e-6
+
 # MoveIt's allowed_start_tolerance. The arm may have moved so far since the motion was planned: backlash and droop of a
 # client's measured start, and the rounding of the arm's controller.
 START_TOLERANCE_RAD = 0.05
@@ -127,7 +131,7 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
 
 def _between(motion: Trajectory, from_s: float, to_s: float) -> Trajectory:
     """Return the part of a motion between two times; it is the same curve."""
-    inside = (motion.time_s > from_s) & (motion.time_s < to_s)
+    inside = (motion.time_s > from_s + MIN_PIECE_S) & (motion.time_s < to_s - MIN_PIECE_S)
     first, last = motion.sample(from_s), motion.sample(to_s)
     arrays = (motion.positions_rad, motion.velocities_rad_s, motion.accelerations_rad_s2)
     columns = [np.vstack((first[i], array[inside], last[i])) for i, array in enumerate(arrays)]

@@ -21,7 +21,6 @@ from server.graph.topics import Graph
 from server.moveit.goal_messages import GoalTranslator, Message, PositionSource
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import matrix_of
-from server.moveit.requests.error_codes import required
 
 SERVICE = "/check_goals"
 
@@ -124,7 +123,7 @@ def _problem(
 ) -> PlanningProblem | PlanningFailure:
     """Return the problem that would be planned for a goal from here, or the reason why there is none."""
     try:
-        problem = required(translate(message).steps[0](present_rad))
+        problem = translate(message).steps[0](present_rad)
     except RefusedError as error:
         return error.failure
     match problem:

@@ -147,7 +147,7 @@ class GoalTranslator:
         Raises:
             RefusedError: a number is not finite, or there is no such frame.
         """
-        pose = required(read_pose(message["pose"], "pose"))
+        pose = read_pose(message["pose"], "pose")
         return composed(self._resolve(self._frame(message), positions_rad), pose)
 
     def _resolve(self, frame: str, positions_rad: Positions) -> Pose:

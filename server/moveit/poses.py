@@ -11,6 +11,7 @@ import numpy as np
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from robot.trajectory import Vector
+from server.errors import RefusedError
 
 Message = Mapping[str, Any]
 
@@ -18,16 +19,19 @@ Message = Mapping[str, Any]
 MIN_NORM = 1e-6
 
 
-def read_pose(message: Message, where: str) -> Pose | PlanningFailure:
+def read_pose(message: Message, where: str) -> Pose:
     """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation.
 
     Args:
         message: the pose.
         where: path of the field, for the sentence.
+
+    Raises:
+        RefusedError: a number is not finite.
     """
     point, quaternion = message["position"], message["orientation"]
     if not all(map(math.isfinite, (*point.values(), *quaternion.values()))):
-        return _not_finite(message, where)
+        raise _not_finite(message, where)
     x, y, z, w = (quaternion[axis] for axis in "xyzw")
     norm = math.hypot(x, y, z, w)
     turned = (x / norm, y / norm, z / norm, w / norm) if norm > MIN_NORM else (0.0, 0.0, 0.0, 1.0)
@@ -85,16 +89,18 @@ def inverse(pose: Pose) -> Pose:
     return pose_of(back)
 
 
-def _not_finite(message: Message, where: str) -> PlanningFailure:
-    """Return the failure that names the first number of a pose that is not finite."""
+def _not_finite(message: Message, where: str) -> RefusedError:
+    """Return the error that names the first number of a pose that is not finite."""
     field, axis, value = next(
         (field, axis, value)
         for field in ("position", "orientation")
         for axis, value in message[field].items()
         if not math.isfinite(value)
     )
-    return PlanningFailure(
-        MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
-        f"{where}.{field}.{axis} must be a finite number, not {value}",
-        {"field": f"{where}.{field}.{axis}"},
+    return RefusedError(
+        PlanningFailure(
+            MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
+            f"{where}.{field}.{axis} must be a finite number, not {value}",
+            {"field": f"{where}.{field}.{axis}"},
+        )
     )

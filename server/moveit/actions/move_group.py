@@ -36,7 +36,7 @@ from server.moveit.actions.goal_bridge import (
     submit_goal,
 )
 from server.moveit.actions.joint_trajectory_controller import ControllerStatePublisher, JointTrajectoryController
-from server.moveit.requests.error_codes import failure_as_value, refused
+from server.moveit.requests.error_codes import refused
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests
 from server.moveit.requests.trajectories import external_motion, external_trajectory
@@ -280,15 +280,12 @@ def _check_requests(requests: Sequence[Message], start_rad: Positions, context: 
     return tuple(warning for one in built for warning in one.warnings)
 
 
-def _scene_with(scene_diff: Message | None, context: PlanningContext) -> Callable[[Positions], Any] | None:
+def _scene_with(scene_diff: Message | None, context: PlanningContext) -> Callable[[Positions], Scene] | None:
     """Return the function that makes the scene of a motion; None for the present scene."""
     if scene_diff is None:
         return None
 
-    def scene(present_rad: Positions) -> Scene:
-        return context.scene_state.with_diff(scene_diff, present_rad)
-
-    return failure_as_value(scene)
+    return lambda present_rad: context.scene_state.with_diff(scene_diff, present_rad)
 
 
 def _scene_of_start(

@@ -80,7 +80,7 @@ class RequestContext:
             RefusedError: a number that is not finite, or an unknown frame.
         """
         frame = required(self.frames.resolve(frame_id, self.start_rad))
-        return in_root(frame, required(read_pose(message, where)))
+        return in_root(frame, read_pose(message, where))
 
 
 def planning_group(robot: RobotModel, name: str, parameters: MoveItParameters) -> Group:

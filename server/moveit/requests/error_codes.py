@@ -5,9 +5,7 @@ Everything that reads a request raises :exc:`RefusedError`; services, actions an
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
 from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
@@ -49,19 +47,6 @@ def required(found: Found | PlanningFailure) -> Found:
     if isinstance(found, PlanningFailure):
         raise RefusedError(found)
     return found
-
-
-def failure_as_value(function: Callable[Arguments, Found]) -> Callable[Arguments, Found | PlanningFailure]:
-    """Make a function return the failure that it raises, for the goal queue, which runs it when a goal's turn comes."""
-
-    @functools.wraps(function)
-    def returning(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Found | PlanningFailure:
-        try:
-            return function(*args, **kwargs)
-        except RefusedError as error:
-            return error.failure
-
-    return returning
 
 
 def error_code(code: MoveItErrorCode, message: str = "", source: str = SOURCE) -> dict[str, Any]:

@@ -54,7 +54,7 @@ from server.moveit.requests.constraints import (
     read_path_constraints,
 )
 from server.moveit.requests.context import FrameResolver, Message, RequestContext, planning_group
-from server.moveit.requests.error_codes import failure_as_value, invalid, refused, required
+from server.moveit.requests.error_codes import invalid, refused, required
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 
@@ -155,11 +155,7 @@ class ProblemBuilder:
 
     def step(self, request: Message) -> Step:
         """Return the function that builds the problem of a moveit_msgs/MotionPlanRequest once its start is known."""
-
-        def problem(start_rad: Positions) -> PlanningProblem | CartesianProblem:
-            return self.motion_plan(request, start_rad).problem
-
-        return failure_as_value(problem)
+        return lambda start_rad: self.motion_plan(request, start_rad).problem
 
     def cartesian_path(self, request: Message, start_rad: Positions) -> BuiltProblem[CartesianProblem]:
         """Build the problem of a moveit_msgs/GetCartesianPath request.

@@ -16,7 +16,7 @@ from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory, Positions
 from server.moveit.requests.context import Message
-from server.moveit.requests.error_codes import failure_as_value, refused
+from server.moveit.requests.error_codes import refused
 
 # Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
 SAME_TIME_S = 1e-6
@@ -51,11 +51,7 @@ def external_motion(message: Message, robot: RobotModel) -> ExternalTrajectory:
         message: the trajectory.
         robot: the arm.
     """
-
-    def trajectory(held_rad: Positions) -> Trajectory:
-        return external_trajectory(message, robot, held_rad)
-
-    return ExternalTrajectory(failure_as_value(trajectory))
+    return ExternalTrajectory(lambda held_rad: external_trajectory(message, robot, held_rad))
 
 
 def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions) -> Trajectory:

@@ -12,7 +12,7 @@ from planners.scene import AttachedObject, Pose, SceneObject, Shape
 from planners.scene_checks import pose_fault
 from server.errors import RefusedError
 from server.moveit.poses import read_pose, write_pose
-from server.moveit.requests.error_codes import invalid, required
+from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
 
 Message = Mapping[str, Any]
@@ -216,7 +216,7 @@ def read_bounded_pose(message: Message, where: str) -> Pose:
     Raises:
         RefusedError: it has no finite numbers, or is beyond the bounds.
     """
-    pose = required(read_pose(message, where))
+    pose = read_pose(message, where)
     fault = pose_fault(pose)
     if fault is not None:
         raise invalid(f"{where} {fault}", field=where)

@@ -142,7 +142,7 @@ def read_pose_target(message: Message, resolve: Resolve, positions_rad: Position
     Raises:
         RefusedError: a pose that is not finite, or an unknown frame.
     """
-    pose = required(read_pose(message["pose"], "pose"))
+    pose = read_pose(message["pose"], "pose")
     return TipTarget(composed(required(resolve(message["header"]["frame_id"], positions_rad)), pose))
 
 

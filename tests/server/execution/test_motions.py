@@ -11,6 +11,7 @@ from planners.problem import (
     PlanningProblem,
 )
 from planners.scene import EMPTY_SCENE, Scene
+from server.errors import RefusedError
 from server.execution.motions import Positions, Step, plan_sequence
 from tests.helpers.trajectories import smooth_move
 
@@ -71,7 +72,11 @@ async def test_the_failure_of_a_single_step_names_no_item() -> None:
 
 async def test_a_step_without_a_problem_is_not_planned() -> None:
     planning = Planning()
-    planned = await plan_sequence([lambda _start_rad: WALL], START, EMPTY_SCENE, planning.ask)
+
+    def refusing(_start_rad: Positions) -> PlanningProblem:
+        raise RefusedError(WALL)
+
+    planned = await plan_sequence([refusing], START, EMPTY_SCENE, planning.ask)
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode
@@ -39,6 +39,8 @@ NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
 
 
 @given(st.floats(0.0, 0.9), st.floats(0.0, 1.0), st.floats(0.1, 1.0))
+# The lead begins by rounding alone before a point of the motion.
+@example(0.06, 1e-279, 1.0)
 def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
     fraction: float, share: float, speed: float
 ) -> None:

@@ -9,7 +9,6 @@ from server.errors import RefusedError
 from server.moveit.requests.error_codes import (
     deviation_note,
     error_code,
-    failure_as_value,
     failure_code,
     invalid,
     refused,
@@ -38,22 +37,14 @@ def test_a_deviation_within_the_arms_accuracy_is_not_described() -> None:
     assert not deviation_note(Deviation(position_m=0.0005, orientation_rad=0.005))
 
 
-@failure_as_value
-def halved(value: int) -> int:
-    if value % 2:
-        raise invalid(f"value must be even, not {value}", value=value)
-    return value // 2
-
-
-def test_a_raised_failure_is_returned() -> None:
-    answer = halved(3)
-    assert answer == PlanningFailure(
+def test_a_refusal_has_code_sentence_and_details() -> None:
+    assert invalid("value must be even, not 3", value=3).failure == PlanningFailure(
         MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "value must be even, not 3", {"value": 3}
     )
 
 
-def test_a_value_is_returned_unchanged() -> None:
-    assert halved(4) == 2
+def test_a_value_that_is_required_is_returned_unchanged() -> None:
+    assert required(4) == 4
 
 
 def test_a_failure_that_is_required_not_to_be_one_is_raised() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.problem import CartesianProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.problem import CartesianProblem, MoveItErrorCode, PlanningProblem
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.moveit.requests.planning_context import (
@@ -201,7 +201,9 @@ def test_a_step_may_be_a_path_of_the_tip(rig: ServiceRig) -> None:
 
 
 def test_a_step_that_cannot_be_is_refused_when_its_turn_comes(rig: ServiceRig) -> None:
-    assert isinstance(rig.context.problems.step(request(goal_constraints=[]))(HOME), PlanningFailure)
+    step = rig.context.problems.step(request(goal_constraints=[]))
+    with pytest.raises(RefusedError, match="goal_constraints"):
+        step(HOME)
 
 
 def test_parameters_that_were_set_count_for_requests(rig: ServiceRig) -> None:

@@ -116,7 +116,7 @@ class Retained:
         self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 
     def _give_up_old(self, now: float) -> None:
-        """Drop what is too old, then, over the limit, the oldest message of the topic that has been quiet for longest."""
+        """Drop what is too old; over the limit, the oldest message of the topic that has been quiet for longest."""
         while self._recent:
             topic, recent = next(iter(self._recent.items()))
             if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:

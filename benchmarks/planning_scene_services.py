@@ -22,10 +22,8 @@ from server.graph.services import Response
 from server.graph.topics import Graph
 from server.moveit.current_state import CurrentState
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.assumed import AssumedStates
-from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.services import APPLY, GET
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.interface import APPLY, GET, SceneInterface
+from server.moveit.scene.scene_state import AssumedStates, SceneState
 
 OBJECTS = 50
 

@@ -15,7 +15,7 @@ from server.config import Settings
 from server.goal_queue import Answer, GoalQueue, QueuedGoal
 from server.graph.topics import Graph
 from server.monitoring.metrics import GoalCounters
-from server.moveit.actions.motion_actions import MotionActions
+from server.moveit.actions.move_group import MotionActions
 from server.moveit.current_state import CurrentState
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics
@@ -26,12 +26,11 @@ from server.moveit.gripper_actions import GRIPPER_ACTION, PARALLEL_ACTION, Gripp
 from server.moveit.motions import Motion
 from server.moveit.patience import Allowance
 from server.moveit.planner_parameters import PlannerParameters
-from server.moveit.scene.assumed import AssumedStates
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.state import SceneState
-from server.moveit.services.offer import offer_services
-from server.moveit.services.planning_context import PlanningContext
+from server.moveit.scene.scene_state import AssumedStates, SceneState
+from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
 from server.moveit.simple_layer import SimpleLayer
 from server.moveit.transforms_topics import TransformsTopics

@@ -11,7 +11,7 @@ from planners.scene import Scene
 from robot.trajectory import Trajectory
 from server.goal_queue import Performed
 from server.moveit.motions import Positions, Step
-from server.moveit.requests.codes import deviation_note
+from server.moveit.requests.error_codes import deviation_note
 
 
 class Ask(Protocol):

@@ -10,7 +10,7 @@ from server.moveit.goals import GoalTranslator
 from server.moveit.named_states import NamedStates, Positions
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.frames import Frames
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 
 ROBOT = model.builtin()
 HOME_RAD: Mapping[str, float] = {joint.name: 0.0 for joint in ROBOT.movable_joints}

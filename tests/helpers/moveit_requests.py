@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from robot.description import model
+from server.errors import RefusedError
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.context import RequestContext
 from server.moveit.scene.frames import Frames
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.planning_scene import ROBOT, message
 from tests.helpers.seven_joint_arm import SRDF, URDF
 
@@ -58,6 +60,14 @@ def joint(name: str, position: float, above: float = 0.0, below: float = 0.0, **
 
 def constraints(**fields: Any) -> dict[str, Any]:
     return message("Constraints", **fields)
+
+
+def outcome(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The value of a call, or the failure that rejects it."""
+    try:
+        return function(*arguments)
+    except RefusedError as error:
+        return error.failure
 
 
 def assert_refused(answer: object, code: MoveItErrorCode, *words: str) -> PlanningFailure:

@@ -19,10 +19,10 @@ from server.graph.topics import Graph, Subscriber
 from server.moveit.display import DisplayTopics
 from server.moveit.parameters import MoveItParameters
 from server.moveit.planner_parameters import PlannerParameters
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
-from server.moveit.scene.state import SceneState
-from server.moveit.services.offer import offer_services
-from server.moveit.services.planning_context import PlanningContext
+from server.moveit.scene.scene_state import SceneState
+from server.moveit.services.move_group_services import offer_services
 
 ROBOT = model.builtin()
 HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from planners.problem import PlanningFailure
 from protocol.messages import Stamp, complete
@@ -13,10 +15,11 @@ from protocol.registry import Registry
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
+from server.errors import RefusedError
 from server.moveit.current_state import CurrentState
-from server.moveit.scene.contents import Draft
-from server.moveit.scene.frames import LinkPlaces
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.frames import LinkTransforms
+from server.moveit.scene.planning_scene import SceneDraft
+from server.moveit.scene.scene_state import SceneState
 
 REGISTRY = Registry.load()
 ROBOT = model.builtin()
@@ -65,13 +68,20 @@ def diff(**fields: Any) -> dict[str, Any]:
 def scene_state(*objects: dict[str, Any]) -> SceneState:
     """A scene in which objects stand around."""
     state = SceneState(ROBOT)
-    assert state.apply_diff(diff(world={"collision_objects": list(objects)}), BENT) is None
+    state.apply_diff(diff(world={"collision_objects": list(objects)}), BENT)
     return state
 
 
-def draft(*objects: dict[str, Any]) -> Draft:
+def draft(*objects: dict[str, Any]) -> SceneDraft:
     """The same scene while it is being changed."""
-    return Draft(scene_state(*objects).contents, LinkPlaces(ROBOT, FORWARD, BENT))
+    return SceneDraft(scene_state(*objects).contents, LinkTransforms(ROBOT, FORWARD, BENT))
+
+
+def rejection(function: Callable[..., object], *arguments: object) -> PlanningFailure:
+    """The failure of a call that must be rejected."""
+    with pytest.raises(RefusedError) as raised:
+        function(*arguments)
+    return raised.value.failure
 
 
 def failure(answer: object) -> PlanningFailure:

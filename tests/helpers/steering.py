@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from robot.control.velocity_tracking import VelocityTracking
 
 from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
-from robot.control.streaming import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
-from server.moveit.servo.session import LEAD_S
+from server.moveit.servo.servo_loop import LEAD_S
 
 TIP = "gripper_frame_link"
 PERIOD_S = 0.02

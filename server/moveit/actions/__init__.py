@@ -1,1 +1,1 @@
-"""The actions that move the arm, as MoveIt and its controllers offer them: their goals, feedback and results."""
+"""Actions that move the arm: those of MoveIt's move_group, and ros2_control's FollowJointTrajectory."""

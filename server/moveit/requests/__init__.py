@@ -1,1 +1,1 @@
-"""What MoveIt's messages ask for, and the planners' answers as messages: pure translation, no graph and no clock."""
+"""Requests of MoveIt's services and actions, read as problems for the planners, and their answers as messages."""

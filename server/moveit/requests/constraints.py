@@ -1,11 +1,11 @@
-"""moveit_msgs/Constraints: as a goal to reach, and as what must hold on the way."""
+"""moveit_msgs/Constraints, read as a goal to reach and as path constraints."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from planners.goals import (
     AnyOf,
@@ -15,28 +15,280 @@ from planners.goals import (
     JointConstraint,
     JointGoal,
     OrientationConstraint,
+    Point,
     PoseGoal,
+    PositionConstraint,
     PositionGoal,
     SingleGoal,
 )
 from planners.scene import Pose
-from server.moveit.requests import joint_constraints as joints
+from robot.description.model import Joint
 from server.moveit.requests.context import Message, RequestContext
-from server.moveit.requests.orientations import is_binding, is_free, orientation_constraint
-from server.moveit.requests.refusals import invalid, refusals_as_data
-from server.moveit.requests.regions import Region, regions
+from server.moveit.requests.error_codes import invalid
+
+# Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
+LEAST_JOINT_TOLERANCE_RAD = 1e-4
+
+
+def read_joint_constraints(
+    messages: Sequence[Message], context: RequestContext, where: str
+) -> tuple[JointConstraint, ...]:
+    """Read constraints on joints, one for each joint: several on the same joint become their common range.
+
+    Args:
+        messages: moveit_msgs/JointConstraint.
+        context: context of the request.
+        where: path of their field.
+
+    Raises:
+        RefusedError: an unknown joint, a number that is not finite, a negative tolerance, a position beyond the
+            limits, or ranges that have nothing in common.
+    """
+    found: dict[str, JointConstraint] = {}
+    for index, message in enumerate(messages):
+        constraint = _constraint(message, context, f"{where}.joint_constraints[{index}]")
+        known = found.get(constraint.joint)
+        found[constraint.joint] = constraint if known is None else _common(known, constraint, where)
+    return tuple(found.values())
+
+
+def _constraint(message: Message, context: RequestContext, where: str) -> JointConstraint:
+    joint = context.robot.joints.get(message["joint_name"])
+    if joint is None or not joint.movable:
+        known = ", ".join(one.name for one in context.robot.movable_joints)
+        raise invalid(
+            f"{where}: there is no joint {message['joint_name']!r}; there are: {known}", joint=message["joint_name"]
+        )
+    for field in ("position", "tolerance_above", "tolerance_below", "weight"):
+        if not math.isfinite(message[field]):
+            raise invalid(f"{where}.{field} of joint {joint.name} must be a finite number, not {message[field]}")
+    above, below = message["tolerance_above"], message["tolerance_below"]
+    for field, value in (("tolerance_above", above), ("tolerance_below", below)):
+        if value < 0.0:
+            raise invalid(
+                f"{where}.{field} of joint {joint.name} must be 0 rad or more, not {value:g}", joint=joint.name
+            )
+    position = _within_limits(joint, message, context, where)
+    lower, upper = min(position, message["position"] - below), max(position, message["position"] + above)
+    return JointConstraint(joint.name, position, upper - position, position - lower, max(0.0, message["weight"]))
+
+
+def _within_limits(joint: Joint, message: Message, context: RequestContext, where: str) -> float:
+    """Return the position, clamped to a limit that it exceeds by no more than a tolerance."""
+    asked = float(message["position"])
+    inside = min(max(asked, joint.lower), joint.upper)
+    own = message["tolerance_below"] if asked > inside else message["tolerance_above"]
+    if abs(asked - inside) > max(context.parameters.joint_tolerance, own):
+        raise invalid(
+            f"{where}: the position of joint {joint.name!r}, {asked:.4g} rad, is beyond its limits"
+            f" {joint.lower:.4g} to {joint.upper:.4g} rad",
+            joint=joint.name,
+            position_rad=asked,
+            lower_rad=joint.lower,
+            upper_rad=joint.upper,
+        )
+    if inside != asked:
+        context.warnings.append(
+            f"the goal of joint {joint.name} is moved from {asked:.4g} rad to its limit {inside:.4g} rad"
+        )
+    return inside
+
+
+def _common(first: JointConstraint, second: JointConstraint, where: str) -> JointConstraint:
+    """Return the common range of two constraints on one joint."""
+    lower = max(first.position_rad - first.below_rad, second.position_rad - second.below_rad)
+    upper = min(first.position_rad + first.above_rad, second.position_rad + second.above_rad)
+    if lower > upper + LEAST_JOINT_TOLERANCE_RAD:
+        raise invalid(
+            f"{where}: the constraints on joint {first.joint!r} leave it no position:"
+            f" one ends at {upper:.4g} rad, another begins at {lower:.4g} rad",
+            joint=first.joint,
+        )
+    position = min(max(first.position_rad, lower), upper)
+    weight = max(first.weight, second.weight)
+    return JointConstraint(first.joint, position, max(0.0, upper - position), max(0.0, position - lower), weight)
+
+
+AXES = ("x", "y", "z")
+
+# MoveGroupInterface's default; a search cannot end exactly on a point.
+LEAST_ORIENTATION_TOLERANCE_RAD = 1e-3
+
+# The widest tolerance that clients fill in by default: compas_fab's. MoveGroupInterface's is 0.001, and goals without
+# the field have 0.
+DEFAULT_TOLERANCE_RAD = 0.01
+
+# From pi on an axis is free, as a rotation vector is never longer.
+FREE_RAD = math.pi
+
+
+def read_orientation_constraint(message: Message, context: RequestContext, where: str) -> OrientationConstraint:
+    """Read the orientation of a link, with the tolerances about its axes.
+
+    Args:
+        message: a moveit_msgs/OrientationConstraint; its tolerances are about the link's axes, whatever the
+            ``parameterization``: those of the two kinds differ only where they are wide about several axes.
+        context: context of the request.
+        where: path of its field.
+
+    Raises:
+        RefusedError: an unknown link or frame, a number that is not finite, or a negative tolerance.
+    """
+    link = context.link(message["link_name"])
+    pose = {"position": dict.fromkeys(AXES, 0.0), "orientation": message["orientation"]}
+    wanted = context.placed(message["header"]["frame_id"], pose, where)
+    tolerances = [_tolerance(message, axis, where) for axis in AXES]
+    if not math.isfinite(message["weight"]):
+        raise invalid(f"{where}.weight must be a finite number, not {message['weight']}")
+    x, y, z = tolerances
+    return OrientationConstraint(link, wanted.orientation, (x, y, z), max(0.0, float(message["weight"])))
+
+
+def is_free(tolerance_rad: Point) -> bool:
+    """Tell if the tolerance allows any orientation."""
+    return min(tolerance_rad) >= FREE_RAD
+
+
+def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
+    """Tell if an orientation outside its tolerance is an error; otherwise the nearest one is used and reported.
+
+    A group with six joints can reach any orientation, so there it is. A group with fewer rarely can: tolerances no
+    wider than those that clients fill in by default do not bind it, and wider ones, which somebody has chosen, do.
+    """
+    return context.chooses_orientation or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
+
+
+def _tolerance(message: Message, axis: str, where: str) -> float:
+    field = f"absolute_{axis}_axis_tolerance"
+    value = float(message[field])
+    if math.isnan(value) or value < 0.0:
+        raise invalid(f"{where}.{field} must be a number of 0 rad or more, not {value:g}")
+    return min(max(value, LEAST_ORIENTATION_TOLERANCE_RAD), 2.0 * FREE_RAD)
+
+
+# MoveGroupInterface's default position tolerance, which a servo arm misses anyway. Smaller regions, and those of size
+# 0, are widened to it.
+LEAST_TOLERANCE_M = 1e-4
+
+# shape_msgs/SolidPrimitive's types.
+UNSET, BOX, SPHERE, CYLINDER = 0, 1, 2, 3
+
+DIMENSIONS = {BOX: ("x", "y", "z"), SPHERE: ("radius",), CYLINDER: ("height", "radius")}
+
+
+@dataclass(frozen=True)
+class Region:
+    """Region of a position constraint.
+
+    Attributes:
+        constraint: the constraint with this as its only region.
+        within_m: radius of the largest ball around the region's middle that is inside it [m].
+        elongated: true if that ball leaves out much of the region.
+    """
+
+    constraint: PositionConstraint
+    within_m: float
+    elongated: bool
+
+
+# A box with edges that differ by more than this factor is a shape of its own, not a tolerance around a point.
+ELONGATED_FACTOR = 2.0
+
+
+def read_regions(message: Message, context: RequestContext, where: str) -> tuple[Region, ...]:
+    """Read the regions of one moveit_msgs/PositionConstraint, which are alternatives.
+
+    A pose in ``primitive_poses`` without a primitive, or with an unset one, is a point to reach within the configured
+    position tolerance.
+
+    Args:
+        message: a moveit_msgs/PositionConstraint.
+        context: context of the request.
+        where: path of its field.
+
+    Raises:
+        RefusedError: an unknown link or frame, no region, or a region whose kind or size is not supported.
+    """
+    link = context.link(message["link_name"])
+    volume = message["constraint_region"]
+    if volume["meshes"]:
+        raise invalid(f"{where}.constraint_region.meshes: regions can be boxes, spheres and cylinders, not meshes")
+    primitives, poses = list(volume["primitives"]), volume["primitive_poses"]
+    if not poses:
+        what = "no pose for its primitive" if primitives else "no region: give a primitive and its pose"
+        raise invalid(f"{where}.constraint_region has {what}", link=link)
+    if len(primitives) > len(poses):
+        raise invalid(f"{where}.constraint_region has {len(primitives)} primitives and {len(poses)} primitive_poses")
+    primitives += [None] * (len(poses) - len(primitives))
+    offset = _offset(message["target_point_offset"], f"{where}.target_point_offset")
+    weight = _weight(message["weight"], where)
+    frame, found = message["header"]["frame_id"], []
+    for index, (primitive, pose) in enumerate(zip(primitives, poses, strict=True)):
+        at = context.placed(frame, pose, f"{where}.constraint_region.primitive_poses[{index}]")
+        size_m = _size(primitive, context, f"{where}.constraint_region.primitives[{index}]")
+        found.append(_region(PositionConstraint(link, at, *size_m, offset, weight)))
+    return tuple(found)
+
+
+def _region(constraint: PositionConstraint) -> Region:
+    if constraint.half_size_m is None:
+        return Region(constraint, constraint.radius_m or LEAST_TOLERANCE_M, elongated=False)
+    least, most = min(constraint.half_size_m), max(constraint.half_size_m)
+    return Region(constraint, least, elongated=most > ELONGATED_FACTOR * least)
+
+
+def _size(primitive: Message | None, context: RequestContext, where: str) -> tuple[Point | None, float | None]:
+    """Return half the edges of a box and None, or None and the radius of a sphere [m]."""
+    if primitive is None or (primitive["type"] == UNSET and not primitive["dimensions"]):
+        return None, context.parameters.position_tolerance
+    kind, given = primitive["type"], primitive["dimensions"]
+    if kind not in DIMENSIONS:
+        raise invalid(
+            f"{where}.type: regions can be boxes ({BOX}), spheres ({SPHERE}) and cylinders ({CYLINDER}), not {kind}"
+        )
+    names = DIMENSIONS[kind]
+    if len(given) != len(names):
+        raise invalid(f"{where}.dimensions must have {len(names)} values ({', '.join(names)}), not {len(given)}")
+    for name, value in zip(names, given, strict=True):
+        if not (math.isfinite(value) and value >= 0.0):
+            raise invalid(f"{where}.dimensions: {name} must be a finite number of 0 m or more, not {value:g}")
+    if kind == SPHERE:
+        return None, max(float(given[0]), LEAST_TOLERANCE_M)
+    if kind == CYLINDER:
+        # The largest upright box with a square base in it, so that a point in the box is in the cylinder.
+        height, across = given[0], math.sqrt(2.0) * given[1]
+        given = (across, across, height)
+    x, y, z = (max(0.5 * float(edge), LEAST_TOLERANCE_M) for edge in given)
+    return (x, y, z), None
+
+
+def _offset(message: Message, where: str) -> Point:
+    for axis in "xyz":
+        if not math.isfinite(message[axis]):
+            raise invalid(f"{where}.{axis} must be a finite number, not {message[axis]}")
+    return float(message["x"]), float(message["y"]), float(message["z"])
+
+
+def _weight(weight: float, where: str) -> float:
+    """Read a weight; as in MoveIt, those below 0 count as 0."""
+    if not math.isfinite(weight):
+        raise invalid(f"{where}.weight must be a finite number, not {weight}")
+    return max(0.0, float(weight))
+
 
 # The planners' own bound; each alternative takes milliseconds to solve.
 MAX_ALTERNATIVES = 64
 
 
-@refusals_as_data
-def goal_of(messages: Sequence[Message], context: RequestContext) -> Goal:
-    """Read the goal of a motion: any one of the constraints will do.
+def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
+    """Read the goal of a motion.
 
     Args:
-        messages: moveit_msgs/Constraints.
-        context: what they are read against; gets the warnings.
+        messages: moveit_msgs/Constraints, which are alternatives.
+        context: context of the request; gets the warnings.
+
+    Raises:
+        RefusedError: there is no constraint, or one that cannot be used.
     """
     if not messages:
         raise invalid("goal_constraints is empty: there is nothing to plan for")
@@ -46,14 +298,16 @@ def goal_of(messages: Sequence[Message], context: RequestContext) -> Goal:
     return found[0] if len(found) == 1 else AnyOf(tuple(found))
 
 
-@refusals_as_data
-def path_constraints_of(message: Message, context: RequestContext, where: str = "path_constraints") -> Constraints:
-    """Read what must hold from start to end; :attr:`Constraints.empty` when nothing must.
+def read_path_constraints(message: Message, context: RequestContext, where: str = "path_constraints") -> Constraints:
+    """Read constraints that hold from start to end; the result may be :attr:`Constraints.empty`.
 
     Args:
         message: a moveit_msgs/Constraints.
-        context: what it is read against.
+        context: context of the request.
         where: path of its field.
+
+    Raises:
+        RefusedError: a constraint that cannot be used.
     """
     _refuse_visibility(message, where)
     turned = _orientations(message, context, where)
@@ -62,13 +316,13 @@ def path_constraints_of(message: Message, context: RequestContext, where: str = 
         if len(region) > 1:
             raise invalid(f"{where}.position_constraints[{index}] has {len(region)} regions; on the way it can be one")
         inside.append(region[0].constraint)
-    return Constraints(joints.joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
+    return Constraints(read_joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
 
 
 def _goals(message: Message, context: RequestContext, where: str, most: int) -> Iterator[SingleGoal]:
-    """The alternatives that one moveit_msgs/Constraints leaves."""
+    """Yield the alternatives of one moveit_msgs/Constraints: one goal for each combination of regions."""
     _refuse_visibility(message, where)
-    ranges = _of_group(joints.joint_constraints(message["joint_constraints"], context, where), context, where)
+    ranges = _of_group(read_joint_constraints(message["joint_constraints"], context, where), context, where)
     turned = _orientations(message, context, where)
     choices = _regions(message, context, where)
     if not (message["joint_constraints"] or choices or turned):
@@ -101,7 +355,7 @@ def _goal(
 def _link_goal(
     region: Region, turned: tuple[OrientationConstraint, ...], context: RequestContext
 ) -> PositionGoal | PoseGoal | None:
-    """The goal for one link alone, whose refusal tells the nearest point; None where the constraints are more."""
+    """Make the goal of one link, whose failure tells the nearest point; None if the constraints say more."""
     at = region.constraint
     if region.elongated:
         return None
@@ -115,14 +369,14 @@ def _link_goal(
 
 
 def _solvable(constraint: JointConstraint) -> JointConstraint:
-    """A range that a search can end in, for joints that are not simply set."""
-    above = max(constraint.above_rad, joints.LEAST_TOLERANCE_RAD)
-    below = max(constraint.below_rad, joints.LEAST_TOLERANCE_RAD)
+    """Widen a range to one that a search can end in."""
+    above = max(constraint.above_rad, LEAST_JOINT_TOLERANCE_RAD)
+    below = max(constraint.below_rad, LEAST_JOINT_TOLERANCE_RAD)
     return replace(constraint, above_rad=above, below_rad=below)
 
 
 def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, where: str) -> tuple[JointConstraint, ...]:
-    """Those of the group's joints; the others cannot move, and must hold already."""
+    """Return the constraints on the group's joints; those on others, which do not move, must hold at the start."""
     for one in ranges:
         if one.joint in context.group.joints:
             continue
@@ -140,14 +394,14 @@ def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, wher
 
 def _regions(message: Message, context: RequestContext, where: str) -> list[tuple[Region, ...]]:
     return [
-        regions(constraint, context, f"{where}.position_constraints[{index}]")
+        read_regions(constraint, context, f"{where}.position_constraints[{index}]")
         for index, constraint in enumerate(message["position_constraints"])
     ]
 
 
 def _orientations(message: Message, context: RequestContext, where: str) -> tuple[OrientationConstraint, ...]:
     return tuple(
-        orientation_constraint(constraint, context, f"{where}.orientation_constraints[{index}]")
+        read_orientation_constraint(constraint, context, f"{where}.orientation_constraints[{index}]")
         for index, constraint in enumerate(message["orientation_constraints"])
     )
 

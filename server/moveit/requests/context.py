@@ -1,4 +1,4 @@
-"""What a request is read against: the robot, where it is, its frames, and the parameters."""
+"""Context in which the fields of a request are read: robot, group, frames, start and parameters."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import read_pose
-from server.moveit.requests.refusals import refused, required
+from server.moveit.requests.error_codes import refused, required
 from server.moveit.scene.frames import in_root
 
 Message: TypeAlias = Mapping[str, Any]
 
-# Fewer joints than a pose has dimensions: orientations cannot be chosen freely.
+# A pose has six dimensions: a group with fewer joints cannot reach any orientation.
 FREE_POSE_JOINTS = 6
 
 
 class FrameResolver(Protocol):
-    """Knows where frames are."""
+    """Look-up of frames."""
 
     def resolve(self, frame_id: str, positions_rad: Mapping[str, float]) -> Pose | PlanningFailure:
-        """The pose of a frame in the robot's root link."""
+        """Return the pose of a frame in the root link, for positions of the joints [rad]."""
 
 
 @dataclass(frozen=True)
 class RequestContext:
-    """What the fields of one request mean.
+    """Context of one request.
 
     Attributes:
         robot: the arm.
         group: the joints that move.
-        frames: where frames are.
+        frames: look-up of frames.
         start_rad: position of every movable joint, for frames that move with the arm [rad].
-        parameters: what counts where the request says nothing.
-        warnings: what was left out of account, a sentence each; grows while the request is read.
+        parameters: values for what the request leaves out.
+        warnings: a sentence for each part of the request that is not followed; grows while the request is read.
     """
 
     robot: RobotModel
@@ -49,11 +49,11 @@ class RequestContext:
 
     @property
     def chooses_orientation(self) -> bool:
-        """Whether the group has the joints to meet any orientation."""
+        """True if the group has the joints to reach any orientation."""
         return len(self.group.joints) >= FREE_POSE_JOINTS
 
     def link(self, name: str) -> str:
-        """A link by its name; the tip when it is empty.
+        """Return the name of a link; that of the tip for an empty name.
 
         Raises:
             RefusedError: there is no such link.
@@ -69,7 +69,7 @@ class RequestContext:
         return name
 
     def placed(self, frame_id: str, message: Message, where: str) -> Pose:
-        """A geometry_msgs/Pose that is given in a frame, in the robot's root link.
+        """Transform a geometry_msgs/Pose from a frame into the root link.
 
         Args:
             frame_id: the frame; empty for the root link.
@@ -77,14 +77,14 @@ class RequestContext:
             where: path of its field.
 
         Raises:
-            RefusedError: a number that is not finite, or a frame that nobody knows.
+            RefusedError: a number that is not finite, or an unknown frame.
         """
         frame = required(self.frames.resolve(frame_id, self.start_rad))
         return in_root(frame, required(read_pose(message, where)))
 
 
-def group_of(robot: RobotModel, name: str, parameters: MoveItParameters) -> Group:
-    """A planning group by its name; the configured one when it is empty.
+def planning_group(robot: RobotModel, name: str, parameters: MoveItParameters) -> Group:
+    """Return a planning group; the configured one for an empty name.
 
     Raises:
         RefusedError: there is no such group.

@@ -1,4 +1,4 @@
-"""moveit_msgs/RobotTrajectory and trajectory_msgs/JointTrajectory: motions in messages, there and back."""
+"""Trajectories in messages: moveit_msgs/RobotTrajectory written, trajectory_msgs/JointTrajectory read."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ import numpy as np
 
 from planners.problem import MoveItErrorCode
 from protocol.messages import Stamp
-from robot.description.model import RobotModel
+from robot.control.checks import refusal
+from robot.description.limits import JointBounds
+from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
+from server.moveit.motions import GivenMotion, Positions
 from server.moveit.requests.context import Message
-from server.moveit.requests.monotone_spline import knot_accelerations, knot_velocities
-from server.moveit.requests.refusals import refusals_as_data, refused
+from server.moveit.requests.error_codes import failure_as_value, refused
 
-# Scripts that put motions together have the end of one and the begin of the next at one time, but for rounding.
+# Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
 SAME_TIME_S = 1e-6
 SAME_POSITION_RAD = 1e-4
 
-# Half an hour at 100 Hz, what the arm plays at most.
+# Half an hour at 100 Hz, the longest trajectory that the arm plays.
 MAX_POINTS = 180_000
 
 
 def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]:
-    """The moveit_msgs/RobotTrajectory of a motion; without points for none.
+    """Write a moveit_msgs/RobotTrajectory.
 
     Args:
-        trajectory: the motion.
+        trajectory: the trajectory; None for one without points.
         frame: the planning frame.
     """
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
@@ -42,18 +44,95 @@ def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]
     }
 
 
-@refusals_as_data
-def from_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mapping[str, float]) -> Trajectory:
-    """Read a motion that somebody else has planned.
-
-    It may name some of the joints only. A point that repeats the one before is left out. A first point after time 0 is
-    preceded by the start, at rest. Points without velocities are joined by a curve that does not overshoot them; the
-    last one is at rest, whatever it says. Efforts are not heeded.
+def external_motion(message: Message, robot: RobotModel) -> GivenMotion:
+    """Make the motion of a trajectory_msgs/JointTrajectory, read once the arm's position at its start is known.
 
     Args:
-        message: a trajectory_msgs/JointTrajectory.
+        message: the trajectory.
         robot: the arm.
-        start_rad: position of every movable joint where the motion is to begin [rad].
+    """
+
+    def trajectory(held_rad: Positions) -> Trajectory:
+        return external_trajectory(message, robot, held_rad)
+
+    return GivenMotion(failure_as_value(trajectory))
+
+
+def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions) -> Trajectory:
+    """Read a trajectory_msgs/JointTrajectory as a trajectory of one of the arm's groups, and check it for the arm.
+
+    Joints of the group that it does not name keep the position that the arm holds.
+
+    Args:
+        message: the trajectory.
+        robot: the arm.
+        held_rad: position of every movable joint that the arm holds [rad].
+
+    Raises:
+        RefusedError: a trajectory that cannot be read, or that the arm would not play from its own start.
+    """
+    named = read_joint_trajectory(message, robot, held_rad)
+    group = smallest_group(robot, named.joint_names)
+    if group is None:
+        groups = "; ".join(f"{name}: {', '.join(group.joints)}" for name, group in robot.groups.items())
+        joints = list(named.joint_names)
+        raise _invalid(f"joint_names {joints} are not all of one group; the groups are {groups}", joints=joints)
+    trajectory = for_group(named, group, held_rad)
+    bounds = JointBounds.of(robot, trajectory.joint_names)
+    reason = refusal(trajectory, trajectory.joint_names, bounds, trajectory.positions_rad[0])
+    if reason:
+        raise refused(MoveItErrorCode.INVALID_MOTION_PLAN, reason)
+    return trajectory
+
+
+def smallest_group(robot: RobotModel, joint_names: tuple[str, ...]) -> Group | None:
+    """Return the group of fewest joints that has all of these; None if there is none."""
+    fitting = [group for group in robot.groups.values() if set(joint_names) <= set(group.joints)]
+    return min(fitting, key=lambda group: len(group.joints), default=None)
+
+
+def for_group(trajectory: Trajectory, group: Group, held_rad: Positions) -> Trajectory:
+    """Extend a trajectory to every joint of a group; those that it leaves out stand still.
+
+    Args:
+        trajectory: the trajectory of some of the group's joints.
+        group: the group.
+        held_rad: position of every movable joint that the arm holds [rad].
+    """
+    samples = len(trajectory.time_s)
+    columns = {name: column for column, name in enumerate(trajectory.joint_names)}
+
+    def extended(array: Vector, still: Positions | None) -> Vector:
+        return np.column_stack(
+            [
+                array[:, columns[name]] if name in columns else np.full(samples, still[name] if still else 0.0)
+                for name in group.joints
+            ]
+        )
+
+    return Trajectory(
+        group.joints,
+        trajectory.time_s,
+        extended(trajectory.positions_rad, held_rad),
+        extended(trajectory.velocities_rad_s, None),
+        extended(trajectory.accelerations_rad_s2, None),
+    )
+
+
+def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mapping[str, float]) -> Trajectory:
+    """Read a trajectory_msgs/JointTrajectory, which may name only some of the joints.
+
+    A point that repeats the one before is dropped. A first point after time 0 is preceded by the start, at rest.
+    Points without velocities are joined by a monotone cubic spline. The last point is at rest, whatever its velocity.
+    Efforts are ignored.
+
+    Args:
+        message: the trajectory.
+        robot: the arm.
+        start_rad: position of every movable joint at the start [rad].
+
+    Raises:
+        RefusedError: a field that cannot be used.
     """
     names, points = tuple(message["joint_names"]), _without_repeats(message["points"])
     _check_names(names, robot)
@@ -75,7 +154,7 @@ def from_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
 def _to_rest(
     names: tuple[str, ...], time_s: Vector, positions: Vector, velocities: Vector | None, accelerations: Vector | None
 ) -> Trajectory:
-    """The motion, with what the message leaves out, ending at rest."""
+    """Make a trajectory that ends at rest, with velocities and accelerations that the message leaves out."""
     if velocities is None:
         velocities = knot_velocities(time_s, positions)
     if np.any(velocities[-1] != 0.0):
@@ -116,7 +195,7 @@ def _check_names(names: tuple[str, ...], robot: RobotModel) -> None:
 
 
 def _without_repeats(points: list[Message]) -> list[Message]:
-    """The points without those that say again where and when the one before is."""
+    """Drop points that repeat time and positions of the one before."""
     return [point for index, point in enumerate(points) if index == 0 or not _is_repeated(points[index - 1], point)]
 
 
@@ -148,7 +227,7 @@ def _times_s(points: list[Message]) -> Vector:
 
 
 def _array(points: list[Message], field: str, width: int) -> Vector | None:
-    """One field of all points, shape (n, joints); None where not every point has it."""
+    """Read one field of all points, shape (n, joints); None if a point lacks it."""
     for index, point in enumerate(points):
         if point[field] and len(point[field]) != width:
             raise _invalid(f"points[{index}].{field} has {len(point[field])} values for {width} joints", index=index)
@@ -167,3 +246,49 @@ def _after_rest(array: Vector | None) -> Vector | None:
 
 def _invalid(message: str, **details: Any) -> RefusedError:
     return refused(MoveItErrorCode.INVALID_MOTION_PLAN, f"trajectory.{message}", **details)
+
+
+def knot_velocities(time_s: Vector, positions_rad: Vector) -> Vector:
+    """Return the velocities of a monotone cubic spline at its knots, shape (n, joints) [rad/s].
+
+    They are zero at the ends and where a joint reverses. Unlike a spline with continuous accelerations, this one never
+    overshoots its knots, so it keeps position limits that they keep. Source: Fritsch and Butland, A Method for
+    Constructing Local Monotone Piecewise Cubic Interpolants, SIAM J. Sci. Stat. Comput. 5 (1984).
+
+    Args:
+        time_s: shape (n,), increasing [s].
+        positions_rad: shape (n, joints) [rad].
+    """
+    velocities = np.zeros_like(positions_rad)
+    spans = np.diff(time_s)[:, np.newaxis]
+    slopes = np.diff(positions_rad, axis=0) / spans
+    before, after = slopes[:-1], slopes[1:]
+    # Weighted harmonic mean of the two slopes, with more weight for the shorter span.
+    weight_before, weight_after = 2.0 * spans[1:] + spans[:-1], spans[1:] + 2.0 * spans[:-1]
+    onward = before * after > 0.0
+    weighted = np.divide(weight_before, before, where=onward, out=np.ones_like(before))
+    weighted += np.divide(weight_after, after, where=onward, out=np.ones_like(after))
+    velocities[1:-1] = np.where(onward, (weight_before + weight_after) / weighted, 0.0)
+    return velocities
+
+
+def knot_accelerations(time_s: Vector, positions_rad: Vector, velocities_rad_s: Vector) -> Vector:
+    """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2].
+
+    Args:
+        time_s: shape (n,), increasing [s].
+        positions_rad: shape (n, joints) [rad].
+        velocities_rad_s: shape (n, joints) [rad/s].
+    """
+    accelerations = np.zeros_like(positions_rad)
+    spans = np.diff(time_s)[:, np.newaxis]
+    slopes = np.diff(positions_rad, axis=0) / spans
+    first, last = velocities_rad_s[:-1], velocities_rad_s[1:]
+    starts = (6.0 * slopes - 4.0 * first - 2.0 * last) / spans
+    ends = (2.0 * first + 4.0 * last - 6.0 * slopes) / spans
+    accelerations[:-1] += 0.5 * starts
+    accelerations[1:] += 0.5 * ends
+    if len(time_s) > 1:
+        accelerations[0] *= 2.0
+        accelerations[-1] *= 2.0
+    return accelerations

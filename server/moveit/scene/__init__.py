@@ -1,1 +1,1 @@
-"""MoveIt's planning scene: what stands around the robot and what it holds, as its clients say and ask it."""
+"""Planning scene: collision objects, attached objects and allowed collisions, with MoveIt's topics and services."""

@@ -1,4 +1,4 @@
-"""Frames by name: links, things, subframes of things, and frames that were told to stand still."""
+"""Frames by name: links, collision objects, their subframes, and fixed frames."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 from server.moveit.poses import composed, inverse, pose_of
-from server.moveit.scene.things import IDENTITY, HeldThing, Thing
+from server.moveit.scene.collision_objects import IDENTITY, AttachedCollisionObject, CollisionObject
 
-# MoveIt's name for where the robot stands, which is its root link here.
+# MoveIt's name of the fixed frame, which is the robot's root link here.
 WORLD = "world"
 
-# No link or thing has a longer name; looking for a subframe takes time by its square.
+# Looking up OBJECT/SUBFRAME takes time by the square of the length; real names are far shorter.
 MAX_NAME_LENGTH = 1000
 
-# A refusal lists the frames that there are, up to this many.
+# Most frames that the error for an unknown one lists.
 MAX_LISTED = 20
 
 
-class Surroundings(Protocol):
-    """What may be named as a frame beside the links."""
+class FrameObjects(Protocol):
+    """Objects and fixed frames, which are frames beside the links."""
 
     @property
-    def objects(self) -> Mapping[str, Thing]:
-        """Things that stand around, by name."""
+    def objects(self) -> Mapping[str, CollisionObject]:
+        """Collision objects by name."""
 
     @property
-    def attached(self) -> Mapping[str, HeldThing]:
-        """Things that links hold, by name."""
+    def attached(self) -> Mapping[str, AttachedCollisionObject]:
+        """Attached collision objects by name."""
 
     @property
     def fixed_frames(self) -> Mapping[str, Pose]:
-        """Further frames, by name, in the root link."""
+        """Fixed frames by name, in the root link."""
 
 
-class ShownScene(Protocol):
-    """A scene that changes."""
+class SceneSource(Protocol):
+    """Scene that changes."""
 
     @property
-    def contents(self) -> Surroundings:
-        """What it holds now."""
+    def contents(self) -> FrameObjects:
+        """Its present contents."""
 
 
-class LinkPlaces:
-    """Where the links are for one set of joint positions; worked out when it is first asked for.
+class LinkTransforms:
+    """Transforms of the links at one set of joint positions, computed at the first use.
 
     Args:
         robot: the arm.
@@ -66,7 +66,7 @@ class LinkPlaces:
 
     @property
     def root_link(self) -> str:
-        """The link that stands still."""
+        """The link that does not move."""
         return self._robot.root_link
 
     @property
@@ -75,7 +75,7 @@ class LinkPlaces:
         return self._robot.links
 
     def pose(self, link: str) -> Pose | PlanningFailure:
-        """Pose of a link of the robot in its root link."""
+        """Return the pose of a link in the root link."""
         if link == self.root_link:
             return IDENTITY
         if self._positions_rad is None:
@@ -86,38 +86,38 @@ class LinkPlaces:
 
 
 class Frames:
-    """Finds frames in the present scene.
+    """Look-up of frames in the present scene.
 
     Args:
         robot: the arm.
         scene_state: the scene.
     """
 
-    def __init__(self, robot: RobotModel, scene_state: ShownScene) -> None:
+    def __init__(self, robot: RobotModel, scene_state: SceneSource) -> None:
         self._robot = robot
         self._forward = ForwardPlacements(robot)
         self._state = scene_state
 
     def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose | PlanningFailure:
-        """Pose of a frame in the root link; see :func:`find_frame`.
+        """Return the pose of a frame in the root link; see :func:`find_frame`.
 
         Args:
             frame_id: its name.
             positions_rad: position of every movable joint [rad], None while they are not known.
         """
-        return find_frame(frame_id, self._state.contents, LinkPlaces(self._robot, self._forward, positions_rad))
+        return find_frame(frame_id, self._state.contents, LinkTransforms(self._robot, self._forward, positions_rad))
 
 
-def find_frame(frame_id: str, around: Surroundings, links: LinkPlaces) -> Pose | PlanningFailure:
-    """Pose of a frame in the root link.
+def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Pose | PlanningFailure:
+    """Return the pose of a frame in the root link.
 
     The empty name, ``world`` and the root link are the root link itself; a leading slash does not matter. A subframe
-    is named ``THING/SUBFRAME``. Links come first, then things, then frames that were told to stand still.
+    is named ``OBJECT/SUBFRAME``. Links are found before objects, and objects before fixed frames.
 
     Args:
         frame_id: its name.
-        around: what may be named beside the links.
-        links: where the links are.
+        around: objects and fixed frames.
+        links: transforms of the links.
     """
     name = frame_id.removeprefix("/")
     if not name:
@@ -127,8 +127,8 @@ def find_frame(frame_id: str, around: Surroundings, links: LinkPlaces) -> Pose |
         return _unknown(name[:MAX_NAME_LENGTH], text)
     if name in links.names:
         return links.pose(name)
-    for thing, subframe in _readings(name):
-        found = _in_thing(thing, subframe, around, links)
+    for object_name, subframe in _splits(name):
+        found = _object_frame(object_name, subframe, around, links)
         if found is not None:
             return found
     if name in around.fixed_frames:
@@ -141,33 +141,35 @@ def find_frame(frame_id: str, around: Surroundings, links: LinkPlaces) -> Pose |
 
 
 def in_root(frame: Pose, pose: Pose) -> Pose:
-    """A pose that is given in a frame, in the root link; exactly as given where the frame is the root link."""
+    """Transform a pose from a frame into the root link; unchanged, without rounding, if the frame is the root link."""
     return pose if frame == IDENTITY else composed(frame, pose)
 
 
 def seen_from(frame: Pose, pose: Pose) -> Pose:
-    """A pose in the root link, as seen from a frame that is given there."""
+    """Transform a pose from the root link into a frame."""
     return pose if frame == IDENTITY else composed(inverse(frame), pose)
 
 
-def _readings(name: str) -> Iterator[tuple[str, str]]:
-    """Every way to read a name as a thing and its subframe: both may have slashes in them."""
+def _splits(name: str) -> Iterator[tuple[str, str]]:
+    """Yield every split of a name into object and subframe: both may contain slashes."""
     yield name, ""
     for i, letter in enumerate(name):
         if letter == "/":
             yield name[:i], name[i + 1 :]
 
 
-def _in_thing(name: str, subframe: str, around: Surroundings, links: LinkPlaces) -> Pose | PlanningFailure | None:
-    """A thing's or its subframe's pose in the root link; None where there is no such thing or subframe."""
-    held = around.attached.get(name)
-    thing = around.objects.get(name) if held is None else held.thing
-    if thing is None or (subframe and subframe not in thing.subframes):
+def _object_frame(
+    name: str, subframe: str, around: FrameObjects, links: LinkTransforms
+) -> Pose | PlanningFailure | None:
+    """Return the pose of an object or its subframe in the root link; None if there is no such object or subframe."""
+    attached = around.attached.get(name)
+    found = around.objects.get(name) if attached is None else attached.collision_object
+    if found is None or (subframe and subframe not in found.subframes):
         return None
-    pose = in_root(thing.pose, thing.subframes[subframe]) if subframe else thing.pose
-    if held is None:
+    pose = in_root(found.pose, found.subframes[subframe]) if subframe else found.pose
+    if attached is None:
         return pose
-    link = links.pose(held.link)
+    link = links.pose(attached.link)
     return link if isinstance(link, PlanningFailure) else in_root(link, pose)
 
 

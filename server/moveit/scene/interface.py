@@ -1,29 +1,363 @@
-"""Everything by which clients see and change the planning scene."""
+"""Topics and services of the planning scene, under MoveIt's names."""
 
 from __future__ import annotations
 
+import logging
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import Any
+
+from planners.scene import Pose
+from protocol.errors import MessageError
+from protocol.publication import Publication
 from robot.description.model import RobotModel
+from server.errors import RefusedError
 from server.graph.node import Node
-from server.graph.topics import Graph
-from server.moveit.current_state import CurrentState
+from server.graph.services import Call, answer
+from server.graph.topics import Graph, Subscriber
+from server.moveit.current_state import CurrentState, state_message
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.assumed import AssumedStates
+from server.moveit.poses import write_pose
+from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, REMOVE
 from server.moveit.scene.geometry_files import GeometryFiles
-from server.moveit.scene.monitored import MonitoredScene
-from server.moveit.scene.services import SceneServices
-from server.moveit.scene.state import SceneState
-from server.moveit.scene.topics import SceneTopics
+from server.moveit.scene.planning_scene import NO_PADDING_M, NO_SCALE, SceneContents
+from server.moveit.scene.scene_state import AssumedStates, Positions, SceneState
+from server.timers import CallLater, Timer, call_later
+
+log = logging.getLogger("armbridge.scene")
+
+Message = Mapping[str, Any]
+
+# Applies a message of a topic, given the position of every movable joint.
+Apply = Callable[[Message, Positions], None]
+
+MONITORED_TOPIC = "/monitored_planning_scene"
+GET = "/get_planning_scene"
+APPLY = "/apply_planning_scene"
+CLEAR_OCTOMAP = "/clear_octomap"
+
+# moveit_msgs/PlanningSceneComponents
+SCENE_SETTINGS = 1
+ROBOT_STATE = 2
+ROBOT_STATE_ATTACHED_OBJECTS = 4
+WORLD_OBJECT_NAMES = 8
+WORLD_OBJECT_GEOMETRY = 16
+OCTOMAP = 32
+TRANSFORMS = 64
+ALLOWED_COLLISION_MATRIX = 128
+LINK_PADDING_AND_SCALING = 256
+OBJECT_COLORS = 512
+EVERYTHING = 1023
+
+NO_HEADER = {"stamp": NO_STAMP, "frame_id": ""}
+NO_OCTOMAP = {
+    "header": NO_HEADER,
+    "origin": write_pose(IDENTITY),
+    "octomap": {"header": NO_HEADER, "binary": False, "id": "", "resolution": 0.0, "data": []},
+}
+NO_MATRIX: Message = {
+    "entry_names": [],
+    "entry_values": [],
+    "default_entry_names": [],
+    "default_entry_values": [],
+}
+NO_STATE: Message = {
+    "joint_state": {"header": NO_HEADER, "name": [], "position": [], "velocity": [], "effort": []},
+    "multi_dof_joint_state": {"header": NO_HEADER, "joint_names": [], "transforms": [], "twist": [], "wrench": []},
+    "attached_collision_objects": [],
+    "is_diff": False,
+}
+NO_OBJECT: Message = {
+    "header": NO_HEADER,
+    "pose": write_pose(IDENTITY),
+    "id": "",
+    "type": {"key": "", "db": ""},
+    "primitives": [],
+    "primitive_poses": [],
+    "meshes": [],
+    "mesh_poses": [],
+    "planes": [],
+    "plane_poses": [],
+    "subframe_names": [],
+    "subframe_poses": [],
+    "operation": ADD,
+}
+
+
+def scene_message(contents: SceneContents, robot: RobotModel, state: Message, components: int) -> dict[str, Any]:
+    """Write a moveit_msgs/PlanningScene with every field; those that were not requested are empty.
+
+    Args:
+        contents: the scene.
+        robot: the arm.
+        state: its moveit_msgs/RobotState without attached objects.
+        components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
+    """
+    wanted = components or EVERYTHING
+    settings, links = wanted & SCENE_SETTINGS, wanted & LINK_PADDING_AND_SCALING
+    return {
+        "name": contents.name if settings else "",
+        "robot_state": _state(contents, state, wanted),
+        "robot_model_name": robot.name if settings else "",
+        "fixed_frame_transforms": _transforms(contents, robot) if wanted & TRANSFORMS else [],
+        "allowed_collision_matrix": contents.allowed_collisions.message
+        if wanted & ALLOWED_COLLISION_MATRIX
+        else NO_MATRIX,
+        "link_padding": _padding(contents, robot) if links else [],
+        "link_scale": _scale(contents, robot) if links else [],
+        "object_colors": _colors(contents) if wanted & OBJECT_COLORS else [],
+        "world": {"collision_objects": _objects(contents, robot, wanted), "octomap": NO_OCTOMAP},
+        "is_diff": False,
+    }
+
+
+def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
+    """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours and frames."""
+    links = (before.padding_m, before.scale) != (after.padding_m, after.scale)
+    return {
+        "name": after.name,
+        "robot_state": {**NO_STATE, "attached_collision_objects": _changed_attached(before, after), "is_diff": True},
+        "robot_model_name": robot.name,
+        "fixed_frame_transforms": _transforms(after, robot) if before.fixed_frames != after.fixed_frames else [],
+        "allowed_collision_matrix": after.allowed_collisions.message
+        if before.allowed_collisions != after.allowed_collisions
+        else NO_MATRIX,
+        "link_padding": _padding(after, robot) if links else [],
+        "link_scale": _scale(after, robot) if links else [],
+        "object_colors": _colors(after) if before.colors != after.colors else [],
+        "world": {"collision_objects": _changed_objects(before, after), "octomap": NO_OCTOMAP},
+        "is_diff": True,
+    }
+
+
+def _state(contents: SceneContents, state: Message, wanted: int) -> Message:
+    if wanted & ROBOT_STATE_ATTACHED_OBJECTS:
+        return {**state, "attached_collision_objects": [held.message for held in contents.attached.values()]}
+    return state if wanted & ROBOT_STATE else NO_STATE
+
+
+def _objects(contents: SceneContents, robot: RobotModel, wanted: int) -> list[Message]:
+    if wanted & WORLD_OBJECT_GEOMETRY:
+        return [each.message for each in contents.objects.values()]
+    if wanted & WORLD_OBJECT_NAMES:
+        header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
+        return [
+            {**NO_OBJECT, "header": header, "id": name, "type": each.type} for name, each in contents.objects.items()
+        ]
+    return []
+
+
+def _changed_objects(before: SceneContents, after: SceneContents) -> list[Message]:
+    # Attaching an object removes it from the world.
+    removed = [name for name in _known(before) if name not in _known(after)]
+    changed = [each.message for name, each in after.objects.items() if before.objects.get(name) is not each]
+    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in removed), *changed]
+
+
+def _changed_attached(before: SceneContents, after: SceneContents) -> list[Message]:
+    # Detached first: an object must be in the world to be removed from it.
+    detached = [
+        {"link_name": held.link, "object": {**NO_OBJECT, "id": name, "operation": REMOVE}}
+        for name, held in before.attached.items()
+        if name not in after.attached
+    ]
+    attached = [held.message for name, held in after.attached.items() if before.attached.get(name) is not held]
+    return [*detached, *attached]
+
+
+def _known(contents: SceneContents) -> dict[str, object]:
+    return {**contents.objects, **contents.attached}
+
+
+def _padding(contents: SceneContents, robot: RobotModel) -> list[Message]:
+    return [{"link_name": link, "padding": contents.padding_m.get(link, NO_PADDING_M)} for link in robot.links]
+
+
+def _scale(contents: SceneContents, robot: RobotModel) -> list[Message]:
+    return [{"link_name": link, "scale": contents.scale.get(link, NO_SCALE)} for link in robot.links]
+
+
+def _colors(contents: SceneContents) -> list[Message]:
+    return [{"id": name, "color": color} for name, color in contents.colors.items()]
+
+
+def _transforms(contents: SceneContents, robot: RobotModel) -> list[Message]:
+    """Write the fixed frames; as in MoveIt the planning frame is among them."""
+    return [
+        _transform(robot.root_link, name, pose)
+        for name, pose in {robot.root_link: IDENTITY, **contents.fixed_frames}.items()
+    ]
+
+
+def _transform(root: str, name: str, pose: Pose) -> Message:
+    written = write_pose(pose)
+    return {
+        "header": {"stamp": NO_STAMP, "frame_id": root},
+        "child_frame_id": name,
+        "transform": {"translation": written["position"], "rotation": written["orientation"]},
+    }
+
+
+def subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
+    """Apply the messages of the scene's topics; rejected ones are logged.
+
+    A topic does not tell its publisher, so joints in a ``/planning_scene`` are ignored.
+
+    Args:
+        graph: where the topics are.
+        node: the subscriber.
+        state: the scene.
+        current: positions of the joints.
+    """
+    topics: Mapping[str, tuple[str, Apply]] = {
+        "/planning_scene": ("moveit_msgs/PlanningScene", state.apply_diff),
+        "/planning_scene_world": ("moveit_msgs/PlanningSceneWorld", state.apply_world),
+        "/collision_object": ("moveit_msgs/CollisionObject", state.apply_collision_object),
+        "/attached_collision_object": ("moveit_msgs/AttachedCollisionObject", state.apply_attached_object),
+    }
+    for topic, (type_name, apply) in topics.items():
+        graph.subscribe(node, topic, type_name, _subscriber(topic, apply, current))
+
+
+def _subscriber(topic: str, apply: Apply, current: CurrentState) -> Subscriber:
+    def reject(error: MessageError | RefusedError) -> None:
+        log.warning("%s: refused, nothing is changed: %s", topic, error)
+
+    def deliver(publication: Publication) -> None:
+        try:
+            apply(publication.msg, current.positions_rad())
+        except RefusedError as error:
+            reject(error)
+
+    return Subscriber(deliver, reject)
+
+
+class MonitoredScenePublisher:
+    """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first.
+
+    Args:
+        graph: where the topic is.
+        node: the publisher.
+        robot: the arm.
+        state: the scene.
+        current: positions of the joints.
+        rate_hz: changes that come faster are published together [Hz].
+        clock: monotonic time [s].
+        call_later: calls a function after a delay.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        node: Node,
+        robot: RobotModel,
+        state: SceneState,
+        current: CurrentState,
+        rate_hz: float,
+        clock: Callable[[], float] = time.monotonic,
+        call_later: CallLater = call_later,
+    ) -> None:
+        self._graph = graph
+        self._node = node
+        self._robot = robot
+        self._state = state
+        self._current = current
+        self._clock = clock
+        self._call_later = call_later
+        self._published = state.contents
+        self._period_s = 1.0 / rate_hz
+        self._published_at_s = clock() - self._period_s
+        self._timer: Timer | None = None
+        graph.advertise(node, MONITORED_TOPIC, "moveit_msgs/PlanningScene")
+        self._latch()
+        state.on_change(self._schedule)
+
+    def close(self) -> None:
+        """Publish no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _schedule(self) -> None:
+        if self._timer is None:
+            due_s = self._published_at_s + self._period_s
+            self._timer = self._call_later(max(0.0, due_s - self._clock()), self._publish)
+
+    def _publish(self) -> None:
+        self._timer, self._published_at_s = None, self._clock()
+        before, self._published = self._published, self._state.contents
+        if before != self._published:
+            self._graph.publish(self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._robot))
+            self._latch()
+
+    def _latch(self) -> None:
+        state = self._current.message()
+        self._graph.latch(MONITORED_TOPIC, scene_message(self._published, self._robot, state, EVERYTHING))
+
+
+class SceneServices:
+    """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``.
+
+    Args:
+        graph: where the services are.
+        node: their provider.
+        robot: the arm.
+        state: the scene.
+        assumed: joint states that clients assume.
+        current: positions of the joints.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        node: Node,
+        robot: RobotModel,
+        state: SceneState,
+        assumed: AssumedStates,
+        current: CurrentState,
+    ) -> None:
+        self._robot = robot
+        self._state = state
+        self._assumed = assumed
+        self._current = current
+        services = graph.services
+        services.offer_calls(node, GET, "moveit_msgs/srv/GetPlanningScene", self._get)
+        services.offer_calls(node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply)
+        # The scene has no octomap, so there is nothing to clear.
+        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {})
+
+    def _get(self, call: Call) -> None:
+        assumed = self._assumed
+        positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
+        assumed.note_sent(call.caller, positions_rad)
+        state = state_message(positions_rad, self._robot.root_link, time.time())
+        components = call.request["components"]["components"]
+        call.succeed_as_it_is({"scene": scene_message(self._state.contents, self._robot, state, components)})
+
+    def _apply(self, call: Call) -> None:
+        answer(call, lambda request: {"success": self._applied(call.caller, request["scene"])})
+
+    def _applied(self, caller: Node, scene: Message) -> bool:
+        assumed = self._assumed
+        try:
+            assumed_rad = assumed.after(caller, scene["robot_state"])
+            self._state.apply_diff(scene, assumed.completed(assumed_rad, self._current.positions_rad()))
+        except RefusedError as error:
+            log.warning("%s: refused, nothing is changed: %s", APPLY, error)
+            return False
+        assumed.assume(caller, assumed_rad)
+        return True
 
 
 class SceneInterface:
-    """The scene's topics and services.
+    """All topics and services of the planning scene.
 
     Args:
         graph: where they are.
         robot: the arm.
         state: the scene.
-        assumed: where clients take the joints to be.
-        parameters: how often changes are told, and where files of geometry are.
+        assumed: joint states that clients assume.
+        parameters: rate of ``/monitored_planning_scene``, and the directory of geometry files.
     """
 
     def __init__(
@@ -34,24 +368,28 @@ class SceneInterface:
         assumed: AssumedStates,
         parameters: MoveItParameters,
     ) -> None:
-        node = Node("planning_scene")
-        self._monitored = MonitoredScene(graph, node, robot, state, parameters.publish_planning_scene_hz)
-        self._parts = (
-            SceneTopics(graph, node, state),
-            SceneServices(graph, node, robot, state, assumed),
-            GeometryFiles(graph, node, state, parameters.geometry_directory),
-            self._monitored,
-        )
+        self._graph = graph
+        self._robot = robot
+        self._state = state
+        self._assumed = assumed
+        self._parameters = parameters
+        self._exits = ExitStack()
 
     def open(self, current: CurrentState) -> None:
-        """Begin to listen, answer and tell.
+        """Offer the topics and services.
 
         Args:
-            current: where the joints are.
+            current: positions of the joints.
         """
-        for part in self._parts:
-            part.open(current)
+        graph, robot, state, parameters = self._graph, self._robot, self._state, self._parameters
+        node = Node("planning_scene")
+        subscribe_to_scene_topics(graph, node, state, current)
+        SceneServices(graph, node, robot, state, self._assumed, current)
+        GeometryFiles(graph, node, state, current, parameters.geometry_directory)
+        rate_hz = parameters.publish_planning_scene_hz
+        publisher = MonitoredScenePublisher(graph, node, robot, state, current, rate_hz)
+        self._exits.callback(publisher.close)
 
     def close(self) -> None:
-        """Tell no more."""
-        self._monitored.close()
+        """Publish no more."""
+        self._exits.close()

@@ -1,17 +1,74 @@
-"""shape_msgs: primitives, meshes and planes as the planners' shapes."""
+"""Shapes of shape_msgs as the planners have them: primitives, meshes and planes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from planners.scene_checks import MAX_TRIANGLES, shape_fault
-from server.moveit.requests.refusals import invalid
-from server.moveit.scene.prism import prism
+from server.moveit.requests.error_codes import invalid
+
+Corner = tuple[float, float]
+
+
+def prism_mesh(polygon: Sequence[Corner], height_m: float) -> Mesh | None:
+    """Return the surface of a prism, its middle at z = 0; None for a polygon that crosses itself or has no area.
+
+    Args:
+        polygon: corners in their order, whichever way round [m]; the last is joined to the first.
+        height_m: along z [m].
+    """
+    corners = polygon if _area(polygon) > 0.0 else polygon[::-1]
+    lid = _ears(corners)
+    if lid is None:
+        return None
+    count = len(corners)
+    flat = np.array(corners)
+    levels = [np.column_stack((flat, np.full(count, z_m))) for z_m in (-0.5 * height_m, 0.5 * height_m)]
+    floor = [(a, c, b) for a, b, c in lid]
+    roof = [(a + count, b + count, c + count) for a, b, c in lid]
+    walls = []
+    for i in range(count):
+        j = (i + 1) % count
+        walls += [(i, j, j + count), (i, j + count, i + count)]
+    return Mesh(np.vstack(levels), np.array([*floor, *roof, *walls], dtype=np.int32))
+
+
+def _ears(corners: Sequence[Corner]) -> list[tuple[int, int, int]] | None:
+    """Triangulate a counter-clockwise polygon by ear clipping; None if it crosses itself or has no area."""
+    left = list(range(len(corners)))
+    triangles = []
+    while len(left) >= 3:
+        ear = next((i for i in range(len(left)) if _is_ear(corners, left, i)), None)
+        if ear is None:
+            return None
+        triangles.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
+        del left[ear]
+    return triangles or None
+
+
+def _is_ear(corners: Sequence[Corner], left: Sequence[int], i: int) -> bool:
+    around = (left[i - 1], left[i], left[(i + 1) % len(left)])
+    a, b, c = (corners[k] for k in around)
+    if _area((a, b, c)) <= 0.0:
+        return False
+    return not any(_inside(corners[k], a, b, c) for k in left if k not in around)
+
+
+def _inside(point: Corner, a: Corner, b: Corner, c: Corner) -> bool:
+    """Tell if a point is inside a counter-clockwise triangle or on its edge."""
+    return all(_area((first, second, point)) >= 0.0 for first, second in ((a, b), (b, c), (c, a)))
+
+
+def _area(corners: Sequence[Corner]) -> float:
+    """Return twice the enclosed area, below 0 for clockwise corners [m^2]."""
+    following = [*corners[1:], *corners[:1]]
+    return sum(x * v - u * y for (x, y), (u, v) in zip(corners, following, strict=True))
+
 
 Message = Mapping[str, Any]
 
@@ -20,16 +77,16 @@ BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5
 NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
 DIMENSIONS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
 
-# Cutting the lid of a prism into triangles takes time by the square of its corners; these take some milliseconds.
+# Ear clipping takes time by the square of the corners; this many take some milliseconds.
 MAX_PRISM_CORNERS = 100
 
 
 def read_primitive(message: Message, where: str) -> Shape:
-    """Read a shape_msgs/SolidPrimitive; dimensions beyond those of its type are passed over, as MoveIt does.
+    """Read a shape_msgs/SolidPrimitive; dimensions beyond those of its type are ignored, as in MoveIt.
 
     Args:
         message: the shape.
-        where: path of the field, for the refusal.
+        where: path of the field, for errors.
 
     Raises:
         RefusedError: it cannot be used.
@@ -48,14 +105,14 @@ def read_primitive(message: Message, where: str) -> Shape:
     elif kind == SPHERE:
         shape = Sphere(sizes_m[0])
     else:
-        # Height first, radius second.
+        # shape_msgs: CYLINDER_HEIGHT and CONE_HEIGHT are 0, the radii 1.
         shape = (Cylinder if kind == CYLINDER else Cone)(sizes_m[1], sizes_m[0])
     return _checked(shape, where)
 
 
 def read_mesh(message: Message, where: str) -> Shape:
     """Read a shape_msgs/Mesh; arguments and errors are those of :func:`read_primitive`."""
-    # Counted before anything is built of them.
+    # Counted first: arrays of a hostile message could fill the memory.
     count, points = len(message["triangles"]), len(message["vertices"])
     if count > MAX_TRIANGLES or points > 3 * MAX_TRIANGLES:
         raise invalid(f"{where} has {count} triangles and {points} vertices; {MAX_TRIANGLES} triangles are the limit")
@@ -87,7 +144,7 @@ def _read_prism(message: Message, where: str) -> Shape:
         raise invalid(f"{where}.dimensions[0], the height of a prism, must be above 0, not {height_m:g}")
     if not all(math.isfinite(x) and math.isfinite(y) for x, y in polygon):
         raise invalid(f"{where}.polygon has a point that is not finite")
-    surface = prism(polygon, height_m)
+    surface = prism_mesh(polygon, height_m)
     if surface is None:
         raise invalid(f"{where}.polygon crosses itself or has no area")
     return _checked(surface, where)

@@ -1,127 +1,148 @@
-"""``/compute_ik`` and ``/compute_fk``: from poses to joints and back."""
+"""``/compute_ik``, ``/compute_fk`` and ``/check_state_validity``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from planners.goals import ConstraintGoal, Constraints, Goal, OrientationConstraint, PoseGoal, PositionConstraint
-from planners.problem import IkQuestion, MoveItErrorCode
-from planners.scene import Pose
+from planners.goals import Constraints
+from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
+from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import RobotModel
 from server.graph.node import Node
 from server.moveit.current_state import state_message
-from server.moveit.parameters import MAX_KINEMATICS_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import pose_of, write_pose
-from server.moveit.requests.codes import deviation_note, success
-from server.moveit.requests.constraints import path_constraints_of
-from server.moveit.requests.context import Message, RequestContext
-from server.moveit.requests.orientations import LEAST_TOLERANCE_RAD
-from server.moveit.requests.refusals import invalid, refused, required
-from server.moveit.requests.regions import LEAST_TOLERANCE_M
+from server.moveit.requests.constraints import read_path_constraints
+from server.moveit.requests.context import Message
+from server.moveit.requests.error_codes import deviation_note, refused, required, success
+from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_problems import check_link_count
 from server.moveit.scene.frames import seen_from
-from server.moveit.services.planning_context import PlanningContext
 
-NANOSECONDS_PER_S = 1e9
+log = logging.getLogger("armbridge.moveit")
 
-# Named in one call; a robot has a few dozen, and each costs time that all clients wait for.
-MAX_LINKS = 1000
+# moveit_msgs/ContactInformation's body types.
+ROBOT_LINK, WORLD_OBJECT, ROBOT_ATTACHED = 0, 1, 2
 
 
 async def compute_ik(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
-    """Find joint positions for poses of links; the response of moveit_msgs/GetPositionIK.
+    """Find joint positions for poses of links; returns the response of moveit_msgs/GetPositionIK.
 
     Raises:
-        RefusedError: there are none, and why.
+        RefusedError: there are none, or the request cannot be used.
     """
-    asked = request["ik_request"]
-    group = context.group(asked["group_name"])
-    seed_rad = within_limits(context.robot, context.positions_rad(asked["robot_state"], caller))
-    scene = context.scene_of(asked["robot_state"], seed_rad)
-    reading = context.request_context(group, seed_rad)
-    constraints = required(path_constraints_of(asked["constraints"], reading, "ik_request.constraints"))
-    question = IkQuestion(
-        group=group.name,
-        start_rad=seed_rad,
-        goal=_ik_goal(asked, reading),
-        avoid_collisions=asked["avoid_collisions"],
-        constraints=None if constraints.empty else constraints,
-        allowed_time_s=_timeout_s(asked["timeout"], reading.parameters),
-    )
-    answer = required(await context.pool.ask(question, scene))
+    ik_request = request["ik_request"]
+    group = context.problems.group(ik_request["group_name"])
+    seed_rad = within_limits(context.robot, context.positions_rad(ik_request["robot_state"], caller))
+    scene = context.scene_of(ik_request["robot_state"], seed_rad)
+    built = context.problems.ik(ik_request, group, seed_rad)
+    answer = required(await context.pool.ask(built.problem, scene))
     solution = state_message(dict(answer.positions_rad[0]), context.robot.root_link, 0.0)
-    notes = (*reading.warnings, deviation_note(answer.deviations[0]))
-    return {"solution": solution, "error_code": success(*notes)}
+    return {"solution": solution, "error_code": success(*built.warnings, deviation_note(answer.deviations[0]))}
 
 
 async def compute_fk(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
-    """Tell where links are; the response of moveit_msgs/GetPositionFK.
+    """Compute poses of links, in the frame of the request's header; returns the response of moveit_msgs/GetPositionFK.
 
-    Without names every link is told. Poses are in the frame of the request's header.
+    Without names it computes the poses of all links.
 
     Raises:
-        RefusedError: an unknown link or frame, or a state that cannot be.
+        RefusedError: an unknown link or frame, or a state that cannot be used.
     """
-    _check_count(request["fk_link_names"], "fk_link_names")
+    check_link_count(request["fk_link_names"], "fk_link_names")
     positions_rad = context.positions_rad(request["robot_state"], caller)
     names = request["fk_link_names"] or list(context.robot.links)
     frame_id = request["header"]["frame_id"] or context.robot.root_link
     frame = required(context.frames.resolve(frame_id, positions_rad))
-    placed = context.forward.transforms(positions_rad)
+    transforms = context.forward.transforms(positions_rad)
     header = {"stamp": Stamp(0, 0).as_message(), "frame_id": frame_id}
     poses = []
     for name in names:
-        if name not in placed:
+        if name not in transforms:
             known = ", ".join(context.robot.links)
             raise refused(
                 MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {name!r}; it has: {known}", link=name
             )
-        poses.append({"header": header, "pose": write_pose(seen_from(frame, pose_of(placed[name])))})
+        poses.append({"header": header, "pose": write_pose(seen_from(frame, pose_of(transforms[name])))})
     return {"pose_stamped": poses, "fk_link_names": names, "error_code": success()}
 
 
 def within_limits(robot: RobotModel, positions_rad: Mapping[str, float]) -> dict[str, float]:
-    """The nearest state within the limits: a search may begin anywhere [rad]."""
+    """Clamp positions to the limits of their joints [rad]: IK starts from the nearest state within them."""
     joints = robot.joints
     return {name: min(max(value, joints[name].lower), joints[name].upper) for name, value in positions_rad.items()}
 
 
-def _ik_goal(asked: Message, reading: RequestContext) -> Goal:
-    """The poses that are asked for."""
-    links, poses = asked["ik_link_names"], asked["pose_stamped_vector"]
-    _check_count(links, "ik_link_names")
-    if len(poses) > 1 or len(links) > 1:
-        if len(links) != len(poses):
-            raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
-        return _several(links, poses, reading)
-    link = asked["ik_link_name"] or (links[0] if links else "")
-    pose = _pose(poses[0] if poses else asked["pose_stamped"], reading)
-    return PoseGoal(
-        reading.link(link), pose, LEAST_TOLERANCE_M, (LEAST_TOLERANCE_RAD,) * 3, strict=reading.chooses_orientation
+async def check_state_validity(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Check a state for limits, collisions and constraints; returns the response of moveit_msgs/GetStateValidity.
+
+    Raises:
+        RefusedError: a state, group or constraint that cannot be used.
+    """
+    group = context.problems.group(request["group_name"])
+    positions_rad = context.positions_rad(request["robot_state"], caller)
+    scene = context.scene_of(request["robot_state"], positions_rad)
+    constraints = read_path_constraints(
+        request["constraints"], context.problems.context(group, positions_rad), "constraints"
     )
+    state = required(await context.pool.ask(StateQuestion(group.name, positions_rad), scene))
+    results = [
+        _constraint_result(required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene)))
+        for single in _single_constraints(constraints)
+    ]
+    for problem in state.problems:
+        log.info("/check_state_validity: %s", problem.message)
+    pairs = [pair for problem in state.problems for pair in problem.details.get("pairs", ())]
+    context.display.contacts(pairs)
+    return {
+        "valid": state.valid and all(result["result"] for result in results),
+        "contacts": [_contact(pair, context.robot, scene) for pair in pairs],
+        "constraint_result": results,
+    }
 
 
-def _check_count(links: Sequence[str], field: str) -> None:
-    if len(links) > MAX_LINKS:
-        raise invalid(f"{field} has {len(links)} entries, the limit is {MAX_LINKS}")
+def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
+    """Yield each constraint alone, in MoveIt's order of results."""
+    yield from (Constraints(joints=(one,)) for one in constraints.joints)
+    yield from (Constraints(positions=(one,)) for one in constraints.positions)
+    yield from (Constraints(orientations=(one,)) for one in constraints.orientations)
 
 
-def _several(links: Sequence[str], poses: Sequence[Message], reading: RequestContext) -> ConstraintGoal:
-    """Poses of several links at once: of an arm with few joints their positions alone."""
-    placed = [(reading.link(link), _pose(pose, reading)) for link, pose in zip(links, poses, strict=True)]
-    positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
-    if not reading.chooses_orientation:
-        reading.warnings.append("the orientations of several links are not heeded")
-        return ConstraintGoal(Constraints(positions=positions))
-    turned = tuple(OrientationConstraint(link, pose.orientation, (LEAST_TOLERANCE_RAD,) * 3) for link, pose in placed)
-    return ConstraintGoal(Constraints(positions=positions, orientations=turned))
+def _constraint_result(answer: StateAnswer) -> dict[str, Any]:
+    """Write a moveit_msgs/ConstraintEvalResult; its distance is the one beyond the tolerance, 0 if it holds."""
+    for problem in answer.problems:
+        if problem.code is MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED:
+            log.info("/check_state_validity: %s", problem.message)
+            return {"result": False, "distance": _distance(problem.details)}
+    return {"result": True, "distance": 0.0}
 
 
-def _pose(stamped: Message, reading: RequestContext) -> Pose:
-    return reading.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose")
+def _distance(details: Mapping[str, Any]) -> float:
+    """Return the distance beyond a constraint's tolerance [m], [rad]."""
+    if "beyond_m" in details or "beyond_rad" in details:
+        return float(details.get("beyond_m", 0.0) or details.get("beyond_rad", 0.0))
+    position = details["position_rad"]
+    return float(max(details["lower_rad"] - position, position - details["upper_rad"], 0.0))
 
 
-def _timeout_s(duration: Message, parameters: MoveItParameters) -> float:
-    timeout_s = duration["sec"] + duration["nanosec"] / NANOSECONDS_PER_S
-    return min(timeout_s, MAX_KINEMATICS_TIMEOUT_S) if timeout_s > 0.0 else parameters.kinematics_solver_timeout
+def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[str, Any]:
+    """Write a moveit_msgs/ContactInformation."""
+    attached = {each.object.name for each in scene.attached}
+
+    def body_type(name: str) -> int:
+        if name in robot.links:
+            return ROBOT_LINK
+        return ROBOT_ATTACHED if name in attached else WORLD_OBJECT
+
+    return {
+        "header": {"frame_id": robot.root_link},
+        "position": dict(zip("xyz", pair["point_m"], strict=True)),
+        "normal": dict(zip("xyz", pair["normal"], strict=True)),
+        "depth": pair["depth_m"],
+        "contact_body_1": pair["first"],
+        "body_type_1": body_type(pair["first"]),
+        "contact_body_2": pair["second"],
+        "body_type_2": body_type(pair["second"]),
+    }

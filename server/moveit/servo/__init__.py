@@ -1,1 +1,1 @@
-"""MoveIt Servo's topics and services: steering the arm by sticks, sliders and moving targets."""
+"""Topics and services of MoveIt Servo, and the loop that follows their commands."""

@@ -1,4 +1,4 @@
-"""The parameters of steering, under MoveIt Servo's names where it has them."""
+"""Parameters of the servo loop, under MoveIt Servo's names where it has them."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from planners.servo.question import ServoLimits
 
 
 class ServoParameters(BaseModel):
-    """How the arm is steered.
+    """Parameters of the servo loop.
 
     Attributes:
-        command_in_type: whether commands are shares of the scales, -1 to 1, or speeds in SI units.
-        linear_scale: speed of the tip for a command of 1, and its greatest on the way to a target [m/s].
-        rotational_scale: likewise of its turn [rad/s].
+        command_in_type: ``unitless`` commands are shares of the scales, -1 to 1; ``speed_units`` are SI units.
+        linear_scale: speed of the tip for a command of 1, and its greatest speed towards a pose target [m/s].
+        rotational_scale: the same for its rotation [rad/s].
         joint_scale: speed of a joint for a command of 1 [rad/s].
-        incoming_command_timeout: a command holds for so long after its arrival [s].
-        rate_hz: how often the joints get new velocities [Hz].
-        velocity_scaling: share of the joints' velocity limits that steering may use.
-        lower_singularity_threshold: condition number from which motion towards a singularity is slowed.
-        hard_stop_singularity_threshold: condition number at which such motion ends.
-        check_collisions: whether the arm is kept from itself and from the scene.
-        self_distance: nearest that links come to each other [m].
-        scene_distance: nearest that links come to objects [m].
+        incoming_command_timeout: time after which a command expires [s].
+        rate_hz: rate of new joint velocities [Hz].
+        velocity_scaling: share of the joints' velocity limits to use.
+        lower_singularity_threshold: condition number above which motion towards a singularity slows down.
+        hard_stop_singularity_threshold: condition number at which such motion stops.
+        check_collisions: true to keep the arm from colliding with itself and the scene.
+        self_distance: least distance between links [m].
+        scene_distance: least distance between links and objects [m].
         status_type: type of the status topic, ``moveit_msgs/ServoStatus`` or, as in humble and in its numbers,
             ``std_msgs/Int8``.
     """
@@ -35,7 +35,7 @@ class ServoParameters(BaseModel):
     linear_scale: float = Field(default=0.2, gt=0.0, le=2.0)
     rotational_scale: float = Field(default=0.8, gt=0.0, le=10.0)
     joint_scale: float = Field(default=0.5, gt=0.0, le=10.0)
-    # A browser that draws 60 pictures a second misses a quarter of a second when it collects garbage.
+    # A browser that sends 60 commands a second pauses for up to a quarter of a second to collect garbage.
     incoming_command_timeout: float = Field(default=0.25, ge=0.02, le=5.0)
     rate_hz: float = Field(default=50.0, ge=20.0, le=100.0)
     velocity_scaling: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -57,7 +57,7 @@ class ServoParameters(BaseModel):
 
     @property
     def limits(self) -> ServoLimits:
-        """The same for the planners."""
+        """The limits as planners take them."""
         return ServoLimits(
             linear_m_s=self.linear_scale,
             angular_rad_s=self.rotational_scale,

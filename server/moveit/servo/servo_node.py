@@ -1,9 +1,13 @@
-"""What MoveIt Servo's clients talk to: topics for commands, a status, and the services of both its generations."""
+"""Topics and services of MoveIt Servo: commands, status, and the services of both its generations."""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Coroutine
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 from planners.pool import PlannerPool
@@ -13,19 +17,29 @@ from protocol.errors import MessageError
 from protocol.publication import Publication
 from robot.arm import Arm
 from robot.description.model import RobotModel
+from server.errors import RefusedError
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.readiness import unusable
-from server.moveit.scene.state import SceneState
-from server.moveit.servo.commands import Message, Resolve, Wanted, read_joint_jog, read_pose_target, read_twist
-from server.moveit.servo.gate import CommandType, Gate
-from server.moveit.servo.session import ServoSession, Steered
-from server.moveit.servo.status import StatusTopic, log
+from server.moveit.scene.scene_state import SceneState
+from server.moveit.servo.servo_loop import (
+    Message,
+    Resolve,
+    ServoInput,
+    ServoSession,
+    ServoSetup,
+    read_joint_jog,
+    read_pose_target,
+    read_twist,
+)
+
+log = logging.getLogger("armbridge.servo")
 
 TWIST_TOPIC = "/servo_node/delta_twist_cmds"
 JOINT_TOPIC = "/servo_node/delta_joint_cmds"
 POSE_TOPIC = "/servo_node/pose_target_cmds"
+STATUS_TOPIC = "/servo_node/status"
 
 SWITCH_SERVICE = "/servo_node/switch_command_type"
 PAUSE_SERVICE = "/servo_node/pause_servo"
@@ -34,22 +48,184 @@ STOP_SERVICE = "/servo_node/stop_servo"
 UNPAUSE_SERVICE = "/servo_node/unpause_servo"
 RESET_SERVICE = "/servo_node/reset_servo_status"
 
-_TYPES = {
+INT8 = "std_msgs/Int8"
+
+# moveit_servo/status_codes.h of humble; the other values are the same in both generations.
+HUMBLE_NUMBERS = {
+    ServoStatus.DECELERATE_FOR_COLLISION: 3,
+    ServoStatus.HALT_FOR_COLLISION: 4,
+    ServoStatus.JOINT_BOUND: 5,
+    ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY: 6,
+}
+
+# A client repeats a rejected command many times a second.
+LOGGED_AGAIN_S = 5.0
+
+# A client in control sends many commands a second.
+OWNERSHIP_TIMEOUT_S = 1.0
+
+
+class CommandType(IntEnum):
+    """Values of moveit_msgs/ServoCommandType."""
+
+    JOINT_JOG = 0
+    TWIST = 1
+    POSE = 2
+
+
+_TOPICS = {
     CommandType.TWIST: (TWIST_TOPIC, "geometry_msgs/TwistStamped"),
     CommandType.JOINT_JOG: (JOINT_TOPIC, "control_msgs/JointJog"),
     CommandType.POSE: (POSE_TOPIC, "geometry_msgs/PoseStamped"),
 }
 
 
+class StatusPublisher:
+    """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command.
+
+    Args:
+        graph: where the topic is.
+        node: the publisher.
+        type_name: ``moveit_msgs/ServoStatus`` or ``std_msgs/Int8``.
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, graph: Graph, node: Node, type_name: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._graph = graph
+        self._node = node
+        self._type_name = type_name
+        self._clock = clock
+        self._logged, self._logged_at_s = "", 0.0
+        graph.advertise(node, STATUS_TOPIC, type_name, latch=True)
+
+    def publish(self, status: ServoStatus, message: str) -> None:
+        """Publish a status; an error is logged as well, once in `LOGGED_AGAIN_S` while it is repeated."""
+        if status is ServoStatus.INVALID:
+            self._log(message)
+        if self._type_name == INT8:
+            values: dict[str, object] = {"data": HUMBLE_NUMBERS.get(status, int(status))}
+        else:
+            values = {"code": int(status), "message": message}
+        self._graph.publish(self._node, STATUS_TOPIC, values)
+
+    def _log(self, message: str) -> None:
+        now_s = self._clock()
+        if message != self._logged or now_s - self._logged_at_s > LOGGED_AGAIN_S:
+            self._logged, self._logged_at_s = message, now_s
+            log.warning("servo: %s", message)
+
+
+class Ownership:
+    """Control by one client at a time, until it leaves or sends no more commands.
+
+    Args:
+        present: tells if a client is still connected.
+    """
+
+    def __init__(self, present: Callable[[object], bool]) -> None:
+        self._present = present
+        self._owner: object = None
+        self._heard_s = 0.0
+
+    def owner(self, now_s: float) -> object:
+        """Return the client in control; None if there is none.
+
+        Args:
+            now_s: monotonic time [s].
+        """
+        if self._owner is not None and (now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self._owner)):
+            self._owner = None
+        return self._owner
+
+    def take(self, client: object, now_s: float) -> bool:
+        """Take or keep control; returns true if the client has it now."""
+        owner = self.owner(now_s)
+        if owner is not None and owner is not client:
+            return False
+        self._owner, self._heard_s = client, now_s
+        return True
+
+
+@dataclass(frozen=True)
+class CommandRejection:
+    """Reason for not following a command; ``from_owner`` is true if it is from the client in control."""
+
+    message: str
+    from_owner: bool = True
+
+
+class CommandGate:
+    """Gate for commands: those of the client in control, of the selected type, while the arm is free.
+
+    Args:
+        present: tells if a client is still connected.
+        timeout_s: after a silence of this time a stick counts as released [s].
+        busy: returns the reason if the arm cannot be steered now, else an empty text.
+
+    Attributes:
+        paused: true while all commands are rejected.
+    """
+
+    def __init__(self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str]) -> None:
+        self._ownership = Ownership(present)
+        self._timeout_s = timeout_s
+        self._busy = busy
+        self._selected: CommandType | None = None
+        self._heard_s = -float("inf")
+        self._interrupted = ""
+        self.paused = False
+
+    def select(self, kind: CommandType) -> None:
+        """Reject other types of commands, until the client in control gives it up."""
+        self._selected = kind
+
+    def interrupt(self, reason: str) -> None:
+        """Reject all commands until the stick is released: somebody else has stopped the arm."""
+        self._interrupted = reason
+
+    def reset(self) -> None:
+        """Accept commands again after an interruption."""
+        self._interrupted = ""
+
+    def rejection(self, client: object, kind: CommandType, now_s: float) -> CommandRejection | None:
+        """Check a command; None if it is to be followed.
+
+        Args:
+            client: its publisher.
+            kind: its type.
+            now_s: monotonic time [s].
+        """
+        owner = self._ownership.owner(now_s)
+        if owner is None and self._heard_s > -float("inf"):
+            # The selection of a client ends with its control.
+            self._selected, self._heard_s = None, -float("inf")
+        if not self._ownership.take(client, now_s):
+            return CommandRejection(f"{client} cannot steer the arm: {owner} does", from_owner=False)
+        silence_s, self._heard_s = now_s - self._heard_s, now_s
+        if silence_s > self._timeout_s:
+            self._interrupted = ""
+        message = self._reason(kind)
+        return CommandRejection(message) if message else None
+
+    def _reason(self, kind: CommandType) -> str:
+        if self.paused:
+            return "servo is paused: unpause it by the service /servo_node/pause_servo or start_servo"
+        if self._selected is not None and kind is not self._selected:
+            return f"the command type {self._selected.name} was selected; this is a {kind.name} command"
+        if self._interrupted:
+            return f"{self._interrupted}; let go for {self._timeout_s:g} s to steer again"
+        return self._busy()
+
+
 class ServoNode:
-    """Lets clients steer the arm.
+    """MoveIt Servo's node.
 
     Args:
         graph: where the topics and services are.
         robot: the arm.
-        parameters: group, tip, and how the arm is steered.
-        scene: what is in the way.
-        resolve: finds frames.
+        parameters: group, tip, and parameters of the servo loop.
+        scene: the planning scene.
+        resolve: look-up of frames.
     """
 
     def __init__(
@@ -62,70 +238,66 @@ class ServoNode:
         self._scene = scene
         self._resolve = resolve
         self._node = Node("servo_node")
-        self._status = StatusTopic(graph, self._node, self._parameters.status_type)
-        self._turned_away = ""
-        self._session: ServoSession | None = None
+        self._exits = AsyncExitStack()
+        # Rejected last for another client's control: it repeats its commands many times a second.
+        self._logged = ""
 
     def open(self, arm: Arm, pool: PlannerPool, busy: Callable[[], str]) -> None:
-        """Begin to take commands.
+        """Offer the topics and services.
 
         Args:
-            arm: what is steered.
+            arm: the arm.
             pool: the planners.
-            busy: who moves the arm otherwise, or an empty text.
+            busy: returns the reason if the arm cannot be steered now, else an empty text.
         """
-        parameters = self._parameters
-        timeout_s = parameters.incoming_command_timeout
 
-        def closed() -> str:
+        def unavailable() -> str:
             failure = unusable(arm)
             return busy() if failure is None else failure.message
-
-        gate = Gate(self._present, timeout_s, closed)
-        group = self._group
-        steered = Steered(group.name, group.joints, self._link, parameters.limits, 1.0 / parameters.rate_hz, timeout_s)
 
         def ask(question: ServoQuestion) -> Coroutine[Any, Any, ServoAnswer | PlanningFailure]:
             return pool.ask(question, self._scene.scene)
 
-        session = ServoSession(arm, steered, ask, self._resolve, self._status.tell, gate.interrupt)
-        self._session = session
-        self._status.open()
+        parameters, group = self._parameters, self._group
+        timeout_s = parameters.incoming_command_timeout
+        setup = ServoSetup(group.name, group.joints, self._link, parameters.limits, 1.0 / parameters.rate_hz, timeout_s)
+        status = StatusPublisher(self._graph, self._node, parameters.status_type)
+        gate = CommandGate(self._present, timeout_s, unavailable)
+        session = ServoSession(arm, setup, ask, self._resolve, status.publish, gate.interrupt)
+        self._exits.push_async_callback(session.close)
         for kind in CommandType:
-            self._listen(kind, gate, session)
+            self._subscribe(kind, gate, session, status)
         self._offer(gate, session)
 
     async def close(self) -> None:
-        """Let go of the arm."""
-        if self._session is not None:
-            await self._session.close()
+        """Release the arm."""
+        await self._exits.aclose()
 
-    def _listen(self, kind: CommandType, gate: Gate, session: ServoSession) -> None:
-        topic, type_name = _TYPES[kind]
+    def _subscribe(self, kind: CommandType, gate: CommandGate, session: ServoSession, status: StatusPublisher) -> None:
+        topic, type_name = _TOPICS[kind]
 
         def deliver(publication: Publication) -> None:
-            refusal = gate.refusal(publication.publisher, kind, time.monotonic())
-            if refusal is None:
-                self._follow(kind, publication.msg, session)
-            elif refusal.of_owner:
-                self._status.tell(ServoStatus.INVALID, refusal.message)
-            elif refusal.message != self._turned_away:
-                self._turned_away = refusal.message
-                log.warning("servo: %s", refusal.message)
+            rejection = gate.rejection(publication.publisher, kind, time.monotonic())
+            if rejection is None:
+                follow(publication.msg)
+            elif rejection.from_owner:
+                status.publish(ServoStatus.INVALID, rejection.message)
+            elif rejection.message != self._logged:
+                self._logged = rejection.message
+                log.warning("servo: %s", rejection.message)
 
-        def refused(error: MessageError) -> None:
+        def follow(message: Message) -> None:
+            try:
+                session.set_command(self._read(kind, message, session))
+            except RefusedError as error:
+                status.publish(ServoStatus.INVALID, str(error))
+
+        def reject(error: MessageError) -> None:
             log.warning("%s: %s", topic, error)
 
-        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, refused))
+        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject))
 
-    def _follow(self, kind: CommandType, message: Message, session: ServoSession) -> None:
-        wanted = self._read(kind, message, session)
-        if isinstance(wanted, PlanningFailure):
-            self._status.tell(ServoStatus.INVALID, wanted.message)
-        else:
-            session.want(wanted)
-
-    def _read(self, kind: CommandType, message: Message, session: ServoSession) -> Wanted | PlanningFailure:
+    def _read(self, kind: CommandType, message: Message, session: ServoSession) -> ServoInput:
         match kind:
             case CommandType.TWIST:
                 return read_twist(message, self._parameters)
@@ -134,7 +306,7 @@ class ServoNode:
             case CommandType.POSE:
                 return read_pose_target(message, self._resolve, session.positions_rad())
 
-    def _offer(self, gate: Gate, session: ServoSession) -> None:
+    def _offer(self, gate: CommandGate, session: ServoSession) -> None:
         def switch(request: Message) -> dict[str, Any]:
             known = request["command_type"] in set(CommandType)
             if known:
@@ -161,4 +333,4 @@ class ServoNode:
         offer(self._node, RESET_SERVICE, "std_srvs/Empty", reset)
 
     def _present(self, client: object) -> bool:
-        return any(client in self._graph.publishers(topic) for topic, _ in _TYPES.values())
+        return any(client in self._graph.publishers(topic) for topic, _ in _TOPICS.values())

@@ -30,7 +30,7 @@ from server.moveit.failed_goals import FailedGoals
 from server.moveit.handing_over import STATE_AGE_S
 from server.moveit.motions import GivenMotion, PlannedMotion, Positions
 from server.moveit.patience import Allowance
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.played_arm import JOINTS, PlayedArm, settle
 from tests.helpers.trajectories import smooth_move
 

@@ -102,7 +102,7 @@ def test_what_is_set_reaches_its_place() -> None:
     assert face._allowance() == gripper._allowance == Allowance(3.0, 4.0, 5.0)
     assert gripper._torque_limit == 0.3
     assert face._transforms._period_s == 0.1
-    assert face._scene_interface._monitored._period_s == 0.5
+    assert face._scene_interface._parameters.publish_planning_scene_hz == 2.0
 
 
 def face_of(robot: RobotModel) -> MoveItFace:

@@ -17,7 +17,7 @@ from server.moveit import goal_checks
 from server.moveit.goal_checks import GOAL_TIME_S, MAX_GOALS, NOT_ASKED, SERVICE, GoalChecks, answers_in_time
 from server.moveit.goal_reports import GoalReports
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.goal_translator import TRANSLATOR
 from tests.helpers.moveit_services import HOME, ROBOT, DirectPool
 

@@ -8,7 +8,7 @@ from planners.problem import MoveItErrorCode
 from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.moveit.poses import pose_of
-from server.moveit.requests.context import group_of
+from server.moveit.requests.context import planning_group
 from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, assert_refused, context, message, near, point
 
 
@@ -54,10 +54,10 @@ def test_five_joints_cannot_choose_an_orientation_and_seven_can() -> None:
 
 
 def test_an_empty_group_is_the_configured_one() -> None:
-    assert group_of(ROBOT, "", context().parameters).name == "arm"
+    assert planning_group(ROBOT, "", context().parameters).name == "arm"
 
 
 def test_an_unknown_group_is_named_with_those_that_exist() -> None:
     with pytest.raises(RefusedError) as raised:
-        group_of(ROBOT, "manipulator", context().parameters)
+        planning_group(ROBOT, "manipulator", context().parameters)
     assert_refused(raised.value.failure, MoveItErrorCode.INVALID_GROUP_NAME, "'manipulator'", "arm", "gripper")

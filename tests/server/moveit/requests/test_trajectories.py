@@ -1,14 +1,27 @@
+"""Trajectories in messages."""
+
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.trajectory import Trajectory
-from server.moveit.requests.trajectories import from_joint_trajectory, to_message
-from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, message
+from server.moveit.requests.trajectories import (
+    external_motion,
+    knot_accelerations,
+    knot_velocities,
+    read_joint_trajectory,
+    smallest_group,
+    to_message,
+)
+from tests.helpers.examples import examples
+from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, message, outcome
 
 JOINTS = ("shoulder_pan", "elbow_flex")
 
@@ -20,9 +33,8 @@ def at(time_s, *positions, **fields):
 
 
 def read(*points, names=JOINTS, start_rad=HOME):
-    return from_joint_trajectory(
-        message("trajectory_msgs/JointTrajectory", joint_names=list(names), points=list(points)), ROBOT, start_rad
-    )
+    trajectory = message("trajectory_msgs/JointTrajectory", joint_names=list(names), points=list(points))
+    return outcome(read_joint_trajectory, trajectory, ROBOT, start_rad)
 
 
 def motion(*points, **fields) -> Trajectory:
@@ -37,7 +49,7 @@ def test_a_motion_comes_back_from_its_message() -> None:
     velocities[-1] = 0.0
     one = Trajectory(JOINTS, np.array([0.0, 0.25, 1.5, 2.0]), positions, velocities, accelerations)
     sent = message("RobotTrajectory", **to_message(one, "base_link"))
-    back = from_joint_trajectory(sent["joint_trajectory"], ROBOT, HOME)
+    back = read_joint_trajectory(sent["joint_trajectory"], ROBOT, HOME)
     assert isinstance(back, Trajectory)
     assert back.joint_names == one.joint_names
     for name in ("time_s", "positions_rad", "velocities_rad_s", "accelerations_rad_s2"):
@@ -117,3 +129,104 @@ BAD = {
 @pytest.mark.parametrize(("fields", "points", "words"), BAD.values(), ids=BAD.keys())
 def test_a_senseless_motion_is_refused_by_field(fields, points, words) -> None:
     assert_refused(read(*points, **fields), MoveItErrorCode.INVALID_MOTION_PLAN, *words)
+
+
+SPANS = st.lists(st.floats(0.05, 3.0), min_size=1, max_size=8)
+
+
+def through(time_s, positions):
+    positions = np.asarray(positions, float).reshape(len(time_s), -1)
+    velocities = knot_velocities(np.asarray(time_s, float), positions)
+    accelerations = knot_accelerations(np.asarray(time_s, float), positions, velocities)
+    names = tuple(f"j{i}" for i in range(positions.shape[1]))
+    return Trajectory(names, np.asarray(time_s, float), positions, velocities, accelerations)
+
+
+@examples(60)
+@given(SPANS, st.randoms(use_true_random=False))
+def test_the_curve_stays_between_each_two_points(spans, random) -> None:
+    time_s = np.concatenate(([0.0], np.cumsum(spans)))
+    curve = through(time_s, [random.uniform(-2.0, 2.0) for _ in time_s])
+    for i in range(len(spans)):
+        values = [curve.sample(t)[0][0] for t in np.linspace(time_s[i], time_s[i + 1], 12)]
+        ends = curve.positions_rad[i : i + 2, 0]
+        assert min(ends) - 1e-9 <= min(values)
+        assert max(values) <= max(ends) + 1e-9
+
+
+def test_it_begins_and_ends_at_rest_and_rests_where_it_turns_round() -> None:
+    curve = through([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 0.5, 0.7])
+    assert curve.velocities_rad_s[[0, 1, 2, 3], 0].tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
+def test_points_on_a_line_are_passed_at_its_speed() -> None:
+    curve = through([0.0, 1.0, 2.0, 3.0], [0.0, 0.5, 1.0, 1.5])
+    assert curve.velocities_rad_s[1:3, 0] == pytest.approx([0.5, 0.5])
+
+
+def test_accelerations_at_the_ends_are_those_of_the_curve() -> None:
+    curve = through([0.0, 2.0], [0.0, 1.0])
+    assert curve.sample(1e-9)[2][0] == pytest.approx(curve.accelerations_rad_s2[0, 0], rel=1e-6)
+    assert curve.sample(2.0 - 1e-9)[2][0] == pytest.approx(curve.accelerations_rad_s2[-1, 0], rel=1e-6)
+
+
+def test_accelerations_are_the_mean_of_those_before_and_after_a_point() -> None:
+    time_s, positions = np.array([0.0, 1.0, 3.0]), np.array([[0.0], [1.0], [0.5]])
+    velocities = np.array([[0.2], [0.7], [-0.4]])
+    accelerations = knot_accelerations(time_s, positions, velocities)
+    curve = Trajectory(("j",), time_s, positions, velocities, accelerations)
+    around = [curve.sample(1.0 - 1e-9)[2][0], curve.sample(1.0 + 1e-9)[2][0]]
+    assert accelerations[1, 0] == pytest.approx(np.mean(around), rel=1e-6)
+
+
+def test_a_single_point_stands_still() -> None:
+    curve = through([0.0], [0.4])
+    assert curve.velocities_rad_s.tolist() == curve.accelerations_rad_s2.tolist() == [[0.0]]
+
+
+HELD = {joint.name: 0.01 * index for index, joint in enumerate(ROBOT.movable_joints)}
+
+
+def played_by_arm(names: list[str], *points: tuple[int, list[float]]) -> Trajectory | PlanningFailure:
+    rows: list[dict[str, Any]] = [{"time_from_start": {"sec": sec}, "positions": at} for sec, at in points]
+    read = message("trajectory_msgs/msg/JointTrajectory", joint_names=names, points=rows)
+    return external_motion(read, ROBOT).trajectory(HELD)
+
+
+def test_joints_that_are_not_named_stay_where_the_arm_holds_them() -> None:
+    played = played_by_arm(["elbow_flex", "shoulder_pan"], (2, [0.5, -0.5]))
+    assert isinstance(played, Trajectory)
+    assert played.joint_names == ROBOT.groups["arm"].joints
+    ends = dict(zip(played.joint_names, played.positions_rad[-1].tolist(), strict=True))
+    assert ends == {**{name: HELD[name] for name in played.joint_names}, "elbow_flex": 0.5, "shoulder_pan": -0.5}
+    assert played.positions_rad[0].tolist() == [HELD[name] for name in played.joint_names]
+
+
+def test_the_gripper_is_moved_alone() -> None:
+    played = played_by_arm(["gripper"], (2, [0.5]))
+    assert isinstance(played, Trajectory)
+    assert played.joint_names == ROBOT.groups["gripper"].joints
+
+
+REFUSED: dict[str, tuple[list[str], list[tuple[int, list[float]]], str]] = {
+    "limits": (["elbow_flex"], [(2, [5.0])], "elbow_flex would go to 5.000 rad, beyond its limits"),
+    "speed": (["elbow_flex"], [(0, [0.0]), (1, [1.5]), (2, [-1.5])], "elbow_flex would move at"),
+    "times": (["elbow_flex"], [(2, [0.1]), (1, [0.2])], "points[1].time_from_start"),
+    "groups": (["elbow_flex", "gripper"], [(2, [0.5, 0.5])], "not all of one group"),
+    "joint": (["knee"], [(2, [0.5])], "knee"),
+}
+
+
+@pytest.mark.parametrize(("names", "points", "words"), REFUSED.values(), ids=REFUSED.keys())
+def test_a_trajectory_that_cannot_be_played_is_rejected_before_it_replaces_a_motion(
+    names: list[str], points: list[tuple[int, list[float]]], words: str
+) -> None:
+    refused = played_by_arm(names, *points)
+    assert isinstance(refused, PlanningFailure)
+    assert words in refused.message
+
+
+def test_the_group_of_fewest_joints_is_taken() -> None:
+    group = smallest_group(ROBOT, ("gripper",))
+    assert group is not None
+    assert group.name == "gripper"

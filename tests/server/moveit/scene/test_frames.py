@@ -20,7 +20,7 @@ HANDLE = {"subframe_names": ["handle"], "subframe_poses": [pose(0.0, 0.0, 0.5)]}
 HELD = {"link_name": "gripper_link", "object": {**TOOL, **HANDLE}}
 WALL = {"child_frame_id": "wall", "transform": {"translation": {"x": 2.0}}}
 CHANGE = diff(robot_state={"attached_collision_objects": [HELD]}, fixed_frame_transforms=[WALL])
-assert STATE.apply_diff(CHANGE, BENT) is None
+STATE.apply_diff(CHANGE, BENT)
 FRAMES = Frames(ROBOT, STATE)
 GRIPPER = FORWARD.transforms(BENT)["gripper_link"]
 
@@ -45,12 +45,12 @@ def test_every_link_is_found_where_forward_kinematics_has_it(link):
         ("wall", (2.0, 0.0, 0.0)),
     ],
 )
-def test_things_their_subframes_and_fixed_frames_are_found(name, position_m):
+def test_objects_their_subframes_and_fixed_frames_are_found(name, position_m):
     assert FRAMES.resolve(name, BENT).position_m == pytest.approx(position_m)
 
 
 @pytest.mark.parametrize(("name", "in_link_m"), [("tool", (0.1, 0.0, 0.0)), ("tool/handle", (0.1, 0.0, 0.5))])
-def test_what_a_link_holds_moves_with_it(name, in_link_m):
+def test_an_attached_object_moves_with_its_link(name, in_link_m):
     found = FRAMES.resolve(name, BENT)
     np.testing.assert_allclose(found.position_m, (GRIPPER @ (*in_link_m, 1.0))[:3], atol=1e-12)
 
@@ -68,7 +68,7 @@ def test_the_refusal_lists_the_frames_that_there_are():
 
 
 @pytest.mark.parametrize("name", ["gripper_link", "tool"])
-def test_while_the_arm_is_nowhere_what_moves_with_it_is_not_found(name):
+def test_frames_that_move_are_not_found_while_the_arms_position_is_unknown(name):
     assert "position is not known" in failure(FRAMES.resolve(name, None)).message
     assert FRAMES.resolve("table", None).position_m == (0.3, 0.1, 0.0)
 

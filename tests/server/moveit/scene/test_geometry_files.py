@@ -1,15 +1,24 @@
+"""Saving and loading the geometry of a scene."""
+
+from __future__ import annotations
+
 import asyncio
 import logging
+import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from planners.scene import Box, Cylinder
 from protocol.registry import Registry
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.scene import geometry_files
-from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within
-from tests.helpers.planning_scene import BENT, box, current_state, message, scene_state
+from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within, read_geometry, write_geometry
+from tests.helpers.examples import examples
+from tests.helpers.planning_scene import BENT, box, current_state, diff, message, pose, scene_state
 
 
 class Files:
@@ -18,7 +27,7 @@ class Files:
     def __init__(self, directory):
         self.state = scene_state(box("cup"), box("pen"))
         self.graph = Graph(Registry.load())
-        GeometryFiles(self.graph, Node("scene"), self.state, directory).open(current_state())
+        GeometryFiles(self.graph, Node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):
         answered = asyncio.get_running_loop().create_future()
@@ -27,10 +36,10 @@ class Files:
             return (await answered).values["success"]
 
     def empty(self):
-        assert self.state.apply_world(message("PlanningSceneWorld"), BENT) is None
+        self.state.apply_world(message("PlanningSceneWorld"), BENT)
 
 
-async def test_what_was_saved_is_loaded(tmp_path):
+async def test_a_saved_scene_is_loaded(tmp_path):
     files = Files(tmp_path)
     assert await files.call(SAVE, "kitchen.scene")
     before = files.state.contents.objects
@@ -39,7 +48,7 @@ async def test_what_was_saved_is_loaded(tmp_path):
     assert list(files.state.contents.objects) == list(before)
 
 
-async def test_what_the_file_does_not_name_stays(tmp_path):
+async def test_objects_that_the_file_does_not_name_stay(tmp_path):
     files = Files(tmp_path)
     assert await files.call(SAVE, "two.scene")
     other = Files(tmp_path)
@@ -73,7 +82,7 @@ def test_without_a_folder_there_are_no_files():
         file_within(None, "x")
 
 
-async def test_a_file_that_is_not_there_or_is_none_changes_nothing(tmp_path, caplog):
+async def test_a_missing_or_malformed_file_changes_nothing(tmp_path, caplog):
     files = Files(tmp_path)
     (tmp_path / "binary").write_bytes(b"\xff\xfe")
     (tmp_path / "text").write_text("nonsense")
@@ -94,3 +103,87 @@ async def test_the_size_of_files_is_bounded_both_ways(tmp_path, monkeypatch, cap
         assert not await files.call(SAVE, "new")
         assert not await files.call(LOAD, "fits")
     assert caplog.text.count("more than 10") == 2
+
+
+EDGES = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.3, "z": 0.0}]
+RACK = {
+    "id": "a rack",
+    "pose": pose(0.3, 1 / 3, turned=(0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))),
+    "primitives": [
+        {"type": 1, "dimensions": [0.1, 0.2, 1e-9]},
+        {"type": 2, "dimensions": [0.1]},
+        {"type": 3, "dimensions": [0.5, 0.1]},
+        {"type": 4, "dimensions": [0.5, 0.1]},
+    ],
+    "primitive_poses": [pose(0.1 * i) for i in range(4)],
+    "meshes": [{"vertices": EDGES, "triangles": [{"vertex_indices": [0, 1, 2]}]}],
+    "planes": [{"coef": [0.0, 0.0, 1.0, 0.5]}],
+    "subframe_names": ["left hook"],
+    "subframe_poses": [pose(0.0, 0.4)],
+}
+
+
+def again(state):
+    """The scene that a scene's text gives."""
+    objects = read_geometry(write_geometry(state.contents), "base_link")
+    other = scene_state()
+    other.apply_diff(diff(world={"collision_objects": objects}), None)
+    return other
+
+
+def test_every_shape_and_subframe_comes_back_from_the_text_exactly():
+    state = scene_state(RACK, box("cup"))
+    things = again(state).contents.objects
+    assert {name: thing.message for name, thing in things.items()} == {
+        name: thing.message for name, thing in state.contents.objects.items()
+    }
+
+
+@examples(30)
+@given(st.lists(st.floats(1e-9, 99.0), min_size=3, max_size=3), st.floats(-99.0, 99.0))
+def test_figures_lose_no_digit(edges_m, x_m):
+    cube = {"id": "b", "primitives": [{"type": 1, "dimensions": edges_m}], "pose": pose(x_m)}
+    thing = again(scene_state(cube)).contents.objects["b"]
+    assert (thing.shapes[0][0], thing.pose.position_m[0]) == (Box(tuple(edges_m)), x_m)
+
+
+def test_a_colour_stands_behind_each_shape():
+    state = scene_state(box("cup"))
+    color = {"r": 0.5, "g": 0.25, "b": 0.0, "a": 1.0}
+    state.apply_diff(diff(object_colors=[{"id": "cup", "color": color}]), BENT)
+    assert "0.5 0.25 0.0 1.0" in write_geometry(state.contents).splitlines()
+
+
+def test_moveits_own_text_is_read():
+    text = "(noname)\n* Can\n0.1 0.2 0.3\n0 0 0 1\n1\ncylinder\n0.03 0.12\n0 0 0\n0 0 0 1\n0 0 0 0\n0\n.\n"
+    (can,) = scene_state(*read_geometry(text, "")).contents.objects.values()
+    assert (can.pose.position_m, can.shapes[0][0]) == ((0.1, 0.2, 0.3), Cylinder(0.03, 0.12))
+
+
+def test_the_text_of_older_versions_has_neither_pose_nor_subframes():
+    text = "(noname)\n* Box\n1\nbox\n0.1 0.1 0.1\n0.5 0 0\n0 0 0 1\n0 0 0 0\n.\n"
+    (thing,) = scene_state(*read_geometry(text, "")).contents.objects.values()
+    assert thing.pose.position_m == (0.5, 0.0, 0.0)
+
+
+GOOD = "s\n* b\n0 0 0\n0 0 0 1\n1\nbox\n1 1 1\n0 0 0\n0 0 0 1\n0 0 0 0\n0\n.\n"
+BAD = {
+    "empty": ("", "the file ends after line 0"),
+    "no end": (GOOD.replace(".", "* c"), "the file ends after line 12"),
+    "no thing": (GOOD.replace("* b", "b"), "line 2 must be '* ID' or '.'"),
+    "unknown shape": (GOOD.replace("box", "torus"), "line 6 must be one of box, sphere"),
+    "words for figures": (GOOD.replace("1 1 1", "1 one 1"), "line 7 must be a box's edges"),
+    "too few figures": (GOOD.replace("1 1 1", "1 1"), "line 7 must be a box's edges"),
+    "half a shape": (GOOD.replace("\n1\n", "\n0.5\n"), "line 5 must be the number of shapes"),
+    "more than there are lines": (GOOD.replace("\n1\n", "\n1000000000\n"), "line 5 must be the number of shapes"),
+    "no number of shapes": (GOOD.replace("\n1\n", "\n-1\n"), "line 5 must be the number of shapes"),
+    "infinitely many": (GOOD.replace("\n1\n", "\ninf\n"), "line 5 must be the number of shapes"),
+}
+
+
+@pytest.mark.parametrize(("text", "words"), BAD.values(), ids=BAD.keys())
+def test_a_wrong_line_is_refused_by_its_number(text, words):
+    assert read_geometry(GOOD, "")
+    with pytest.raises(RefusedError) as refusal:
+        read_geometry(text, "")
+    assert words in str(refusal.value)

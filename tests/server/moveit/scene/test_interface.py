@@ -1,13 +1,67 @@
+"""Topics and services of the planning scene."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from copy import copy
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
 from planners.problem import MoveItErrorCode
+from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.graph.topics import Graph
+from server.errors import RefusedError
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+from server.moveit.current_state import state_message
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.assumed import AssumedStates
-from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.state import SceneState
+from server.moveit.poses import matrix_of
+from server.moveit.scene.interface import (
+    ALLOWED_COLLISION_MATRIX,
+    APPLY,
+    CLEAR_OCTOMAP,
+    EVERYTHING,
+    GET,
+    LINK_PADDING_AND_SCALING,
+    MONITORED_TOPIC,
+    NO_STATE,
+    OBJECT_COLORS,
+    OCTOMAP,
+    ROBOT_STATE,
+    ROBOT_STATE_ATTACHED_OBJECTS,
+    SCENE_SETTINGS,
+    TRANSFORMS,
+    WORLD_OBJECT_GEOMETRY,
+    WORLD_OBJECT_NAMES,
+    MonitoredScenePublisher,
+    SceneInterface,
+    SceneServices,
+    scene_diff,
+    scene_message,
+    subscribe_to_scene_topics,
+)
+from server.moveit.scene.scene_state import AssumedStates, SceneState
 from tests.helpers.arm_server import ArmClient
 from tests.helpers.clock import FakeClock
-from tests.helpers.planning_scene import ROBOT, box, current_state, pose
+from tests.helpers.examples import examples
+from tests.helpers.planning_scene import (
+    BENT,
+    FORWARD,
+    JOINTS,
+    ROBOT,
+    box,
+    collision_object,
+    current_state,
+    diff,
+    held,
+    message,
+    pose,
+    scene_state,
+)
 
 TOPICS = {
     "/planning_scene": "moveit_msgs/msg/PlanningScene",
@@ -34,7 +88,7 @@ def test_the_scene_has_moveits_names_and_types():
     scene.close()
 
 
-async def test_what_a_client_puts_in_the_way_is_in_the_way_until_it_takes_it_away(client: ArmClient) -> None:
+async def test_an_object_blocks_goals_until_it_is_removed(client: ArmClient) -> None:
     point = {"x": 0.3, "y": 0.1, "z": 0.05}
     block = box("block", at=pose(**point))
     assert (
@@ -49,3 +103,380 @@ async def test_what_a_client_puts_in_the_way_is_in_the_way_until_it_takes_it_awa
     assert (await client.call("/apply_planning_scene", scene=everything))["success"]
     scene = (await client.call("/get_planning_scene"))["scene"]
     assert scene["world"]["collision_objects"] == []
+
+
+def opened():
+    graph, state = Graph(Registry.load()), SceneState(ROBOT)
+    subscribe_to_scene_topics(graph, Node("scene"), state, current_state())
+    return graph, state
+
+
+CUP = box("cup")
+MESSAGES = {
+    "/planning_scene": {"is_diff": True, "world": {"collision_objects": [CUP]}},
+    "/planning_scene_world": {"collision_objects": [CUP]},
+    "/collision_object": CUP,
+    "/attached_collision_object": {
+        "link_name": "gripper_link",
+        "object": {**CUP, "header": {"frame_id": "gripper_link"}},
+    },
+}
+
+
+@pytest.mark.parametrize(("topic", "message"), MESSAGES.items())
+def test_every_topic_changes_the_scene(topic, message):
+    graph, state = opened()
+    graph.publish(Node("client"), topic, message)
+    assert "cup" in {**state.contents.objects, **state.contents.attached}
+
+
+@pytest.mark.parametrize("topic", MESSAGES)
+def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
+    graph, _ = opened()
+    bad = {"id": "ghost", "operation": 1}
+    messages = {
+        "/planning_scene": {"is_diff": True, "world": {"collision_objects": [bad]}},
+        "/planning_scene_world": {"collision_objects": [bad]},
+        "/collision_object": bad,
+        "/attached_collision_object": {"object": bad},
+    }
+    with caplog.at_level(logging.WARNING, "armbridge"):
+        graph.publish(Node("client"), topic, messages[topic])
+    assert topic in caplog.text
+    assert "'ghost'" in caplog.text
+
+
+def test_a_malformed_message_is_logged_as_well(caplog):
+    graph, _ = opened()
+    with caplog.at_level(logging.WARNING, "armbridge"), pytest.raises(MessageError):
+        graph.publish(Node("client"), "/collision_object", {"id": 5})
+    assert "/collision_object: refused" in caplog.text
+
+
+REGISTRY = Registry.load()
+
+
+class Client:
+    """Somebody who calls the services of a scene."""
+
+    def __init__(self):
+        self.state, self.assumed = SceneState(ROBOT), AssumedStates(ROBOT)
+        self.graph = Graph(REGISTRY, call_later=FakeClock().call_later)
+        self.node = Node("client", remote=True)
+        SceneServices(self.graph, Node("scene"), ROBOT, self.state, self.assumed, current_state())
+
+    def another(self):
+        other = copy(self)
+        other.node = Node("another", remote=True)
+        return other
+
+    def call(self, service, **request):
+        answers = []
+        self.graph.services.call(self.node, service, request, answers.append)
+        assert answers[0].ok, answers[0].values
+        return answers[0].values
+
+    def get(self, components=0):
+        return self.call(GET, components={"components": components})["scene"]
+
+    def apply(self, **scene):
+        return self.call(APPLY, scene={"is_diff": True, **scene})["success"]
+
+    def joints(self):
+        joint_state = self.get()["robot_state"]["joint_state"]
+        return dict(zip(joint_state["name"], joint_state["position"], strict=True))
+
+
+def state_of(position_rad):
+    return {"is_diff": True, "joint_state": {"name": list(JOINTS), "position": [position_rad] * len(JOINTS)}}
+
+
+def test_an_applied_scene_is_in_the_response():
+    client = Client()
+    assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
+    (cup,) = client.another().get()["world"]["collision_objects"]
+    assert (cup["id"], cup["pose"]["position"]["x"]) == ("cup", 0.3)
+
+
+def test_the_answer_is_a_complete_message():
+    client = Client()
+    assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
+    for components in (0, 8, 671):
+        answer = client.call(GET, components={"components": components})
+        assert client.graph.interfaces.complete("moveit_msgs/srv/GetPlanningScene_Response", answer) == answer
+
+
+def test_a_refusal_is_no_success_and_its_sentence_is_in_the_log(caplog):
+    with caplog.at_level(logging.WARNING, "armbridge"):
+        assert not Client().apply(world={"collision_objects": [{"id": "ghost", "operation": 1}]})
+    assert "no object 'ghost'" in caplog.text
+
+
+def test_an_assumed_state_is_given_back_to_the_client_that_set_it():
+    client = Client()
+    assert client.joints() == pytest.approx(BENT)
+    assert client.apply(robot_state=state_of(0.5))
+    assert client.joints() == dict.fromkeys(JOINTS, 0.5)
+    assert client.another().joints() == pytest.approx(BENT)
+
+
+def test_a_scene_sent_back_assumes_nothing():
+    client = Client()
+    assert client.apply(**{**client.get(), "is_diff": True})
+    assert client.assumed.of(client.node) is None
+
+
+def test_moving_frames_are_where_the_client_assumes_the_arm():
+    client = Client()
+    lid = box("lid", frame="gripper_link")
+    assert client.apply(robot_state=state_of(0.5), world={"collision_objects": [lid]})
+    expected = FORWARD.transforms(dict.fromkeys(JOINTS, 0.5))["gripper_link"]
+    np.testing.assert_allclose(matrix_of(client.state.contents.objects["lid"].pose), expected, atol=1e-12)
+
+
+def test_a_rejected_scene_assumes_nothing():
+    client = Client()
+    assert not client.apply(robot_state=state_of(0.5), world={"collision_objects": [{"id": "x"}]})
+    assert client.joints() == pytest.approx(BENT)
+
+
+def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
+    client = Client()
+    bad = {"is_diff": True, "joint_state": {"name": ["knee"], "position": [0.0]}}
+    assert not client.apply(robot_state=bad, world={"collision_objects": [box("cup")]})
+    assert client.state.contents.objects == {}
+
+
+def test_an_object_attached_again_as_by_compas_fab_stays_attached():
+    """Put everything down, assume a state, move the thing to the hand, take it by its name alone."""
+    client = Client()
+    assert client.apply(world={"collision_objects": [box("tool")]})
+    for position_rad in (0.1, 0.4, -0.2):
+        put_down = [
+            {"link_name": held["link_name"], "object": {"operation": 1}}
+            for held in client.get(671)["robot_state"]["attached_collision_objects"]
+        ]
+        assert client.apply(robot_state={**state_of(position_rad), "attached_collision_objects": put_down})
+        move = {"id": "tool", "header": {"frame_id": "gripper_link"}, "pose": pose(0.1), "operation": 3}
+        assert client.apply(world={"collision_objects": [move]})
+        take = {"link_name": "gripper_link", "object": {"id": "tool", "header": {"frame_id": "gripper_link"}}}
+        assert client.apply(robot_state={"is_diff": True, "attached_collision_objects": [take]})
+        held = client.state.contents.attached["tool"].collision_object.pose
+        np.testing.assert_allclose(held.position_m, (0.1, 0.0, 0.0), atol=1e-12)
+
+
+def test_the_octomap_that_is_not_there_can_be_cleared():
+    assert Client().call(CLEAR_OCTOMAP) == {}
+
+
+# Not the default.
+PERIOD_S = 0.5
+
+
+class Watched:
+    """A scene that is monitored, and who has subscribed."""
+
+    def __init__(self):
+        self.clock, self.state = FakeClock(), scene_state(box("table"))
+        self.graph = Graph(Registry.load(), self.clock, call_later=self.clock.call_later)
+        self.monitored = MonitoredScenePublisher(
+            self.graph, Node("scene"), ROBOT, self.state, current_state(), 2.0, self.clock, self.clock.call_later
+        )
+        self.heard = []
+        self.first = self.subscribe(self.heard)
+
+    def subscribe(self, heard):
+        subscriber = Subscriber(lambda publication: heard.append(publication.msg))
+        return [
+            publication.msg for publication in self.graph.subscribe(Node("client"), MONITORED_TOPIC, None, subscriber)
+        ]
+
+    def add(self, name):
+        self.state.apply_collision_object(collision_object(**box(name)), BENT)
+
+
+def ids(message):
+    return [each["id"] for each in message["world"]["collision_objects"]]
+
+
+def test_a_subscriber_gets_the_whole_scene_first():
+    (whole,) = Watched().first
+    assert (whole["is_diff"], ids(whole)) == (False, ["table"])
+    assert len(whole["robot_state"]["joint_state"]["name"]) == 6
+
+
+def test_a_change_is_published_as_a_diff():
+    watched = Watched()
+    watched.add("cup")
+    watched.clock.advance(0.0)
+    (change,) = watched.heard
+    assert (change["is_diff"], ids(change)) == (True, ["cup"])
+
+
+def test_fast_changes_are_published_together():
+    watched = Watched()
+    for number in range(10):
+        watched.add(str(number))
+        watched.clock.advance(0.1 * PERIOD_S)
+    watched.clock.advance(PERIOD_S)
+    assert [len(ids(change)) for change in watched.heard] == [1, 9]
+
+
+def test_a_late_subscriber_gets_the_whole_present_scene():
+    watched = Watched()
+    watched.add("cup")
+    watched.clock.advance(PERIOD_S)
+    (whole,) = watched.subscribe([])
+    assert (whole["is_diff"], ids(whole)) == (False, ["table", "cup"])
+
+
+def test_a_change_that_is_reverted_in_time_is_not_published():
+    watched = Watched()
+    watched.add("cup")
+    watched.clock.advance(0.0)
+    watched.add("pen")
+    watched.state.apply_collision_object(collision_object(id="pen", operation=1), BENT)
+    watched.clock.advance(PERIOD_S)
+    assert len(watched.heard) == 1
+
+
+def test_nothing_is_published_after_the_end():
+    watched = Watched()
+    watched.add("cup")
+    watched.monitored.close()
+    watched.clock.advance(PERIOD_S)
+    assert watched.heard == []
+
+
+STATE = state_message(BENT, ROBOT.root_link, 0.0)
+RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
+WALL = {"child_frame_id": "wall", "header": {"frame_id": "base_link"}, "transform": {"translation": {"x": 2.0}}}
+RACK = {**box("rack", at=pose(0.3)), "subframe_names": ["hook"], "subframe_poses": [pose(0.1)]}
+SETTINGS = {
+    "name": "kitchen",
+    "link_padding": [{"link_name": "wrist_link", "padding": 0.01}],
+    "link_scale": [{"link_name": "wrist_link", "scale": 1.25}],
+    "object_colors": [{"id": "rack", "color": RED}],
+    "fixed_frame_transforms": [WALL],
+    "allowed_collision_matrix": {"default_entry_names": ["rack"], "default_entry_values": [True]},
+}
+
+
+def full():
+    state = scene_state(RACK, box("cup"))
+    state.apply_diff(diff(robot_state={"attached_collision_objects": [held("cup")]}, **SETTINGS), BENT)
+    return state
+
+
+FULL = full()
+
+
+def told(components):
+    return scene_message(FULL.contents, ROBOT, STATE, components)
+
+
+@pytest.mark.parametrize("components", [0, *(1 << bit for bit in range(10)), 671, EVERYTHING])
+def test_every_field_is_present_whatever_components_are_requested(components):
+    assert message("PlanningScene", **told(components)) == told(components)
+
+
+def test_a_request_for_no_component_gets_everything():
+    assert told(0) == told(EVERYTHING)
+
+
+FIELDS = {
+    "name": SCENE_SETTINGS,
+    "robot_model_name": SCENE_SETTINGS,
+    "fixed_frame_transforms": TRANSFORMS,
+    "allowed_collision_matrix": ALLOWED_COLLISION_MATRIX,
+    "link_padding": LINK_PADDING_AND_SCALING,
+    "link_scale": LINK_PADDING_AND_SCALING,
+    "object_colors": OBJECT_COLORS,
+}
+
+
+@pytest.mark.parametrize(("field", "component"), FIELDS.items())
+def test_a_field_that_is_not_requested_is_empty(field, component):
+    nothing = message("PlanningScene")
+    assert told(component)[field] == told(0)[field] != nothing[field]
+    assert told(EVERYTHING - component)[field] == nothing[field]
+
+
+def test_objects_are_listed_by_name_or_with_their_shapes():
+    (named,), (shaped,) = (told(c)["world"]["collision_objects"] for c in (WORLD_OBJECT_NAMES, WORLD_OBJECT_GEOMETRY))
+    assert (named["id"], named["primitives"]) == ("rack", [])
+    assert (shaped["id"], shaped["header"]["frame_id"], len(shaped["primitives"])) == ("rack", "base_link", 1)
+    assert told(OCTOMAP)["world"]["collision_objects"] == []
+
+
+def test_the_state_is_listed_with_or_without_attached_objects():
+    assert told(ROBOT_STATE)["robot_state"] == STATE
+    with_held = told(ROBOT_STATE_ATTACHED_OBJECTS)["robot_state"]
+    assert with_held["joint_state"] == STATE["joint_state"]
+    assert [each["object"]["id"] for each in with_held["attached_collision_objects"]] == ["cup"]
+    assert told(SCENE_SETTINGS)["robot_state"] == NO_STATE
+
+
+def test_a_scene_applied_to_another_server_is_the_same_there():
+    other = SceneState(ROBOT)
+    other.apply_diff(message("PlanningScene", **told(EVERYTHING)), BENT)
+    assert scene_message(other.contents, ROBOT, STATE, EVERYTHING) == told(EVERYTHING)
+
+
+def test_a_scene_sent_back_as_a_diff_or_whole_changes_nothing():
+    state = full()
+    contents, scene = state.contents, state.scene
+    for is_diff in (True, False):
+        sent = message("PlanningScene", **scene_message(contents, ROBOT, STATE, EVERYTHING)) | {"is_diff": is_diff}
+        state.apply_diff(sent, BENT)
+        assert (state.contents, state.scene) == (contents, scene)
+
+
+ADD = {"world": {"collision_objects": [box("a")]}}
+MOVE = {"world": {"collision_objects": [box("a", at=pose(0.1))]}}
+REMOVE_ALL = {"world": {"collision_objects": [{"id": "", "operation": 1}]}}
+TAKE = {"robot_state": {"attached_collision_objects": [held("a", **box("a"))]}}
+PUT_DOWN = {"robot_state": {"attached_collision_objects": [held("", "", operation=1)]}}
+CHANGES = [
+    ADD,
+    MOVE,
+    REMOVE_ALL,
+    TAKE,
+    PUT_DOWN,
+    {"world": {"collision_objects": [box("b", at=pose(0.1))]}},
+    {"robot_state": {"attached_collision_objects": [held("b", "wrist_link", **box("b", at=pose(0.2)))]}},
+    *({field: value} for field, value in SETTINGS.items() if field != "object_colors"),
+]
+
+
+def after(changes):
+    state = SceneState(ROBOT)
+    for change in changes:
+        # Some contradict the scene before; those change nothing.
+        with contextlib.suppress(RefusedError):
+            state.apply_diff(diff(**change), BENT)
+    return state
+
+
+@example([ADD], [MOVE])
+@example([ADD], [TAKE])
+@example([TAKE], [PUT_DOWN])
+@example([TAKE], [PUT_DOWN, REMOVE_ALL])
+@examples(30)
+@given(st.lists(st.sampled_from(CHANGES), max_size=4), st.lists(st.sampled_from(CHANGES), max_size=4))
+def test_a_diff_turns_one_scene_into_another(first, then):
+    follower, leader = after(first), after([*first, *then])
+    sent = scene_diff(follower.contents, leader.contents, ROBOT)
+    follower.apply_diff(message("PlanningScene", **sent), BENT)
+    for part in ("objects", "attached"):
+        ours, theirs = getattr(follower.contents, part), getattr(leader.contents, part)
+        assert {name: each.message for name, each in ours.items()} == {name: e.message for name, e in theirs.items()}
+    assert (follower.contents.padding_m, follower.contents.scale) == (leader.contents.padding_m, leader.contents.scale)
+    assert follower.contents.allowed_collisions == leader.contents.allowed_collisions
+
+
+@pytest.mark.parametrize(("one", "other"), [(SceneState(ROBOT), FULL), (FULL, SceneState(ROBOT))])
+def test_a_difference_is_a_complete_message(one, other):
+    sent = scene_diff(one.contents, other.contents, ROBOT)
+    completed = message("PlanningScene", **sent)
+    assert {**completed, "robot_state": {}} == {**sent, "robot_state": {}}

@@ -1,3 +1,5 @@
+"""``/compute_ik``, ``/compute_fk`` and ``/check_state_validity``."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -8,9 +10,10 @@ from hypothesis import strategies as st
 
 from planners.problem import IkQuestion, MoveItErrorCode
 from server.moveit.parameters import MoveItParameters
-from server.moveit.services.kinematics import MAX_LINKS, _several, within_limits
+from server.moveit.requests.planning_problems import MAX_LINKS, _goal_of_links
+from server.moveit.services.kinematics import within_limits
 from tests.helpers.examples import examples
-from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, context, joint, message, point
+from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, ball, context, joint, message, point, turned
 from tests.helpers.moveit_services import ServiceRig
 
 AT = point(0.25, 0.05, 0.2, w=1.0)
@@ -77,7 +80,7 @@ async def test_several_links_are_placed_together(rig: ServiceRig) -> None:
 
 def test_seven_joints_keep_the_orientations_of_several_links() -> None:
     stamped = message("geometry_msgs/PoseStamped", pose=AT)
-    goal = _several(["hand", "tool"], [stamped, stamped], context(SEVEN))
+    goal = _goal_of_links(["hand", "tool"], [stamped, stamped], context(SEVEN))
     assert [one.link for one in goal.constraints.orientations] == ["hand", "tool"]
     assert all(len(one.tolerance_rad) == 3 for one in goal.constraints.orientations)
 
@@ -106,7 +109,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("fields", "code", "words"), BAD.values(), ids=BAD.keys())
-async def test_what_has_no_solution_has_its_code_and_a_sentence(rig: ServiceRig, fields, code, words) -> None:
+async def test_a_pose_without_solution_has_its_code_and_message(rig: ServiceRig, fields, code, words) -> None:
     answer = await ik(rig, **fields)
     assert answer["error_code"]["val"] == code
     assert words in answer["error_code"]["message"]
@@ -130,7 +133,7 @@ async def test_parts_of_seconds_count_in_a_timeout(rig: ServiceRig, stamp, allow
     assert question.allowed_time_s == allowed_s
 
 
-async def test_the_time_of_who_names_none_can_be_set() -> None:
+async def test_the_default_timeout_can_be_set() -> None:
     rig = ServiceRig(parameters=MoveItParameters(kinematics_solver_timeout=0.125))
     await ik(rig)
     question = rig.pool.requests[-1]
@@ -145,13 +148,13 @@ def test_a_seed_is_brought_within_the_limits(positions_rad) -> None:
         assert ROBOT.joints[name].lower <= value <= ROBOT.joints[name].upper
 
 
-async def test_every_link_is_told_when_none_is_named(rig: ServiceRig) -> None:
+async def test_every_link_is_in_the_response_if_none_is_named(rig: ServiceRig) -> None:
     answer = await rig.call("/compute_fk")
     assert answer["fk_link_names"] == list(ROBOT.links)
     assert len(answer["pose_stamped"]) == len(ROBOT.links)
 
 
-async def test_poses_are_told_in_the_frame_that_is_asked_for(rig: ServiceRig) -> None:
+async def test_poses_are_in_the_requested_frame(rig: ServiceRig) -> None:
     answer = await rig.call("/compute_fk", header={"frame_id": TIP}, fk_link_names=[TIP])
     (told,) = answer["pose_stamped"]
     assert told["header"]["frame_id"] == TIP
@@ -176,3 +179,79 @@ async def test_more_links_than_any_robot_has_are_refused_before_they_cost_anythi
     for answer, field in ((asked, "fk_link_names"), (sought, "ik_link_names")):
         assert answer["error_code"]["val"] != MoveItErrorCode.SUCCESS
         assert f"{field} has {MAX_LINKS + 1} entries, the limit is {MAX_LINKS}" in answer["error_code"]["message"]
+
+
+FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.6, "wrist_flex": 1.6}
+
+
+async def check(rig: ServiceRig, positions=None, **fields: Any) -> Any:
+    positions = positions or {}
+    joints = {"name": list(positions), "position": list(positions.values())}
+    return await rig.call("/check_state_validity", robot_state={"joint_state": joints}, **fields)
+
+
+async def test_a_free_state_is_valid(rig: ServiceRig) -> None:
+    answer = await check(rig, HOME)
+    assert answer["valid"]
+    assert answer["contacts"] == answer["constraint_result"] == []
+
+
+async def test_contacts_have_bodies_depth_and_position(rig: ServiceRig) -> None:
+    answer = await check(rig, FOLDED)
+    deepest = answer["contacts"][0]
+    assert not answer["valid"]
+    assert {deepest["contact_body_1"], deepest["contact_body_2"]} == {"shoulder_link", "gripper_link"}
+    assert deepest["depth"] > 0.01
+    assert 0.0 < deepest["position"]["z"] < 0.2
+    assert (deepest["body_type_1"], deepest["body_type_2"]) == (0, 0)
+
+
+async def test_contacts_are_shown(rig: ServiceRig) -> None:
+    shown = rig.listen("/display_contacts", "visualization_msgs/MarkerArray")
+    answer = await check(rig, FOLDED)
+    assert len(shown[-1]["markers"]) == 1 + len(answer["contacts"])
+
+
+async def test_objects_and_links_have_different_body_types(rig: ServiceRig) -> None:
+    box = {"primitives": [{"type": 1, "dimensions": [0.1] * 3}], "primitive_poses": [point(0.39, 0.0, 0.22)]}
+    scene = {"is_diff": True, "world": {"collision_objects": [{"id": "crate", **box}]}}
+    rig.scene_state.apply_diff(rig.graph.interfaces.complete("moveit_msgs/msg/PlanningScene", scene), HOME)
+    contact = (await check(rig))["contacts"][0]
+    types = {contact["contact_body_1"]: contact["body_type_1"], contact["contact_body_2"]: contact["body_type_2"]}
+    assert types["crate"] == 1
+
+
+async def test_a_state_beyond_the_limits_is_not_valid(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "armbridge")
+    assert not (await check(rig, {"elbow_flex": 2.0}))["valid"]
+    assert any("elbow_flex" in record.getMessage() for record in caplog.records)
+
+
+async def test_each_constraint_has_its_result(rig: ServiceRig) -> None:
+    constraints = {
+        "joint_constraints": [
+            joint("elbow_flex", 0.0, 0.1, 0.1),
+            joint("wrist_roll", 0.5, 0.1, 0.2),
+            joint("wrist_flex", -0.5, 0.1, 0.2),
+        ],
+        "position_constraints": [ball(0.39136, 0.0, 0.22647, 0.01)],
+        "orientation_constraints": [turned(0.1)],
+    }
+    answer = await check(rig, HOME, constraints=constraints)
+    held, below, above, position, orientation = answer["constraint_result"]
+    assert not answer["valid"]
+    assert (held["result"], held["distance"]) == (True, 0.0)
+    assert below["result"] is above["result"] is False
+    assert below["distance"] == pytest.approx(0.3)
+    assert above["distance"] == pytest.approx(0.4)
+    assert position["result"]
+    assert not orientation["result"]
+    assert orientation["distance"] > 1.0
+
+
+@pytest.mark.parametrize(
+    "fields", [{"group_name": "manipulator"}, {"constraints": {"joint_constraints": [joint("knee", 0.0)]}}]
+)
+async def test_a_rejected_state_is_not_valid_and_the_reason_is_logged(rig, caplog, fields) -> None:
+    assert not (await check(rig, **fields))["valid"]
+    assert any("/check_state_validity" in record.getMessage() for record in caplog.records)

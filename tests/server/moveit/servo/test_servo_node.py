@@ -1,8 +1,9 @@
-"""The node on a real graph with an arm that only listens; and once with everything, over rosbridge."""
+"""Topics and services of MoveIt Servo."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 from typing import Any, cast
 
 import numpy as np
@@ -14,19 +15,27 @@ from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.state import SceneState
+from server.moveit.scene.scene_state import SceneState
 from server.moveit.servo.servo_node import (
+    INT8,
     JOINT_TOPIC,
+    LOGGED_AGAIN_S,
+    OWNERSHIP_TIMEOUT_S,
     PAUSE_SERVICE,
     POSE_TOPIC,
     START_SERVICE,
+    STATUS_TOPIC,
     STOP_SERVICE,
     SWITCH_SERVICE,
     TWIST_TOPIC,
+    CommandGate,
+    CommandType,
+    Ownership,
     ServoNode,
+    StatusPublisher,
 )
-from server.moveit.servo.status import STATUS_TOPIC
 from tests.helpers.arm_server import ArmClient
+from tests.helpers.clock import FakeClock
 from tests.helpers.in_process import REGISTRY
 from tests.helpers.steerable_arm import ROBOT, SteerableArm
 
@@ -79,7 +88,7 @@ async def rig() -> Any:
     await made.node.close()
 
 
-async def test_each_kind_of_command_steers_without_a_word_before(rig: Rig) -> None:
+async def test_each_type_of_command_is_followed_without_selecting_it(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, NORTH)
     await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]})
     await asyncio.sleep(0.03)
@@ -89,7 +98,7 @@ async def test_each_kind_of_command_steers_without_a_word_before(rig: Rig) -> No
     assert len(rig.arm.streams) == 1
 
 
-async def test_a_second_client_does_not_steer_and_does_not_disturb(rig: Rig) -> None:
+async def test_commands_of_a_second_client_are_ignored(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, NORTH)
     told = len([each for each in rig.heard if each["code"] == ServoStatus.INVALID])
     await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]}, rig.other)
@@ -106,7 +115,7 @@ async def test_when_the_first_client_leaves_the_second_may_steer(rig: Rig) -> No
     assert type(rig.asked[-1].command).__name__ == "JointVelocities"
 
 
-async def test_what_cannot_be_followed_is_told_on_the_status(rig: Rig) -> None:
+async def test_a_bad_command_is_published_on_the_status(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, {"twist": {"linear": {"x": 2.0}}})
     assert rig.heard[-1]["code"] == ServoStatus.INVALID
     assert "twist.linear.x" in rig.heard[-1]["message"]
@@ -166,3 +175,134 @@ async def test_a_stick_moves_the_arm_and_gives_way_to_a_goal(client: ArmClient) 
     reached = await client.until("/moveit_goal_result", lambda all_: len(all_) > results)
     assert reached[-1]["val"] == 1
     assert client.topics["/joint_states"][-1]["position"] == pytest.approx(np.array(before), abs=0.05)
+
+
+class StatusRig:
+    """A status topic and what is heard there."""
+
+    def __init__(self, type_name: str) -> None:
+        graph = Graph(REGISTRY)
+        self.clock = FakeClock()
+        self.heard: list[dict[str, Any]] = []
+        self.topic = StatusPublisher(graph, Node("servo_node"), type_name, self.clock)
+        subscriber = Subscriber(lambda publication: self.heard.append(dict(publication.msg)))
+        graph.subscribe(Node("client"), STATUS_TOPIC, type_name, subscriber)
+
+
+def test_a_status_has_code_and_message() -> None:
+    rig = StatusRig("moveit_msgs/ServoStatus")
+    rig.topic.publish(ServoStatus.JOINT_BOUND, "elbow_flex at the limit")
+    assert rig.heard == [{"code": 6, "message": "elbow_flex at the limit"}]
+
+
+def test_humble_gets_its_own_numbers() -> None:
+    rig = StatusRig(INT8)
+    for status in (ServoStatus.JOINT_BOUND, ServoStatus.HALT_FOR_COLLISION, ServoStatus.HALT_FOR_SINGULARITY):
+        rig.topic.publish(status, "")
+    assert [each["data"] for each in rig.heard] == [5, 4, 2]
+
+
+def test_a_repeated_rejection_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    rig = StatusRig("moveit_msgs/ServoStatus")
+    with caplog.at_level(logging.WARNING, "armbridge.servo"):
+        for _ in range(10):
+            rig.topic.publish(ServoStatus.INVALID, "the arm is relaxed")
+            rig.topic.publish(ServoStatus.NO_WARNING, "")
+        assert len(caplog.records) == 1
+        rig.clock.advance(1.1 * LOGGED_AGAIN_S)
+        rig.topic.publish(ServoStatus.INVALID, "the arm is relaxed")
+    assert len(caplog.records) == 2
+    assert len(rig.heard) == 21
+
+
+TIMEOUT_S = 0.25
+ONE, OTHER = Node("one"), Node("other")
+TWIST, JOG = CommandType.TWIST, CommandType.JOINT_JOG
+
+
+class GateRig:
+    """A gate, and why the arm is busy."""
+
+    def __init__(self) -> None:
+        self.busy = ""
+        self.gate = CommandGate(lambda _client: True, TIMEOUT_S, lambda: self.busy)
+
+    def said(self, at_s: float, client: Node = ONE, kind: CommandType = TWIST) -> str:
+        rejection = self.gate.rejection(client, kind, at_s)
+        return "" if rejection is None else rejection.message
+
+
+@pytest.fixture
+def gate_rig() -> GateRig:
+    return GateRig()
+
+
+def test_the_first_command_is_followed_and_the_type_may_change(gate_rig: GateRig) -> None:
+    assert gate_rig.said(0.0) == ""
+    assert gate_rig.said(0.1, kind=JOG) == ""
+
+
+def test_a_second_client_is_rejected_with_the_name_of_the_first(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    rejection = gate_rig.gate.rejection(OTHER, TWIST, 0.1)
+    assert rejection is not None
+    assert "one does" in rejection.message
+    assert not rejection.from_owner
+
+
+def test_a_selected_type_excludes_the_others_until_control_ends(gate_rig: GateRig) -> None:
+    gate_rig.gate.select(TWIST)
+    assert gate_rig.said(0.0) == ""
+    assert "TWIST was selected" in gate_rig.said(0.1, kind=JOG)
+    assert gate_rig.said(0.2 + OWNERSHIP_TIMEOUT_S, OTHER, JOG) == ""
+
+
+def test_a_pause_rejects_all_commands(gate_rig: GateRig) -> None:
+    gate_rig.gate.paused = True
+    assert "paused" in gate_rig.said(0.0)
+    gate_rig.gate.paused = False
+    assert gate_rig.said(0.1) == ""
+
+
+def test_after_an_interruption_commands_are_rejected_until_a_pause_in_them(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    gate_rig.gate.interrupt("stopped by /arm/stop")
+    for step in range(1, 20):
+        assert "stopped by /arm/stop" in gate_rig.said(0.1 * step)
+    assert gate_rig.said(1.9 + 1.1 * TIMEOUT_S) == ""
+
+
+def test_an_interruption_can_be_reset(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    gate_rig.gate.interrupt("stopped")
+    gate_rig.gate.reset()
+    assert gate_rig.said(0.1) == ""
+
+
+def test_a_busy_arm_rejects_commands_with_its_reason(gate_rig: GateRig) -> None:
+    gate_rig.busy = "goal 7 is worked on"
+    assert gate_rig.said(0.0) == "goal 7 is worked on"
+
+
+def test_the_first_client_keeps_control_while_it_sends_commands() -> None:
+    ownership = Ownership(lambda _client: True)
+    assert ownership.take(ONE, 0.0)
+    assert not ownership.take(OTHER, 0.5)
+    assert ownership.take(ONE, 0.9 * OWNERSHIP_TIMEOUT_S)
+    assert not ownership.take(OTHER, 1.8 * OWNERSHIP_TIMEOUT_S)
+
+
+def test_control_ends_by_silence() -> None:
+    ownership = Ownership(lambda _client: True)
+    ownership.take(ONE, 0.0)
+    assert ownership.take(OTHER, 1.1 * OWNERSHIP_TIMEOUT_S)
+    assert ownership.owner(1.2 * OWNERSHIP_TIMEOUT_S) is OTHER
+
+
+def test_control_ends_when_the_client_leaves() -> None:
+    present = {ONE, OTHER}
+    ownership = Ownership(lambda client: client in present)
+    ownership.take(ONE, 0.0)
+    present.remove(ONE)
+    assert ownership.owner(0.1) is None
+    assert ownership.take(OTHER, 0.1)

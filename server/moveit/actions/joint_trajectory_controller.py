@@ -1,0 +1,418 @@
+"""ros2_control's joint_trajectory_controller: FollowJointTrajectory, its topic for trajectories, and its state.
+
+https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/doc/userdoc.html
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, TypeAlias
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from protocol.messages import Stamp
+from protocol.publication import Publication
+from robot.arm import Arm
+from robot.description.model import Group, RobotModel
+from robot.messages import ArmState, Outcome
+from robot.trajectory import Vector
+from server.errors import RefusedError
+from server.goal_queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+from server.moveit.actions.goal_bridge import goal_status
+from server.moveit.current_state import CurrentState
+from server.moveit.motions import Motion, Positions
+from server.moveit.requests.error_codes import refused
+from server.moveit.requests.trajectories import external_motion, external_trajectory
+
+Message: TypeAlias = Mapping[str, Any]
+
+# Joint -> greatest distance [rad]. The arm's driver monitors joints that are not in it.
+Tolerances: TypeAlias = Mapping[str, float]
+
+ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
+STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
+
+# Name of the same action in ROS-Industrial's drivers.
+INDUSTRIAL_ACTION = "/joint_trajectory_action"
+
+# A joint that has not arrived by then does not arrive.
+MAX_GOAL_TIME_TOLERANCE_S = 10.0
+
+
+class FollowCode(IntEnum):
+    """Values of error_code of control_msgs/FollowJointTrajectory."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class TrajectoryRefusedError(RefusedError):
+    """A trajectory that the action rejects by an error code of its own.
+
+    Attributes:
+        code: the error code.
+    """
+
+    def __init__(self, code: FollowCode, message: str) -> None:
+        super().__init__(PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message))
+        self.code = code
+
+
+@dataclass(frozen=True)
+class SegmentTolerances:
+    """Tolerances of a goal.
+
+    Attributes:
+        path: tolerances while the trajectory is played.
+        goal: tolerances at its end.
+        time_s: time after the end by which the goal tolerances must be met, on the arm's clock [s].
+    """
+
+    path: Tolerances
+    goal: Tolerances
+    time_s: float
+
+
+class JointTrajectoryController:
+    """The actions and the topic.
+
+    Args:
+        graph: where they are.
+        robot: the arm.
+        group: the controlled joints.
+        arm: the arm.
+        current: positions that it holds.
+        queue: queue of its goals.
+
+    Attributes:
+        actions: names of the actions.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        group: Group,
+        arm: Arm,
+        current: CurrentState,
+        queue: GoalQueue[Motion],
+    ) -> None:
+        self._robot = robot
+        self._group = group
+        self._arm = arm
+        self._current = current
+        self._queue = queue
+        # Goals without result, by their number in the queue.
+        self._goals: dict[str, TrajectoryGoal] = {}
+        self._topic = f"/{group.name}_controller/joint_trajectory"
+        self.actions = (f"/{group.name}_controller/follow_joint_trajectory", INDUSTRIAL_ACTION)
+        node = Node(f"{group.name} controller")
+        for name in self.actions:
+            graph.actions.offer(node, name, ACTION_TYPE, self._start)
+        graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play))
+
+    def take_state(self, state: ArmState) -> None:
+        """Check the tolerances of all goals against a state of the arm."""
+        for number, trajectory_goal in list(self._goals.items()):
+            trajectory_goal.take_state(state, functools.partial(self._queue.cancel, number))
+
+    def _start(self, goal: Goal) -> None:
+        try:
+            tolerances = read_segment_tolerances(goal.request, self._group)
+            self._check(goal.request["trajectory"])
+        except RefusedError as error:
+            self._queue.refuse(goal.action, error.failure)
+            goal.finish(GoalStatus.ABORTED, result(rejection_code(error), error.failure.message))
+            return
+        trajectory_goal = TrajectoryGoal(goal, self._group.joints, tolerances)
+
+        def send_feedback(progress: Progress) -> None:
+            trajectory_goal.take_progress(progress)
+            feedback = trajectory_goal.feedback(self._arm.state)
+            if feedback is not None:
+                goal.feedback(feedback)
+
+        number = self._queue.submit(
+            goal.action,
+            external_motion(goal.request["trajectory"], self._robot),
+            policy=GoalPolicy.PREEMPT,
+            on_progress=send_feedback,
+            on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
+        )
+        self._goals[number] = trajectory_goal
+        goal.when_ended(lambda _result: self._goals.pop(number, None))
+        goal.when_canceled(lambda: self._queue.cancel(number, f"cancelled by a client of {goal.action}"))
+
+    def _play(self, publication: Publication) -> None:
+        """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm."""
+        trajectory = publication.msg
+        if not trajectory["points"]:
+            self._queue.end_all(f"stopped by an empty trajectory on {self._topic}")
+            return
+        try:
+            self._check(trajectory)
+        except RefusedError as error:
+            self._queue.refuse(self._topic, error.failure)
+            return
+        self._queue.submit(self._topic, external_motion(trajectory, self._robot), policy=GoalPolicy.PREEMPT)
+
+    def _check(self, trajectory: Message) -> None:
+        check_trajectory(trajectory, self._group, self._robot, self._current.positions_rad(), time.time())
+
+
+class TrajectoryGoal:
+    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result.
+
+    Args:
+        goal: the action's goal.
+        joints: the controlled joints.
+        tolerances: its tolerances.
+    """
+
+    def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances) -> None:
+        self._goal = goal
+        self._joints = joints
+        self._tolerances = tolerances
+        self._executing = False
+        self._path_violation = ""
+        # Set by the queue's answer when the arm must still come within the goal tolerances: end [rad], latest time [s].
+        self._settling: tuple[Answer, Positions, float] | None = None
+
+    def take_progress(self, progress: Progress) -> None:
+        """Note the state of the goal."""
+        self._executing = progress.state is GoalState.EXECUTING
+
+    def take_state(self, state: ArmState, cancel: Callable[[str], None]) -> None:
+        """Check the tolerances against a state of the arm.
+
+        Args:
+            state: the latest state.
+            cancel: ends the motion, with a reason.
+        """
+        if self._settling is not None:
+            self._end_when_settled(state, *self._settling)
+        elif self._executing and not self._path_violation and state.goal_rad is not None:
+            desired_rad = dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
+            self._path_violation = violation(self._tolerances.path, state, desired_rad)
+            if self._path_violation:
+                cancel(self._path_violation)
+
+    def feedback(self, state: ArmState) -> Message | None:
+        """Write the feedback message of a state of the arm; None before it moves."""
+        if not self._executing or state.goal_rad is None or state.position_rad is None:
+            return None
+        columns = [state.joint_names.index(name) for name in self._joints]
+        desired, actual = state.goal_rad[columns], state.position_rad[columns]
+        return {
+            "joint_names": list(self._joints),
+            "desired": point(desired),
+            "actual": point(actual),
+            "error": point(desired - actual),
+        }
+
+    def take_answer(self, answer: Answer, state: ArmState) -> None:
+        """End the goal by the queue's answer, after a success as soon as the arm is within the goal tolerances."""
+        self._executing = False
+        performed = answer.performed
+        if answer.code is not MoveItErrorCode.SUCCESS or performed is None or not performed.planned:
+            self._finish(answer)
+            return
+        last = performed.planned[-1]
+        end_rad = dict(zip(last.joint_names, last.positions_rad[-1].tolist(), strict=True))
+        self._settling = answer, end_rad, state.clock_s + self._tolerances.time_s
+        self._end_when_settled(state, *self._settling)
+
+    def _end_when_settled(self, state: ArmState, answer: Answer, end_rad: Positions, until_s: float) -> None:
+        if self._goal.ended:
+            return
+        goal_violation = violation(self._tolerances.goal, state, end_rad)
+        if not goal_violation:
+            self._finish(answer)
+        elif state.clock_s >= until_s:
+            self._goal.finish(GoalStatus.ABORTED, result(FollowCode.GOAL_TOLERANCE_VIOLATED, goal_violation))
+
+    def _finish(self, answer: Answer) -> None:
+        if self._path_violation:
+            self._goal.finish(GoalStatus.ABORTED, result(FollowCode.PATH_TOLERANCE_VIOLATED, self._path_violation))
+        else:
+            self._goal.finish(goal_status(answer.code), result(follow_code(answer), answer.message))
+
+
+class ControllerStatePublisher:
+    """Publisher of the controller's state, with every state of the arm, while there are subscribers.
+
+    Args:
+        graph: where the topics are.
+        group: the controlled joints.
+    """
+
+    def __init__(self, graph: Graph, group: Group) -> None:
+        self._graph = graph
+        self._joints = group.joints
+        self._node = Node(f"{group.name} controller")
+        # ROS 2's name, and ROS 1's.
+        self._topics = (f"/{group.name}_controller/controller_state", f"/{group.name}_controller/state")
+        for topic in self._topics:
+            graph.advertise(self._node, topic, STATE_TYPE)
+
+    def take_state(self, state: ArmState) -> None:
+        """Publish a state of the arm."""
+        message: dict[str, Any] | None = None
+        for topic in self._topics:
+            if self._graph.subscribers(topic):
+                message = message or self._message(state)
+                if message is not None:
+                    self._graph.publish(self._node, topic, message)
+
+    def _message(self, state: ArmState) -> dict[str, Any] | None:
+        if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
+            return None
+        columns = [state.joint_names.index(name) for name in self._joints]
+        reference, feedback = state.goal_rad[columns], state.position_rad[columns]
+        return {
+            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
+            "joint_names": list(self._joints),
+            "reference": point(reference),
+            "feedback": {**point(feedback), "velocities": state.velocity_rad_s[columns].tolist()},
+            "error": point(reference - feedback),
+            "speed_scaling_factor": state.pace.speed_factor,
+        }
+
+
+def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
+    """Read the tolerances of a goal.
+
+    Args:
+        goal: goal message of control_msgs/FollowJointTrajectory.
+        group: the controlled joints.
+
+    Raises:
+        RefusedError: a tolerance that cannot be used.
+    """
+    path = read_tolerances(goal["path_tolerance"], "path_tolerance", group.joints)
+    end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
+    time_s = _seconds(goal["goal_time_tolerance"])
+    if time_s > MAX_GOAL_TIME_TOLERANCE_S:
+        raise _invalid(f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s")
+    return SegmentTolerances(path, end, max(time_s, 0.0))
+
+
+def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[str]) -> Tolerances:
+    """Read tolerances: 0 is the default and a negative one is no limit; both add nothing to the driver's monitoring.
+
+    Args:
+        messages: control_msgs/JointTolerance.
+        field: their field, for errors.
+        joints: the controlled joints.
+
+    Raises:
+        RefusedError: another joint, or a tolerance that is not a number.
+    """
+    tolerances = {}
+    for message in messages:
+        name, position_rad = message["name"], message["position"]
+        if name not in joints:
+            raise _invalid(f"{field} names the joint {name!r}; the controller has {', '.join(joints)}", joint=name)
+        if math.isnan(position_rad):
+            raise _invalid(f"{field}: position of joint {name} must be a number, not nan", joint=name)
+        if position_rad > 0.0:
+            tolerances[name] = float(position_rad)
+    return tolerances
+
+
+def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions) -> str:
+    """Describe the first joint beyond its tolerance; empty if there is none.
+
+    Args:
+        tolerances: the tolerances.
+        state: a state of the arm.
+        desired_rad: position of every joint [rad].
+    """
+    if state.position_rad is None:
+        return ""
+    measured = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
+    for name, tolerance_rad in tolerances.items():
+        error_rad = abs(measured[name] - desired_rad[name])
+        if error_rad > tolerance_rad:
+            return f"joint {name} is {error_rad:.3f} rad from where it should be (tolerance {tolerance_rad:g} rad)"
+    return ""
+
+
+def check_trajectory(
+    trajectory: Message, group: Group, robot: RobotModel, present_rad: Positions | None, now_s: float
+) -> None:
+    """Check that a trajectory can be played.
+
+    Args:
+        trajectory: a trajectory_msgs/JointTrajectory.
+        group: the controlled joints.
+        robot: the arm.
+        present_rad: positions that the arm holds, None while they are not known [rad].
+        now_s: wall-clock time [s].
+
+    Raises:
+        TrajectoryRefusedError: it names another joint, or its time is over.
+        RefusedError: it cannot be played for another reason.
+    """
+    if not trajectory["points"]:
+        raise _invalid("trajectory.points is empty; to stop the arm, cancel the goal")
+    unknown = [name for name in trajectory["joint_names"] if name not in group.joints]
+    if unknown:
+        text = f"trajectory.joint_names has {unknown[0]!r}; the controller has {', '.join(group.joints)}"
+        raise TrajectoryRefusedError(FollowCode.INVALID_JOINTS, text)
+    late_s = now_s - _end_s(trajectory)
+    if _seconds(trajectory["header"]["stamp"]) > 0.0 and late_s > 0.0:
+        text = f"by trajectory.header.stamp the motion would have ended {late_s:.1f} s ago; the stamp 0 starts it now"
+        raise TrajectoryRefusedError(FollowCode.OLD_HEADER_TIMESTAMP, text)
+    if present_rad is not None:
+        external_trajectory(trajectory, robot, present_rad)
+
+
+def rejection_code(error: RefusedError) -> FollowCode:
+    """Return the action's error code for a goal that was rejected."""
+    return error.code if isinstance(error, TrajectoryRefusedError) else FollowCode.INVALID_GOAL
+
+
+def follow_code(answer: Answer) -> FollowCode:
+    """Return the action's error code for an answer of the queue."""
+    if answer.code is MoveItErrorCode.SUCCESS:
+        return FollowCode.SUCCESSFUL
+    if answer.details.get("outcome") == Outcome.TRACKING_LOST.value:
+        return FollowCode.PATH_TOLERANCE_VIOLATED
+    if answer.details.get("outcome") == Outcome.NOT_SETTLED.value:
+        return FollowCode.GOAL_TOLERANCE_VIOLATED
+    return FollowCode.INVALID_GOAL
+
+
+def result(code: FollowCode, message: str) -> Message:
+    """Write the result message."""
+    return {"error_code": int(code), "error_string": message}
+
+
+def point(positions_rad: Vector) -> dict[str, Any]:
+    """Write a trajectory_msgs/JointTrajectoryPoint with nothing but positions."""
+    return {"positions": positions_rad.tolist()}
+
+
+def _end_s(trajectory: Message) -> float:
+    """Return the end of a trajectory by its stamp [s since the epoch]."""
+    return _seconds(trajectory["header"]["stamp"]) + _seconds(trajectory["points"][-1]["time_from_start"])
+
+
+def _seconds(stamp: Message) -> float:
+    return float(stamp["sec"]) + 1e-9 * float(stamp["nanosec"])
+
+
+def _invalid(message: str, **details: Any) -> RefusedError:
+    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)

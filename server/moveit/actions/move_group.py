@@ -1,0 +1,399 @@
+"""Actions of MoveIt's move_group: MoveGroup under its two names, MoveGroupSequence, and ExecuteTrajectory.
+
+:class:`MotionActions` offers these and all other actions that move the arm's group.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from planners.problem import MoveItErrorCode
+from planners.scene import Scene
+from robot.arm import Arm
+from robot.description.model import RobotModel
+from robot.messages import ArmState
+from server.actionlib import ActionlibBridge
+from server.errors import RefusedError
+from server.goal_queue import Answer, GoalQueue
+from server.graph.actions import Goal
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.moveit.actions.goal_bridge import (
+    MoveGroupFeedback,
+    code_message,
+    finish_goal,
+    move_group_result,
+    reject_goal,
+    sequence_result,
+    submit_goal,
+)
+from server.moveit.actions.joint_trajectory_controller import ControllerStatePublisher, JointTrajectoryController
+from server.moveit.current_state import CurrentState
+from server.moveit.motions import Motion, PlannedMotion, Positions
+from server.moveit.requests.error_codes import failure_as_value, refused
+from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
+from server.moveit.requests.planning_problems import sequence_requests
+from server.moveit.requests.trajectories import external_motion, external_trajectory
+from server.moveit.step_planning import plan_steps
+from server.timers import call_later
+
+log = logging.getLogger("armbridge.actions")
+
+Message: TypeAlias = Mapping[str, Any]
+
+# ROS 2's name, and ROS 1's.
+MOVE_ACTIONS = ("/move_action", "/move_group")
+SEQUENCE_ACTION = "/sequence_move_group"
+EXECUTE_ACTION = "/execute_trajectory"
+
+# MoveIt's number of attempts for a goal that replans without giving one.
+DEFAULT_ATTEMPTS = 5
+
+# Bounds, so that every goal ends.
+MAX_ATTEMPTS = 100
+MAX_DELAY_S = 10.0
+
+
+@dataclass(frozen=True)
+class PlanningOptions:
+    """Options of a goal, from moveit_msgs/PlanningOptions.
+
+    Attributes:
+        plan_only: true if the arm is not to move.
+        attempts: number of planning attempts.
+        delay_s: pause between attempts [s].
+        scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
+        warnings: a sentence for each option that is not followed.
+    """
+
+    plan_only: bool
+    attempts: int
+    delay_s: float
+    scene_diff: Message | None
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PlanningGoal:
+    """Contents of a goal.
+
+    Attributes:
+        requests: moveit_msgs/MotionPlanRequest of each motion, in their order.
+        options: the options.
+    """
+
+    requests: Sequence[Message]
+    options: PlanningOptions
+
+
+@dataclass(frozen=True)
+class PlanningAction:
+    """Action with goals that are planned.
+
+    Attributes:
+        type_name: its type.
+        requests: returns the moveit_msgs/MotionPlanRequest of a goal message; raises RefusedError.
+        result: writes the result message.
+    """
+
+    type_name: str
+    requests: Callable[[Message], Sequence[Message]]
+    result: Callable[[Answer, RobotModel], Message]
+
+
+MOVE_GROUP = PlanningAction("moveit_msgs/action/MoveGroup", lambda goal: [goal["request"]], move_group_result)
+SEQUENCE = PlanningAction(
+    "moveit_msgs/action/MoveGroupSequence", lambda goal: sequence_requests(goal["request"]), sequence_result
+)
+
+
+class PlanningActions:
+    """MoveGroup and MoveGroupSequence.
+
+    Args:
+        graph: where they are.
+        context: all that goals are planned with.
+        queue: queue of the arm's goals.
+    """
+
+    def __init__(self, graph: Graph, context: PlanningContext, queue: GoalQueue[Motion]) -> None:
+        self._graph = graph
+        self._context = context
+        self._queue = queue
+        self._node = Node("move group")
+        self._tasks: set[asyncio.Task[Answer]] = set()
+        for name in MOVE_ACTIONS:
+            self._offer(name, MOVE_GROUP)
+        self._offer(SEQUENCE_ACTION, SEQUENCE)
+
+    def _offer(self, name: str, action: PlanningAction) -> None:
+        def result(answer: Answer) -> Message:
+            return action.result(answer, self._context.robot)
+
+        def start(goal: Goal) -> None:
+            try:
+                planning_goal = read_planning_goal(goal.request, action)
+                if planning_goal.options.plan_only:
+                    self._plan_only(goal, planning_goal, result)
+                else:
+                    self._move(goal, planning_goal, result)
+            except RefusedError as error:
+                reject_goal(goal, self._queue, error.failure, result)
+
+        self._graph.actions.offer(self._node, name, action.type_name, start)
+
+    def _move(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
+        motion = planned_motion(planning_goal, self._context)
+        for warning in motion.warnings:
+            log.warning("%s: %s", goal.action, warning)
+        submit_goal(goal, self._queue, motion, MoveGroupFeedback(), result)
+
+    def _plan_only(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
+        def end(done: asyncio.Task[Answer]) -> None:
+            self._tasks.discard(done)
+            goal.feedback({"state": "IDLE"})
+            finish_goal(goal, _task_answer(done), result)
+
+        goal.feedback({"state": "PLANNING"})
+        planning = plan_only(planning_goal, goal.sender, self._context)
+        task = asyncio.create_task(planning, name=f"plan for {goal.action}")
+        # The event loop keeps only weak references to tasks.
+        self._tasks.add(task)
+        task.add_done_callback(end)
+        goal.when_canceled(lambda: _cancel(task))
+
+
+def read_planning_goal(message: Message, action: PlanningAction) -> PlanningGoal:
+    """Read a goal.
+
+    Args:
+        message: the goal message.
+        action: its action.
+
+    Raises:
+        RefusedError: options or a sequence that cannot be used.
+    """
+    options = read_planning_options(message["planning_options"])
+    return PlanningGoal(action.requests(message), options)
+
+
+def read_planning_options(message: Message) -> PlanningOptions:
+    """Read moveit_msgs/PlanningOptions.
+
+    Raises:
+        RefusedError: a delay out of bounds.
+    """
+    delay_s = float(message["replan_delay"])
+    if not (math.isfinite(delay_s) and 0.0 <= delay_s <= MAX_DELAY_S):
+        text = f"planning_options.replan_delay must be from 0 to {MAX_DELAY_S:g} s, not {delay_s:g}"
+        raise refused(MoveItErrorCode.FAILURE, text, replan_delay=str(delay_s))
+    attempts = message["replan_attempts"] if message["replan_attempts"] > 0 else DEFAULT_ATTEMPTS
+    diff = message["planning_scene_diff"]
+    return PlanningOptions(
+        plan_only=message["plan_only"],
+        attempts=min(attempts, MAX_ATTEMPTS) if message["replan"] else 1,
+        delay_s=delay_s,
+        scene_diff={**diff, "is_diff": True} if changes_scene(diff) else None,
+        warnings=("look_around is ignored: there is no sensor to look with",) if message["look_around"] else (),
+    )
+
+
+def changes_scene(scene: Message) -> bool:
+    """Tell if a moveit_msgs/PlanningScene changes anything that plans depend on.
+
+    A field that the client has left out has ``is_diff`` false, and must not empty the world.
+    """
+    return bool(
+        scene["world"]["collision_objects"]
+        or scene["robot_state"]["attached_collision_objects"]
+        or scene["allowed_collision_matrix"]["entry_names"]
+        or scene["allowed_collision_matrix"]["default_entry_names"]
+        or scene["link_padding"]
+        or scene["link_scale"]
+        or scene["fixed_frame_transforms"]
+    )
+
+
+def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotion:
+    """Make the motion to plan and execute.
+
+    Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
+    here for the present one, so that a goal that cannot be planned does not replace the motion of another.
+
+    Args:
+        goal: the goal.
+        context: all that it is planned with.
+
+    Raises:
+        RefusedError: a request that cannot be used.
+    """
+    options, present_rad = goal.options, context.current.positions_rad()
+    warnings = (*options.warnings, *_ignored_start(goal.requests))
+    if present_rad is not None:
+        warnings += _check_requests(goal.requests, present_rad, context)
+    return PlannedMotion(
+        steps=tuple(context.problems.step(request) for request in goal.requests),
+        scene=_scene_with(options.scene_diff, context),
+        attempts=options.attempts,
+        delay_s=options.delay_s,
+        warnings=warnings,
+    )
+
+
+async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) -> Answer:
+    """Plan from the start state of the first request, whatever the arm does meanwhile.
+
+    Args:
+        goal: the goal.
+        sender: its client; positions that it assumes complete the start state.
+        context: all that it is planned with.
+    """
+    state, options = goal.requests[0]["start_state"], goal.options
+    try:
+        start = context.start(state, sender)
+        scene = _scene_of_start(start, options.scene_diff, state, context)
+        warnings = _check_requests(goal.requests, start.start_rad, context)
+    except RefusedError as error:
+        return Answer.of(error.failure)
+    steps = tuple(context.problems.step(request) for request in goal.requests)
+    planned = await plan_steps(steps, start.start_rad, scene, context.pool.ask)
+    if planned.failure is not None:
+        context.display.contacts_of(planned.failure.details)
+        return Answer.of(planned.failure, planned.performed)
+    context.display.performed(planned.performed)
+    message = "; ".join((planned.summary, *planned.notes, *start.warnings, *options.warnings, *warnings))
+    return Answer(MoveItErrorCode.SUCCESS, message, performed=planned.performed)
+
+
+def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
+    """Build the problem of every request; returns their warnings.
+
+    Raises:
+        RefusedError: a request that cannot be used.
+    """
+    built = [context.problems.motion_plan(request, start_rad) for request in requests]
+    return tuple(warning for one in built for warning in one.warnings)
+
+
+def _scene_with(scene_diff: Message | None, context: PlanningContext) -> Callable[[Positions], Any] | None:
+    """Return the function that makes the scene of a motion; None for the present scene."""
+    if scene_diff is None:
+        return None
+
+    def scene(present_rad: Positions) -> Scene:
+        return context.scene_state.with_diff(scene_diff, present_rad)
+
+    return failure_as_value(scene)
+
+
+def _scene_of_start(
+    start: PlanningStart, scene_diff: Message | None, state: Message, context: PlanningContext
+) -> Scene:
+    """Return the scene of a start state with a diff applied."""
+    if scene_diff is None:
+        return start.scene
+    return context.scene_state.with_diff({**scene_diff, **(attached_diff(state) or {})}, start.start_rad)
+
+
+def _ignored_start(requests: Sequence[Message]) -> tuple[str, ...]:
+    """Describe start states that are not followed: as in MoveIt, a motion to execute starts where the arm is."""
+    named = any(request["start_state"]["joint_state"]["name"] for request in requests)
+    return ("start_state is ignored: the motion begins where the arm is",) if named else ()
+
+
+def _cancel(task: asyncio.Task[Answer]) -> None:
+    task.cancel()
+
+
+def _task_answer(done: asyncio.Task[Answer]) -> Answer:
+    """Return the answer of a planning task that is done, failed or cancelled."""
+    if done.cancelled():
+        return Answer(MoveItErrorCode.PREEMPTED, "cancelled while planning")
+    error = done.exception()
+    if error is not None:
+        log.error("planning for an action failed", exc_info=error)
+        return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
+    answer = done.result()
+    if answer.code is not MoveItErrorCode.SUCCESS:
+        log.warning("a plan was asked for: %s: %s", answer.code.name, answer.message)
+    return answer
+
+
+class ExecuteTrajectory:
+    """ExecuteTrajectory, for trajectories of any origin.
+
+    Args:
+        graph: where it is.
+        robot: the arm.
+        current: positions that the arm holds.
+        queue: queue of the arm's goals.
+    """
+
+    def __init__(self, graph: Graph, robot: RobotModel, current: CurrentState, queue: GoalQueue[Motion]) -> None:
+        self._robot = robot
+        self._current = current
+        self._queue = queue
+        node = Node("execute trajectory")
+        graph.actions.offer(node, EXECUTE_ACTION, "moveit_msgs/action/ExecuteTrajectory", self._start)
+
+    def _start(self, goal: Goal) -> None:
+        trajectory = goal.request["trajectory"]
+        if trajectory["multi_dof_joint_trajectory"]["points"]:
+            log.warning("%s: multi_dof_joint_trajectory is ignored: the arm has no such joint", goal.action)
+        message = trajectory["joint_trajectory"]
+        if not message["points"]:
+            # MoveIt's plan to a goal that is reached already has no points, and can be executed.
+            answer = Answer(MoveItErrorCode.SUCCESS, "the trajectory has no points: nothing to do")
+            finish_goal(goal, answer, _execution_result)
+            return
+        try:
+            self._check(message)
+        except RefusedError as error:
+            reject_goal(goal, self._queue, error.failure, _execution_result)
+        else:
+            motion = external_motion(message, self._robot)
+            submit_goal(goal, self._queue, motion, MoveGroupFeedback(), _execution_result)
+
+    def _check(self, message: Message) -> None:
+        """Reject a trajectory that cannot be played before it replaces the motion of another goal."""
+        present_rad = self._current.positions_rad()
+        if present_rad is not None:
+            external_trajectory(message, self._robot, present_rad)
+
+
+def _execution_result(answer: Answer) -> Message:
+    return {"error_code": code_message(answer)}
+
+
+class MotionActions:
+    """All actions that move the arm's group, and the topics of actionlib for all actions of the arm.
+
+    Args:
+        graph: where they are.
+        context: all that goals are planned with.
+        arm: the arm.
+        queue: queue of the arm's goals.
+    """
+
+    def __init__(self, graph: Graph, context: PlanningContext, arm: Arm, queue: GoalQueue[Motion]) -> None:
+        robot, current, group = context.robot, CurrentState(arm, context.robot), context.problems.group("")
+        PlanningActions(graph, context, queue)
+        ExecuteTrajectory(graph, robot, current, queue)
+        self._controller = JointTrajectoryController(graph, robot, group, arm, current, queue)
+        self._controller_state = ControllerStatePublisher(graph, group)
+        self._actionlib = ActionlibBridge(graph, time.monotonic, call_later)
+
+    def open(self, others: Iterable[str]) -> None:
+        """Offer the topics of actionlib for these actions and for others of the arm."""
+        self._actionlib.open((*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *self._controller.actions, *others))
+
+    def take_state(self, state: ArmState) -> None:
+        """Pass the arm's latest state on to the controller."""
+        self._controller.take_state(state)
+        self._controller_state.take_state(state)

@@ -1,0 +1,97 @@
+"""Errors that reject a request, and moveit_msgs/MoveItErrorCodes of responses.
+
+Everything that reads a request raises :exc:`RefusedError`; services, actions and topics catch it where they answer.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
+from server.errors import RefusedError
+
+Found = TypeVar("Found")
+Arguments = ParamSpec("Arguments")
+
+# Smaller deviations are within what a servo arm reaches anyway [m], [rad].
+REPORTED_POSITION_M = 0.001
+REPORTED_ORIENTATION_RAD = 0.01
+
+# MoveIt puts the name of the pipeline's stage there.
+SOURCE = "armbridge"
+
+
+def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError:
+    """Make the error that rejects a request.
+
+    Args:
+        code: value of moveit_msgs/MoveItErrorCodes.
+        message: one sentence with field, value and limit.
+        details: the same as plain values.
+    """
+    return RefusedError(PlanningFailure(code, message, details))
+
+
+def invalid(message: str, **details: Any) -> RefusedError:
+    """Make the error that rejects a goal or a constraint."""
+    return refused(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, **details)
+
+
+def required(found: Found | PlanningFailure) -> Found:
+    """Return an answer of the planners, or a frame's pose.
+
+    Raises:
+        RefusedError: it is a failure.
+    """
+    if isinstance(found, PlanningFailure):
+        raise RefusedError(found)
+    return found
+
+
+def failure_as_value(function: Callable[Arguments, Found]) -> Callable[Arguments, Found | PlanningFailure]:
+    """Make a function return the failure that it raises, for the goal queue, which runs it when a goal's turn comes."""
+
+    @functools.wraps(function)
+    def returning(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Found | PlanningFailure:
+        try:
+            return function(*args, **kwargs)
+        except RefusedError as error:
+            return error.failure
+
+    return returning
+
+
+def error_code(code: MoveItErrorCode, message: str = "", source: str = SOURCE) -> dict[str, Any]:
+    """Write a moveit_msgs/MoveItErrorCodes.
+
+    Args:
+        code: the value.
+        message: one sentence.
+        source: the program that sets it.
+    """
+    return {"val": int(code), "message": message, "source": source}
+
+
+def success(*notes: str) -> dict[str, Any]:
+    """Write the code of a success; notes that are not empty become its message."""
+    return error_code(MoveItErrorCode.SUCCESS, "; ".join(note for note in notes if note))
+
+
+def failure_code(failure: PlanningFailure) -> dict[str, Any]:
+    """Write the code of a failure, with its message."""
+    return error_code(failure.code, failure.message)
+
+
+def deviation_note(deviation: Deviation) -> str:
+    """Describe in words how far the end of a motion is from the goal; empty for a deviation too small to matter."""
+    parts = []
+    if deviation.position_m > REPORTED_POSITION_M:
+        parts.append(f"the position is {1000.0 * deviation.position_m:.1f} mm off")
+    if deviation.orientation_rad > REPORTED_ORIENTATION_RAD:
+        parts.append(
+            f"the orientation is {math.degrees(deviation.orientation_rad):.1f} degrees off, the nearest there is"
+        )
+    return " and ".join(parts)

@@ -1,0 +1,247 @@
+"""Start states, scenes and everything else that services and actions plan with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+from planners.pool import PlannerPool
+from planners.problem import MoveItErrorCode
+from planners.scene import Scene
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from server.graph.node import Node
+from server.moveit.display import DisplayTopics
+from server.moveit.planner_parameters import PlannerParameters
+from server.moveit.requests.context import FrameResolver, Message
+from server.moveit.requests.error_codes import refused
+from server.moveit.requests.planning_problems import ProblemBuilder
+
+# MoveIt's start_state_max_bounds_error: droop takes a measured joint beyond its soft limit, and moving an arm by hand a
+# little further.
+MAX_START_BOUNDS_ERROR_RAD = 0.05
+
+
+@dataclass(frozen=True)
+class StartState:
+    """Start state of a motion.
+
+    Attributes:
+        positions_rad: position of every movable joint, within the limits [rad].
+        warnings: a sentence for each part of the state that was changed or ignored.
+    """
+
+    positions_rad: Mapping[str, float]
+    warnings: tuple[str, ...] = ()
+
+
+def start_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> StartState:
+    """Read the start state of a motion.
+
+    Joints that it does not name are at their present positions. A state without joints is the present one, whatever
+    its ``is_diff``. Positions beyond a limit by no more than ``MAX_START_BOUNDS_ERROR_RAD`` are moved to it.
+
+    Args:
+        message: a moveit_msgs/RobotState.
+        current_rad: present positions by joint, None while they are not known [rad].
+        robot: the arm.
+
+    Raises:
+        RefusedError: an unknown joint, a position that cannot be, or an unknown present position.
+    """
+    positions = state_positions(message, current_rad, robot)
+    warnings = []
+    for joint in robot.movable_joints:
+        value = positions[joint.name]
+        inside = min(max(value, joint.lower), joint.upper)
+        if abs(value - inside) > MAX_START_BOUNDS_ERROR_RAD:
+            raise refused(
+                MoveItErrorCode.START_STATE_INVALID,
+                f"the start has joint {joint.name!r} at {value:.4g} rad, beyond its limits {joint.lower:.4g} to"
+                f" {joint.upper:.4g} rad by more than {MAX_START_BOUNDS_ERROR_RAD:g} rad",
+                joint=joint.name,
+                position_rad=value,
+                lower_rad=joint.lower,
+                upper_rad=joint.upper,
+            )
+        if inside != value:
+            warnings.append(
+                f"the start of joint {joint.name} is moved from {value:.4g} rad to its limit {inside:.4g} rad"
+            )
+            positions[joint.name] = inside
+    if message["multi_dof_joint_state"]["joint_names"]:
+        warnings.append("multi_dof_joint_state is ignored: the robot has no such joint")
+    return StartState(positions, tuple(warnings))
+
+
+def state_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> dict[str, float]:
+    """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
+
+    Arguments and errors are those of :func:`start_positions`.
+    """
+    names, values = message["joint_state"]["name"], message["joint_state"]["position"]
+    if len(names) != len(values):
+        raise _invalid_state(f"joint_state.name has {len(names)} entries and joint_state.position {len(values)}")
+    named = dict(zip(names, values, strict=True))
+    for name, value in named.items():
+        if name not in robot.joints:
+            known = ", ".join(joint.name for joint in robot.movable_joints)
+            raise _invalid_state(
+                f"joint_state names the joint {name!r}, which does not exist; there are: {known}", name
+            )
+        if not math.isfinite(value):
+            raise _invalid_state(f"joint_state has joint {name!r} at {value}, not a finite number", name)
+    if len(named) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise _invalid_state(f"joint_state names the joint {twice!r} more than once", twice)
+    positions: dict[str, float] = {}
+    for joint in robot.movable_joints:
+        value = named[joint.name] if joint.name in named else (current_rad or {}).get(joint.name)
+        if value is None:
+            raise refused(
+                MoveItErrorCode.ROBOT_STATE_STALE,
+                f"the state leaves out joint {joint.name!r}, and where it is now is not known: the arm is not read",
+                joint=joint.name,
+            )
+        positions[joint.name] = float(value)
+    return positions
+
+
+def _invalid_state(message: str, joint: str = "") -> Exception:
+    return refused(MoveItErrorCode.INVALID_ROBOT_STATE, message, **({"joint": joint} if joint else {}))
+
+
+def attached_diff(message: Message) -> Message | None:
+    """Write the attached objects of a state as a moveit_msgs/PlanningScene without other fields.
+
+    A state with joints that is no diff detaches all objects that it does not list.
+
+    Args:
+        message: a moveit_msgs/RobotState.
+
+    Returns:
+        None if it changes nothing.
+    """
+    attached = message["attached_collision_objects"]
+    is_whole = bool(message["joint_state"]["name"]) and not message["is_diff"]
+    if not (attached or is_whole):
+        return None
+    return {"is_diff": True, "robot_state": {"attached_collision_objects": attached, "is_diff": not is_whole}}
+
+
+class PlanningSceneState(Protocol):
+    """The planning scene."""
+
+    @property
+    def scene(self) -> Scene:
+        """The present scene."""
+
+    def with_diff(self, message: Message, positions_rad: Mapping[str, float] | None) -> Scene:
+        """Return the scene with a moveit_msgs/PlanningScene applied; the state stays as it is.
+
+        Fields of the message may be left out.
+
+        Raises:
+            RefusedError: it cannot be applied.
+        """
+
+
+class AssumedStates(Protocol):
+    """Joint positions that clients assume, for each client."""
+
+    def of(self, node: Node) -> Mapping[str, float] | None:
+        """Return the positions that a client assumes by joint [rad]; None if it has sent none."""
+
+
+class CurrentPositions(Protocol):
+    """Source of the joints' present positions."""
+
+    def positions_rad(self) -> Mapping[str, float] | None:
+        """Return the position of every movable joint [rad]; None while they are not known."""
+
+
+@dataclass(frozen=True)
+class PlanningStart:
+    """Start of planning.
+
+    Attributes:
+        start_rad: position of every movable joint [rad].
+        scene: the scene to plan in.
+        warnings: a sentence for each part of the start state that was changed or ignored.
+    """
+
+    start_rad: Mapping[str, float]
+    scene: Scene
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlanningContext:
+    """All that services and actions plan with.
+
+    Attributes:
+        robot: the arm.
+        pool: the planners.
+        forward: forward kinematics.
+        frames: look-up of frames.
+        scene_state: the planning scene.
+        current: present positions of the joints.
+        assumed: joint positions that clients assume.
+        parameters: planning parameters.
+        display: topics that show plans.
+    """
+
+    robot: RobotModel
+    pool: PlannerPool
+    forward: ForwardPlacements
+    frames: FrameResolver
+    scene_state: PlanningSceneState
+    current: CurrentPositions
+    assumed: AssumedStates
+    parameters: PlannerParameters
+    display: DisplayTopics
+
+    @cached_property
+    def problems(self) -> ProblemBuilder:
+        """The builder of planning problems."""
+        return ProblemBuilder(self.robot, self.frames, self.parameters)
+
+    def start(self, state: Message, caller: Node) -> PlanningStart:
+        """Read the start of a motion.
+
+        Args:
+            state: the request's moveit_msgs/RobotState.
+            caller: the client; positions that it assumes complete the state.
+
+        Raises:
+            RefusedError: joints or attached objects that cannot be used.
+        """
+        start = start_positions(state, self._known_rad(caller), self.robot)
+        return PlanningStart(start.positions_rad, self.scene_of(state, start.positions_rad), start.warnings)
+
+    def positions_rad(self, state: Message, caller: Node) -> Mapping[str, float]:
+        """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
+
+        Raises:
+            RefusedError: joints that cannot be used.
+        """
+        return state_positions(state, self._known_rad(caller), self.robot)
+
+    def scene_of(self, state: Message, positions_rad: Mapping[str, float]) -> Scene:
+        """Return the scene with the attached objects of a moveit_msgs/RobotState.
+
+        Raises:
+            RefusedError: attached objects that cannot be used.
+        """
+        scene = self.scene_state.scene
+        diff = attached_diff(state)
+        if diff is None or not (scene.attached or state["attached_collision_objects"]):
+            return scene
+        return self.scene_state.with_diff(diff, positions_rad)
+
+    def _known_rad(self, caller: Node) -> Mapping[str, float] | None:
+        assumed, current = self.assumed.of(caller), self.current.positions_rad()
+        return current if assumed is None else {**(current or {}), **assumed}

@@ -1,0 +1,485 @@
+"""Requests of MoveIt's clients as problems for the planners: the one place where problems are built.
+
+A moveit_msgs/MotionPlanRequest names one of OMPL's planners or of Pilz's. The goal of Pilz's ``LIN`` and ``CIRC`` is
+that of any request; the path constraint of ``CIRC`` is no constraint but names a point on the circle (``interim``) or
+its center (``center``):
+https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from planners.goals import (
+    ConstraintGoal,
+    Constraints,
+    Goal,
+    JointGoal,
+    OrientationConstraint,
+    PoseGoal,
+    PositionConstraint,
+    PositionGoal,
+)
+from planners.problem import (
+    PLANNER_IDS,
+    Arc,
+    CartesianProblem,
+    IkQuestion,
+    Line,
+    MoveItErrorCode,
+    PlanningProblem,
+    planner_name,
+)
+from planners.scene import Point, Pose
+from robot.description.model import Group, RobotModel
+from robot.trajectory import Vector
+from server.errors import RefusedError
+from server.moveit.motions import Positions, Step
+from server.moveit.parameters import (
+    MAX_ALLOWED_PLANNING_TIME_S,
+    MAX_KINEMATICS_TIMEOUT_S,
+    MAX_PLANNING_ATTEMPTS,
+    MoveItParameters,
+)
+from server.moveit.planner_parameters import PlannerParameters
+from server.moveit.requests.constraints import (
+    LEAST_ORIENTATION_TOLERANCE_RAD,
+    LEAST_TOLERANCE_M,
+    read_goal,
+    read_path_constraints,
+)
+from server.moveit.requests.context import FrameResolver, Message, RequestContext, planning_group
+from server.moveit.requests.error_codes import failure_as_value, invalid, refused, required
+
+Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
+
+POINT_TO_POINT, STRAIGHT, CIRCULAR = "PTP", "LIN", "CIRC"
+
+INTERIM, CENTER = "interim", "center"
+
+# MoveIt's names of the pipelines whose planners are here, the default first, each with its planners.
+OMPL, PILZ = "ompl", "pilz_industrial_motion_planner"
+PIPELINES: Mapping[str, tuple[str, ...]] = {OMPL: PLANNER_IDS, PILZ: (POINT_TO_POINT, STRAIGHT, CIRCULAR)}
+
+# Unit vectors with a shorter sum point in opposite directions, so that their mean has no direction.
+OPPOSITE = 1e-6
+
+# Each item is planned on its own, in milliseconds mostly, in seconds at worst.
+MAX_ITEMS = 50
+
+# A robot has a few dozen links, and each costs time of the planner that all clients share.
+MAX_LINKS = 1000
+
+NANOSECONDS_PER_S = 1e9
+
+
+@dataclass(frozen=True)
+class BuiltProblem(Generic[Problem]):
+    """Problem for the planners, and a sentence for each part of the request that it does not follow."""
+
+    problem: Problem
+    warnings: tuple[str, ...] = ()
+
+
+class ProblemBuilder:
+    """Builder of planning problems for one robot.
+
+    Args:
+        robot: the arm.
+        frames: look-up of frames.
+        parameters: values for what requests leave out.
+    """
+
+    def __init__(self, robot: RobotModel, frames: FrameResolver, parameters: PlannerParameters) -> None:
+        self._robot = robot
+        self._frames = frames
+        self._parameters = parameters
+
+    def group(self, name: str) -> Group:
+        """Return a planning group; the configured one for an empty name.
+
+        Raises:
+            RefusedError: there is no such group.
+        """
+        return planning_group(self._robot, name, self._parameters.of())
+
+    def context(self, group: Group, start_rad: Positions) -> RequestContext:
+        """Return the context in which the fields of a request for a group are read.
+
+        Args:
+            group: the planning group.
+            start_rad: position of every movable joint, for frames that move with the arm [rad].
+        """
+        return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
+
+    def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
+        """Build the problem of a moveit_msgs/MotionPlanRequest.
+
+        Args:
+            request: the request; its start state is not read here, because only the first of several has one.
+            start_rad: position of every movable joint at the start [rad].
+
+        Raises:
+            RefusedError: a field that cannot be used.
+        """
+        parameters = self._parameters.of(request["group_name"], request["planner_id"])
+        pipeline = check_pipeline(request["pipeline_id"])
+        group = planning_group(self._robot, request["group_name"], parameters)
+        context = RequestContext(self._robot, group, self._frames, start_rad, parameters)
+        warnings = context.warnings
+        arc = request["path_constraints"]
+        constraints = Constraints() if _names_arc(arc) else read_path_constraints(arc, context)
+        problem = PlanningProblem(
+            group=group.name,
+            start_rad=start_rad,
+            goal=read_goal(request["goal_constraints"], context),
+            velocity_scaling=read_scaling(request, "max_velocity_scaling_factor", warnings),
+            acceleration_scaling=read_scaling(request, "max_acceleration_scaling_factor", warnings),
+            allowed_time_s=_allowed_time_s(request["allowed_planning_time"], parameters, warnings),
+            attempts=_attempts(request["num_planning_attempts"], parameters, warnings),
+            path_constraints=None if constraints.empty else constraints,
+            planner_id=_planner_id(request["planner_id"], parameters, warnings) if pipeline == OMPL else "",
+            optimization_time_s=parameters.optimization_time,
+        )
+        planner = _pilz_planner(request["planner_id"], warnings) if pipeline == PILZ else POINT_TO_POINT
+        warnings += _ignored_fields(request, planner)
+        if planner == POINT_TO_POINT:
+            return BuiltProblem(problem, tuple(warnings))
+        tip = tip_problem(planner, problem, arc, request["max_cartesian_speed"], context)
+        return BuiltProblem(tip, tuple(warnings))
+
+    def step(self, request: Message) -> Step:
+        """Return the function that builds the problem of a moveit_msgs/MotionPlanRequest once its start is known."""
+
+        def problem(start_rad: Positions) -> PlanningProblem | CartesianProblem:
+            return self.motion_plan(request, start_rad).problem
+
+        return failure_as_value(problem)
+
+    def cartesian_path(self, request: Message, start_rad: Positions) -> BuiltProblem[CartesianProblem]:
+        """Build the problem of a moveit_msgs/GetCartesianPath request.
+
+        Args:
+            request: the request.
+            start_rad: position of every movable joint at the start [rad].
+
+        Raises:
+            RefusedError: a field that cannot be used.
+        """
+        context = self.context(self.group(request["group_name"]), start_rad)
+        max_step_m = request["max_step"]
+        if not (math.isfinite(max_step_m) and max_step_m > 0.0):
+            raise refused(MoveItErrorCode.FAILURE, f"max_step must be a finite number above 0 m, not {max_step_m:g}")
+        frame = request["header"]["frame_id"]
+        ends = [context.placed(frame, pose, f"waypoints[{i}]") for i, pose in enumerate(request["waypoints"])]
+        constraints = read_path_constraints(request["path_constraints"], context)
+        problem = CartesianProblem(
+            group=context.group.name,
+            start_rad=start_rad,
+            link=context.link(request["link_name"]),
+            segments=tuple(Line(end) for end in ends),
+            keep_orientation=context.chooses_orientation,
+            max_step_m=max_step_m,
+            tip_speed_m_s=_tip_speed_m_s(request, context),
+            avoid_collisions=request["avoid_collisions"],
+            velocity_scaling=read_scaling(request, "max_velocity_scaling_factor", context.warnings),
+            acceleration_scaling=read_scaling(request, "max_acceleration_scaling_factor", context.warnings),
+            allowed_time_s=context.parameters.allowed_planning_time,
+            path_constraints=None if constraints.empty else constraints,
+        )
+        return BuiltProblem(problem, tuple(context.warnings))
+
+    def ik(self, request: Message, group: Group, seed_rad: Positions) -> BuiltProblem[IkQuestion]:
+        """Build the question of a moveit_msgs/PositionIKRequest.
+
+        Args:
+            request: the request.
+            group: its planning group.
+            seed_rad: position of every movable joint to start from, within the limits [rad].
+
+        Raises:
+            RefusedError: a field that cannot be used.
+        """
+        context = self.context(group, seed_rad)
+        constraints = read_path_constraints(request["constraints"], context, "ik_request.constraints")
+        question = IkQuestion(
+            group=context.group.name,
+            start_rad=seed_rad,
+            goal=_ik_goal(request, context),
+            avoid_collisions=request["avoid_collisions"],
+            constraints=None if constraints.empty else constraints,
+            allowed_time_s=_timeout_s(request["timeout"], context.parameters),
+        )
+        return BuiltProblem(question, tuple(context.warnings))
+
+
+def sequence_requests(sequence: Message) -> list[Message]:
+    """Return the moveit_msgs/MotionPlanRequest of a sequence's items, in their order.
+
+    The arm comes to rest after each, so a blend radius is rejected. Only the first item may have a start state.
+
+    Args:
+        sequence: a moveit_msgs/MotionSequenceRequest.
+
+    Raises:
+        RefusedError: an item that cannot be planned as part of a sequence.
+    """
+    items = sequence["items"]
+    if not 1 <= len(items) <= MAX_ITEMS:
+        raise _invalid_sequence(f"items has {len(items)} entries; 1 to {MAX_ITEMS} are allowed")
+    for index, item in enumerate(items):
+        if item["blend_radius"] != 0.0:
+            raise _invalid_sequence(
+                f"items[{index}].blend_radius must be 0 m, not {item['blend_radius']:g}: corners are not rounded, the"
+                " arm comes to rest at the end of each item",
+                item=index,
+            )
+        if index > 0 and item["req"]["start_state"]["joint_state"]["name"]:
+            raise _invalid_sequence(
+                f"items[{index}].req.start_state must be empty: the item begins where the one before ends", item=index
+            )
+    return [item["req"] for item in items]
+
+
+def check_pipeline(pipeline_id: str) -> str:
+    """Return the planning pipeline of a name: the default one for an empty name.
+
+    Raises:
+        RefusedError: there is no such pipeline.
+    """
+    pipeline = pipeline_id or OMPL
+    if pipeline not in PIPELINES:
+        raise refused(
+            MoveItErrorCode.FAILURE,
+            f"pipeline_id: there is no planning pipeline {pipeline_id!r}; there are: {', '.join(PIPELINES)}",
+            pipeline_id=pipeline_id,
+        )
+    return pipeline
+
+
+def read_scaling(request: Message, field: str, warnings: list[str]) -> float:
+    """Read a scaling factor of the limits: 0, the message's default, and values above 1 are full speed.
+
+    MoveIt takes a negative one as full speed too. Here it is rejected: no client means full speed by it.
+
+    Args:
+        request: the message with the field.
+        field: name of the field.
+        warnings: gets a sentence for a value above 1.
+
+    Raises:
+        RefusedError: it is negative or not a number.
+    """
+    value = float(request[field])
+    if math.isnan(value) or value < 0.0:
+        raise invalid(f"{field} must be from 0 to 1, 0 for full speed, not {value:g}", value=value)
+    if value > 1.0:
+        warnings.append(f"{field} {value:g} is taken as 1, the most there is")
+    return min(value, 1.0) or 1.0
+
+
+def check_link_count(links: Sequence[str], field: str) -> None:
+    """Reject more names of links than any robot has.
+
+    Raises:
+        RefusedError: there are more than `MAX_LINKS`.
+    """
+    if len(links) > MAX_LINKS:
+        raise invalid(f"{field} has {len(links)} entries, the limit is {MAX_LINKS}")
+
+
+def tip_problem(
+    planner: str, problem: PlanningProblem, arc: Message, tip_speed: float, context: RequestContext
+) -> CartesianProblem:
+    """Build the problem of a request for Pilz's ``LIN`` or ``CIRC``.
+
+    Args:
+        planner: `STRAIGHT` or `CIRCULAR`.
+        problem: the same request as a motion between its ends.
+        arc: the request's path constraints, which name a point of a circle.
+        tip_speed: the request's ``max_cartesian_speed`` [m/s].
+        context: context of the request.
+
+    Raises:
+        RefusedError: a goal that is no single pose, or a circle without radius.
+    """
+    link, end, tolerance_rad = _tip_end(problem, context)
+    segment = Line(end) if planner == STRAIGHT else Arc(_via_m(arc, link, end, context), end)
+    return CartesianProblem(
+        group=problem.group,
+        start_rad=problem.start_rad,
+        link=link,
+        segments=(segment,),
+        keep_orientation=tolerance_rad is not None,
+        orientation_tolerance_rad=tolerance_rad or math.pi,
+        tip_speed_m_s=tip_speed if tip_speed > 0.0 else None,
+        velocity_scaling=problem.velocity_scaling,
+        acceleration_scaling=problem.acceleration_scaling,
+        allowed_time_s=problem.allowed_time_s,
+        path_constraints=problem.path_constraints,
+    )
+
+
+def _tip_end(problem: PlanningProblem, context: RequestContext) -> tuple[str, Pose, float | None]:
+    """Return link, end, and tolerance of the orientation on the way [rad], None for a free orientation."""
+    match problem.goal:
+        case PositionGoal(link, position_m, _, offset_m) if not any(offset_m):
+            return link, Pose(position_m, _link_pose(link, problem.start_rad, context).orientation), None
+        case PoseGoal() as goal:
+            return goal.link, goal.pose, max(goal.orientation_tolerance_rad) if goal.strict else None
+        case JointGoal(positions_rad):
+            link = context.link("")
+            return link, _link_pose(link, {**problem.start_rad, **positions_rad}, context), None
+    raise invalid("goal_constraints must be one pose of one link, or joint positions, for a path of the tip")
+
+
+def _link_pose(link: str, positions_rad: Mapping[str, float], context: RequestContext) -> Pose:
+    return required(context.frames.resolve(link, positions_rad))
+
+
+def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point:
+    """Read a point of the circle between its ends, in the robot's root link [m]."""
+    if not _names_arc(arc) or len(arc["position_constraints"]) != 1:
+        raise invalid(
+            f"path_constraints must have one position constraint, and the name {INTERIM!r} or {CENTER!r}, for"
+            f" {CIRCULAR}"
+        )
+    constraint = arc["position_constraints"][0]
+    poses = constraint["constraint_region"]["primitive_poses"]
+    if not poses:
+        raise invalid("path_constraints.position_constraints[0].constraint_region.primitive_poses is empty")
+    where = "path_constraints.position_constraints[0].constraint_region.primitive_poses[0]"
+    point = context.placed(constraint["header"]["frame_id"], poses[0], where).position_m
+    if arc["name"] == INTERIM:
+        return point
+    start = np.array(_link_pose(link, context.start_rad, context).position_m)
+    return _beyond_center(np.array(point), start, np.array(end.position_m))
+
+
+def _beyond_center(center: Vector, start: Vector, end: Vector) -> Point:
+    """Return the middle of the shorter arc around a center [m]."""
+    to_start, to_end = start - center, end - center
+    radius = float(np.linalg.norm(to_start))
+    across = to_start + to_end
+    length = float(np.linalg.norm(across))
+    if radius == 0.0 or length <= OPPOSITE * radius:
+        raise invalid("path_constraints: start and end are opposite each other: name a point on the way instead")
+    x, y, z = (center + radius / length * across).tolist()
+    return x, y, z
+
+
+def _names_arc(constraints: Message) -> bool:
+    """Tell if a moveit_msgs/Constraints is the point of a circle."""
+    return constraints["name"] in (INTERIM, CENTER)
+
+
+def _allowed_time_s(requested_s: float, parameters: MoveItParameters, warnings: list[str]) -> float:
+    if math.isnan(requested_s):
+        raise invalid("allowed_planning_time must be a number of seconds, not nan")
+    if requested_s > MAX_ALLOWED_PLANNING_TIME_S:
+        warnings.append(
+            f"allowed_planning_time {requested_s:g} s is taken as {MAX_ALLOWED_PLANNING_TIME_S:g} s, the limit"
+        )
+    return min(requested_s, MAX_ALLOWED_PLANNING_TIME_S) if requested_s > 0.0 else parameters.allowed_planning_time
+
+
+def _attempts(requested: int, parameters: MoveItParameters, warnings: list[str]) -> int:
+    if requested > MAX_PLANNING_ATTEMPTS:
+        warnings.append(f"num_planning_attempts {requested} is taken as {MAX_PLANNING_ATTEMPTS}, the limit")
+    return min(requested, MAX_PLANNING_ATTEMPTS) if requested > 0 else parameters.num_planning_attempts
+
+
+def _planner_id(requested: str, parameters: MoveItParameters, warnings: list[str]) -> str:
+    if not requested:
+        return parameters.planner_id
+    name = planner_name(requested)
+    if name is None:
+        instead = planner_name(parameters.planner_id)
+        warnings.append(f"there is no planner {requested!r}: {instead} is used; there are: {', '.join(PLANNER_IDS)}")
+        return parameters.planner_id
+    return name
+
+
+def _pilz_planner(requested: str, warnings: list[str]) -> str:
+    name = requested.upper()
+    if name in PIPELINES[PILZ]:
+        return name
+    if requested:
+        warnings.append(
+            f"there is no planner {requested!r}: {POINT_TO_POINT} is used; there are: {', '.join(PIPELINES[PILZ])}"
+        )
+    return POINT_TO_POINT
+
+
+def _ignored_fields(request: Message, planner: str) -> list[str]:
+    """Describe the fields of a moveit_msgs/MotionPlanRequest that are set and not followed."""
+    ignored = []
+    if request["trajectory_constraints"]["constraints"]:
+        ignored.append("trajectory_constraints is ignored")
+    if request["reference_trajectories"]:
+        ignored.append("reference_trajectories is ignored")
+    if request["max_cartesian_speed"] > 0.0 and planner == POINT_TO_POINT:
+        ignored.append("max_cartesian_speed is ignored: scale the velocity, or plan a path of the tip")
+    return ignored
+
+
+def _tip_speed_m_s(request: Message, context: RequestContext) -> float | None:
+    """Read the greatest speed of the tip [m/s]; None for as fast as the joints allow."""
+    value, link = float(request["max_cartesian_speed"]), request["cartesian_speed_limited_link"]
+    if math.isnan(value):
+        raise invalid("max_cartesian_speed must be a number, not nan")
+    if value <= 0.0:
+        return None
+    if link and link != context.link(request["link_name"]):
+        context.warnings.append(f"max_cartesian_speed is kept by the link that follows the path, not by {link}")
+    return value
+
+
+def _ik_goal(request: Message, context: RequestContext) -> Goal:
+    """Read the poses to reach."""
+    links, poses = request["ik_link_names"], request["pose_stamped_vector"]
+    check_link_count(links, "ik_link_names")
+    if len(poses) > 1 or len(links) > 1:
+        if len(links) != len(poses):
+            raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
+        return _goal_of_links(links, poses, context)
+    link = request["ik_link_name"] or (links[0] if links else "")
+    pose = _stamped_pose(poses[0] if poses else request["pose_stamped"], context)
+    return PoseGoal(
+        context.link(link),
+        pose,
+        LEAST_TOLERANCE_M,
+        (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3,
+        strict=context.chooses_orientation,
+    )
+
+
+def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: RequestContext) -> ConstraintGoal:
+    """Make the goal of several links at once: only their positions if the group has few joints."""
+    placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
+    positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
+    if not context.chooses_orientation:
+        context.warnings.append("the orientations of several links are not heeded")
+        return ConstraintGoal(Constraints(positions=positions))
+    turned = tuple(
+        OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3) for link, pose in placed
+    )
+    return ConstraintGoal(Constraints(positions=positions, orientations=turned))
+
+
+def _stamped_pose(stamped: Message, context: RequestContext) -> Pose:
+    return context.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose")
+
+
+def _timeout_s(duration: Message, parameters: MoveItParameters) -> float:
+    timeout_s = duration["sec"] + duration["nanosec"] / NANOSECONDS_PER_S
+    return min(timeout_s, MAX_KINEMATICS_TIMEOUT_S) if timeout_s > 0.0 else parameters.kinematics_solver_timeout
+
+
+def _invalid_sequence(message: str, **details: Any) -> RefusedError:
+    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)

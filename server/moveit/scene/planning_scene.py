@@ -1,0 +1,532 @@
+"""Contents of a planning scene, and the changes that MoveIt's messages make to them.
+
+Messages are applied to a :class:`SceneDraft`, as in MoveIt's ``PlanningScene``: collision objects, attached collision
+objects, and moveit_msgs/PlanningScene, which has all of them and the scene's settings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import Pose, Scene
+from planners.scene_checks import MAX_LENGTH_M, MAX_SHAPES
+from robot.description.model import RobotModel
+from server.errors import RefusedError
+from server.moveit.requests.error_codes import invalid, refused, required
+from server.moveit.scene.allowed_collision_matrix import (
+    AllowedCollisionMatrix,
+    disabled_collisions,
+    read_allowed_collision_matrix,
+)
+from server.moveit.scene.collision_objects import (
+    ADD,
+    APPEND,
+    GEOMETRY_KINDS,
+    MOVE,
+    REMOVE,
+    AttachedCollisionObject,
+    CollisionObject,
+    Shapes,
+    has_geometry,
+    read_bounded_pose,
+    read_collision_object,
+    read_shape_poses,
+    with_object_pose,
+)
+from server.moveit.scene.frames import LinkTransforms, find_frame, in_root, seen_from
+
+Message = Mapping[str, Any]
+
+# MoveIt's name of a scene without one.
+NO_NAME = "(noname)"
+
+
+@dataclass(frozen=True)
+class SceneContents:
+    """Contents of a planning scene. Objects are compared by identity, which makes comparing scenes quick.
+
+    Attributes:
+        allowed_collisions: pairs that may touch.
+        name: name of the scene.
+        objects: collision objects by name, in the planning frame.
+        attached: attached collision objects by name.
+        padding_m: link -> padding [m]; links that are not in it have none.
+        scale: link -> scale; links that are not in it have 1.
+        colors: link or object -> std_msgs/ColorRGBA.
+        fixed_frames: fixed frame transforms by name, in the root link.
+    """
+
+    allowed_collisions: AllowedCollisionMatrix
+    name: str = NO_NAME
+    objects: Mapping[str, CollisionObject] = field(default_factory=dict)
+    attached: Mapping[str, AttachedCollisionObject] = field(default_factory=dict)
+    padding_m: Mapping[str, float] = field(default_factory=dict)
+    scale: Mapping[str, float] = field(default_factory=dict)
+    colors: Mapping[str, Message] = field(default_factory=dict)
+    fixed_frames: Mapping[str, Pose] = field(default_factory=dict)
+
+    def looks_same(self, other: SceneContents) -> bool:
+        """Compare all that matters to planners."""
+        return (
+            self.objects == other.objects
+            and self.attached == other.attached
+            and self.allowed_collisions == other.allowed_collisions
+            and self.padding_m == other.padding_m
+            and self.scale == other.scale
+        )
+
+    def as_scene(self, version: int, robot: RobotModel) -> Scene:
+        """Return the scene as planners have it.
+
+        Args:
+            version: a number that no other scene has.
+            robot: the arm; its SRDF disables collisions that the matrix does not name.
+        """
+        known = [*robot.links, *self.objects, *self.attached]
+        return Scene(
+            version,
+            tuple(each.scene_object for each in self.objects.values()),
+            tuple(each.attached_object for each in self.attached.values()),
+            self.allowed_collisions.exceptions(disabled_collisions(robot), known),
+            self.padding_m,
+            self.scale,
+        )
+
+
+class SceneDraft:
+    """Scene contents under change.
+
+    Args:
+        contents: the contents to start from; they stay as they are.
+        links: transforms of the links, which do not move meanwhile.
+
+    Attributes:
+        before: the contents to start from; an object of theirs that is only repeated stays the same object.
+        links: as given.
+
+    The other attributes are those of :class:`SceneContents`.
+    """
+
+    def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
+        self.before = contents
+        self.links = links
+        self.allowed_collisions = contents.allowed_collisions
+        self.name = contents.name
+        self.objects: dict[str, CollisionObject] = dict(contents.objects)
+        self.attached: dict[str, AttachedCollisionObject] = dict(contents.attached)
+        self.padding_m: dict[str, float] = dict(contents.padding_m)
+        self.scale: dict[str, float] = dict(contents.scale)
+        self.colors: dict[str, Message] = dict(contents.colors)
+        self.fixed_frames: dict[str, Pose] = dict(contents.fixed_frames)
+
+    @property
+    def root(self) -> str:
+        """The planning frame."""
+        return self.links.root_link
+
+    def contents(self) -> SceneContents:
+        """Return the changed contents."""
+        return SceneContents(
+            self.allowed_collisions,
+            self.name,
+            self.objects,
+            self.attached,
+            self.padding_m,
+            self.scale,
+            self.colors,
+            self.fixed_frames,
+        )
+
+    def is_root(self, frame_id: str) -> bool:
+        """Tell by its name alone if a frame is the planning frame."""
+        return frame_id in ("", self.root)
+
+    def frame(self, frame_id: str) -> Pose:
+        """Return the pose of a frame in the planning frame.
+
+        Raises:
+            RefusedError: the frame is unknown.
+        """
+        return required(find_frame(frame_id, self, self.links))
+
+    def in_planning_frame(self, collision_object: CollisionObject) -> CollisionObject:
+        """Return an object with its pose in the planning frame.
+
+        Raises:
+            RefusedError: the object's frame is unknown.
+        """
+        pose = self.object_pose(collision_object.name, collision_object.frame, collision_object.pose)
+        if collision_object.frame == self.root:
+            return collision_object
+        return replace(collision_object, frame=self.root, pose=pose)
+
+    def object_pose(self, name: str, frame_id: str, pose: Pose) -> Pose:
+        """Transform the pose of an object from a frame into the planning frame.
+
+        Raises:
+            RefusedError: the frame is unknown.
+        """
+        frame = find_frame(frame_id, self, self.links)
+        if isinstance(frame, PlanningFailure):
+            text = f"the object {name!r}, header.frame_id: {frame.message}"
+            raise refused(frame.code, text, **frame.details, object=name)
+        return in_root(frame, pose)
+
+    def clear(self, allowed_collisions: AllowedCollisionMatrix) -> None:
+        """Remove everything but the attached objects.
+
+        Args:
+            allowed_collisions: the matrix to begin with.
+        """
+        self.allowed_collisions, self.objects = allowed_collisions, {}
+        self.padding_m, self.scale, self.colors, self.fixed_frames = {}, {}, {}, {}
+
+    def forget(self, name: str) -> None:
+        """Remove the colour and the matrix entries of an object."""
+        self.colors.pop(name, None)
+        self.allowed_collisions = self.allowed_collisions.without(name)
+
+
+OPERATIONS = {ADD: "ADD", REMOVE: "REMOVE", APPEND: "APPEND", MOVE: "MOVE"}
+
+
+def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> None:
+    """Apply a moveit_msgs/CollisionObject.
+
+    Args:
+        draft: the scene.
+        message: the object.
+        where: path of the field, for errors.
+
+    Raises:
+        RefusedError: it cannot be applied.
+    """
+    name, operation = message["id"], message["operation"]
+    present = draft.objects.get(name)
+    if operation == APPEND and present is not None:
+        draft.objects[name] = appended(draft, present, message, where)
+    elif operation in (ADD, APPEND):
+        _add(draft, message, where)
+    elif operation == MOVE:
+        _move(draft, message, where)
+    elif operation == REMOVE:
+        _remove(draft, name, where)
+    else:
+        known = ", ".join(f"{number} ({word})" for number, word in OPERATIONS.items())
+        raise invalid(f"{where}.operation of {name!r} must be one of {known}, not {operation}", object=name)
+
+
+def appended(draft: SceneDraft, present: CollisionObject, message: Message, where: str) -> CollisionObject:
+    """Return an object with the shapes and subframes of a message appended, at the poses that these have there.
+
+    Args:
+        draft: the scene.
+        present: the object, its pose in any frame.
+        message: moveit_msgs/CollisionObject; its pose need not be that of the object.
+        where: path of the field, for errors.
+
+    Raises:
+        RefusedError: the message cannot be used.
+    """
+    more = draft.in_planning_frame(read_collision_object(message, message["header"]["frame_id"], where))
+    own_pose = draft.in_planning_frame(present).pose
+
+    def moved(pose: Pose) -> Pose:
+        return pose if more.pose == own_pose else seen_from(own_pose, in_root(more.pose, pose))
+
+    before = _shapes_by_kind(present.geometry, present.shapes)
+    added = _shapes_by_kind(more.geometry, tuple((shape, moved(at)) for shape, at in more.shapes))
+    return replace(
+        present,
+        type=more.type if any(more.type.values()) else present.type,
+        geometry={field: [*present.geometry[field], *more.geometry[field]] for field in before},
+        shapes=tuple(each for field in before for each in (*before[field], *added[field])),
+        subframes={**present.subframes, **{name: moved(at) for name, at in more.subframes.items()}},
+    )
+
+
+def _add(draft: SceneDraft, message: Message, where: str) -> None:
+    """Add an object; one that equals the one before the change stays the same object."""
+    frame_id, known = message["header"]["frame_id"], draft.before.objects.get(message["id"])
+    if known is not None and draft.is_root(frame_id) and known.equals_message(message):
+        draft.objects[known.name] = known
+        return
+    added = draft.in_planning_frame(read_collision_object(message, frame_id, where))
+    draft.objects[added.name] = known if known is not None and known.equals(added) else added
+
+
+def _move(draft: SceneDraft, message: Message, where: str) -> None:
+    present = draft.objects.get(message["id"])
+    if present is None:
+        raise _unknown(draft, message["id"], where)
+    shape_poses, frame_id = read_shape_poses(message, where), message["header"]["frame_id"]
+    if not shape_poses and draft.is_root(frame_id) and present.has_pose(message["pose"]):
+        return
+    pose, shapes = read_bounded_pose(message["pose"], f"{where}.pose"), present.shapes
+    if shape_poses:
+        if len(shape_poses) != len(shapes):
+            raise invalid(
+                f"{where}: MOVE gives the poses of {len(shape_poses)} shapes; {present.name!r} has {len(shapes)}",
+                object=present.name,
+            )
+        pose, shapes = with_object_pose(
+            pose, tuple((shape, at) for (shape, _), at in zip(shapes, shape_poses, strict=True))
+        )
+    pose = draft.object_pose(present.name, frame_id, pose)
+    if (pose, shapes) != (present.pose, present.shapes):
+        draft.objects[present.name] = replace(present, pose=pose, shapes=shapes)
+
+
+def _remove(draft: SceneDraft, name: str, where: str) -> None:
+    if name and name not in draft.objects:
+        raise _unknown(draft, name, where)
+    for each in [name] if name else list(draft.objects):
+        del draft.objects[each]
+        draft.forget(each)
+
+
+def _unknown(draft: SceneDraft, name: str, where: str) -> RefusedError:
+    held = draft.attached.get(name)
+    if held is not None:
+        text = f"{where}: the object {name!r} is held by {held.link}; detach it first"
+    else:
+        text = f"{where}: there is no object {name!r} in the scene"
+    return refused(MoveItErrorCode.INVALID_OBJECT_NAME, text, object=name)
+
+
+def _shapes_by_kind(geometry: Mapping[str, Any], shapes: Shapes) -> dict[str, Shapes]:
+    """Sort shapes with their poses by field of the message."""
+    kinds = {}
+    for kind, _, _ in GEOMETRY_KINDS:
+        count = len(geometry[kind])
+        kinds[kind], shapes = shapes[:count], shapes[count:]
+    return kinds
+
+
+def apply_attached_object(draft: SceneDraft, message: Message, where: str) -> None:
+    """Apply a moveit_msgs/AttachedCollisionObject.
+
+    Args:
+        draft: the scene.
+        message: the object and the link that holds it.
+        where: path of the field, for errors.
+
+    Raises:
+        RefusedError: it cannot be applied.
+    """
+    operation, name, link = message["object"]["operation"], message["object"]["id"], message["link_name"]
+    # An object can be detached without naming its link.
+    if link not in draft.links.names and (link or operation != REMOVE):
+        known = ", ".join(draft.links.names)
+        text = f"{where}.link_name of the object {name!r}: there is no link {link!r}; the robot has {known}"
+        raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, object=name, link=link)
+    if operation == REMOVE:
+        _detach(draft, name, link, where)
+    elif operation in (ADD, APPEND):
+        _attach(draft, message, where)
+    else:
+        text = f"{where}.object.operation of {name!r} must be 0 (ADD), 1 (REMOVE) or 2 (APPEND), not {operation}"
+        raise invalid(text, object=name)
+
+
+def _attach(draft: SceneDraft, message: Message, where: str) -> None:
+    """Attach an object to a link; one that equals the one before the change stays the same object."""
+    name = message["object"]["id"]
+    known = draft.before.attached.get(name)
+    if known is None or not known.equals_message(message):
+        attached = _read_attached(draft, message, where)
+        known = known if known is not None and known.equals(attached) else attached
+    draft.objects.pop(name, None)
+    draft.attached[name] = known
+
+
+def _read_attached(draft: SceneDraft, message: Message, where: str) -> AttachedCollisionObject:
+    added, touch_links = message["object"], message["touch_links"]
+    collision_object = _in_link(draft, _object_to_attach(draft, added, f"{where}.object"), message["link_name"])
+    present = draft.attached.get(added["id"])
+    if present is not None and added["operation"] == APPEND:
+        touch_links = [*present.touch_links, *touch_links]
+    unique_links = tuple(dict.fromkeys(touch_links))
+    return AttachedCollisionObject(collision_object, unique_links, message["detach_posture"], message["weight"])
+
+
+def _object_to_attach(draft: SceneDraft, message: Message, where: str) -> CollisionObject:
+    """Return the object in the message, the known one of its name if it has no shape, or both for APPEND."""
+    name = message["id"]
+    known = draft.attached[name].collision_object if name in draft.attached else draft.objects.get(name)
+    if known is not None and message["operation"] == APPEND:
+        return appended(draft, known, message, where)
+    if has_geometry(message):
+        return read_collision_object(message, message["header"]["frame_id"], where)
+    if known is None:
+        text = f"{where}: the object {name!r} has no shape, and there is none of this name in the scene"
+        raise refused(MoveItErrorCode.INVALID_OBJECT_NAME, text, object=name)
+    return known
+
+
+def _in_link(draft: SceneDraft, collision_object: CollisionObject, link: str) -> CollisionObject:
+    """Return an object with its pose in the frame of a link; unchanged, without rounding, if that is its frame."""
+    if collision_object.frame == link:
+        return collision_object
+    pose = seen_from(draft.frame(link), draft.in_planning_frame(collision_object).pose)
+    return replace(collision_object, frame=link, pose=pose)
+
+
+def _detach(draft: SceneDraft, name: str, link: str, where: str) -> None:
+    """Detach one object, or all that a link holds; they stay where they are now."""
+    if name and name not in draft.attached:
+        text = f"{where}.object: no link holds an object {name!r}"
+        raise refused(MoveItErrorCode.INVALID_OBJECT_NAME, text, object=name)
+    for held in [draft.attached[name]] if name else list(draft.attached.values()):
+        if link in ("", held.link):
+            detached = draft.in_planning_frame(held.collision_object)
+            del draft.attached[detached.name]
+            draft.objects[detached.name] = detached
+        elif name:
+            text = f"{where}.link_name: the object {name!r} is held by {held.link}, not by {link!r}"
+            raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, object=name, link=link)
+
+
+# Colours and frames can be set for objects that do not exist yet, so the limit on shapes does not bound them.
+MAX_COLORS = 2000
+MAX_FIXED_FRAMES = 1000
+
+# Padding and scale of links that no message has named.
+NO_PADDING_M = 0.0
+NO_SCALE = 1.0
+
+# Fields that a moveit_msgs/PlanningScene made by the server itself may leave out.
+EMPTY_DIFF: Message = {
+    "name": "",
+    "robot_model_name": "",
+    "fixed_frame_transforms": (),
+    "robot_state": {"is_diff": True, "attached_collision_objects": ()},
+    "allowed_collision_matrix": {"entry_names": (), "default_entry_names": ()},
+    "link_padding": (),
+    "link_scale": (),
+    "object_colors": (),
+    "world": {"collision_objects": (), "octomap": {"octomap": {"data": ()}}},
+}
+
+
+def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: AllowedCollisionMatrix) -> None:
+    """Apply a moveit_msgs/PlanningScene, in MoveIt's order: attached objects before those of the world.
+
+    Args:
+        draft: the scene.
+        message: a scene diff, or a whole scene that replaces the present one; fields may be left out.
+        srdf_matrix: the matrix for a whole scene that has none.
+
+    Raises:
+        RefusedError: it cannot be applied.
+    """
+    scene = {**EMPTY_DIFF, **message}
+    if not scene["is_diff"]:
+        draft.clear(srdf_matrix)
+    if scene["name"]:
+        draft.name = scene["name"]
+    _apply_fixed_frames(draft, scene["fixed_frame_transforms"])
+    _apply_attached_objects(draft, scene["robot_state"], whole=not scene["is_diff"])
+    _apply_matrix(draft, scene["allowed_collision_matrix"])
+    paddings = [(entry["link_name"], entry["padding"]) for entry in scene["link_padding"]]
+    _apply_link_values(draft, draft.padding_m, paddings, NO_PADDING_M)
+    scales = [(entry["link_name"], entry["scale"]) for entry in scene["link_scale"]]
+    _apply_link_values(draft, draft.scale, scales, NO_SCALE)
+    _apply_colors(draft, scene["object_colors"])
+    apply_world(draft, scene["world"], "world")
+
+
+def apply_world(draft: SceneDraft, world: Message, where: str) -> None:
+    """Apply a moveit_msgs/PlanningSceneWorld.
+
+    Args:
+        draft: the scene.
+        world: the message.
+        where: path of the field, for errors.
+
+    Raises:
+        RefusedError: it cannot be applied.
+    """
+    if world["octomap"]["octomap"]["data"]:
+        text = f"{where}.octomap must be empty: contacts with an octomap are not checked; give boxes or a mesh instead"
+        raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, text, field=f"{where}.octomap")
+    objects = world["collision_objects"]
+    _check_shape_count(objects, where)
+    for i, each in enumerate(objects):
+        apply_collision_object(draft, each, f"{where}.collision_objects[{i}]")
+
+
+def _apply_attached_objects(draft: SceneDraft, robot_state: Message, *, whole: bool) -> None:
+    """Apply the attached objects of a moveit_msgs/RobotState; one that is no diff detaches all others.
+
+    A state that is no diff, without joints and objects, is a field that the client has left out: it changes nothing.
+    """
+    attached = robot_state["attached_collision_objects"]
+    # A state without joint_state is made in the server, for the attached objects alone.
+    is_given = whole or attached or "joint_state" not in robot_state or robot_state["joint_state"]["name"]
+    if is_given and not robot_state["is_diff"]:
+        listed = {each["object"]["id"] for each in attached}
+        draft.attached = {name: held for name, held in draft.attached.items() if name in listed}
+    _check_shape_count([each["object"] for each in attached], "robot_state")
+    for i, each in enumerate(attached):
+        apply_attached_object(draft, each, f"robot_state.attached_collision_objects[{i}]")
+
+
+def _check_shape_count(objects: Sequence[Message], where: str) -> None:
+    """Reject more shapes than a scene holds before any is read: reading a mesh takes time and memory."""
+    count = sum(len(each[field]) for each in objects for field, _, _ in GEOMETRY_KINDS)
+    if count > MAX_SHAPES:
+        raise invalid(f"{where} brings {count} shapes; a scene holds {MAX_SHAPES}", shapes=count, limit=MAX_SHAPES)
+
+
+def _apply_matrix(draft: SceneDraft, message: Message) -> None:
+    """Replace the matrix; one without names is a field that the client has left out."""
+    if (message["entry_names"] or message["default_entry_names"]) and message != draft.allowed_collisions.message:
+        draft.allowed_collisions = read_allowed_collision_matrix(message, "allowed_collision_matrix")
+
+
+def _apply_link_values(
+    draft: SceneDraft, values: dict[str, float], changes: Sequence[tuple[str, float]], default: float
+) -> None:
+    """Set padding or scale of links; default values are not kept, so that equal scenes compare equal."""
+    field = "link_padding" if default == NO_PADDING_M else "link_scale"
+    for link, value in changes:
+        if link not in draft.links.names:
+            text = f"{field}: there is no link {link!r}; the robot has {', '.join(draft.links.names)}"
+            raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, link=link)
+        if not (math.isfinite(value) and 0.0 <= value <= MAX_LENGTH_M) or (default == NO_SCALE and value == 0.0):
+            lowest = "at least" if default == NO_PADDING_M else "above"
+            raise invalid(f"{field} of {link!r} must be {lowest} 0, up to {MAX_LENGTH_M:g}, not {value:g}", link=link)
+        values.pop(link, None)
+        if value != default:
+            values[link] = value
+
+
+def _apply_colors(draft: SceneDraft, messages: Sequence[Message]) -> None:
+    for i, entry in enumerate(messages):
+        if not all(math.isfinite(value) for value in entry["color"].values()):
+            raise invalid(f"object_colors[{i}].color of {entry['id']!r} is not finite: {entry['color']}")
+        draft.colors[entry["id"]] = entry["color"]
+    if len(draft.colors) > MAX_COLORS:
+        raise invalid(f"object_colors would name {len(draft.colors)} objects, more than {MAX_COLORS}")
+
+
+def _apply_fixed_frames(draft: SceneDraft, messages: Sequence[Message]) -> None:
+    """Set fixed frames, given in the planning frame; an entry for the planning frame itself is ignored."""
+    for i, entry in enumerate(messages):
+        where = f"fixed_frame_transforms[{i}]"
+        name, frame_id = entry["child_frame_id"].removeprefix("/"), entry["header"]["frame_id"]
+        if draft.is_root(name):
+            continue
+        if not draft.is_root(frame_id.removeprefix("/")):
+            text = f"{where}.header.frame_id must be the planning frame {draft.root!r}, not {frame_id!r}"
+            raise refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, text, frame=frame_id)
+        transform = entry["transform"]
+        pose = {"position": transform["translation"], "orientation": transform["rotation"]}
+        draft.fixed_frames[name] = read_bounded_pose(pose, f"{where}.transform")
+    if len(draft.fixed_frames) > MAX_FIXED_FRAMES:
+        raise invalid(f"there would be {len(draft.fixed_frames)} fixed frames, more than {MAX_FIXED_FRAMES}")

@@ -1,0 +1,260 @@
+"""``/compute_cartesian_path``: paths of the tip along straight lines.
+
+MoveIt's jump thresholds bound the motion of the joints between points a step apart. The planners' paths have no gaps,
+so a jump found here is no flip between two points but a place where joints race, as near a singularity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
+from planners.scene import Pose, Scene
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.trajectory import Trajectory, Vector
+from server.graph.node import Node
+from server.moveit.current_state import state_message
+from server.moveit.poses import pose_of
+from server.moveit.requests.context import Message
+from server.moveit.requests.error_codes import deviation_note, failure_code, invalid, required, success
+from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.trajectories import to_message
+
+# MoveIt's clients take a path with at least this fraction for complete.
+COMPLETE_FRACTION = 0.99
+
+# Steps up to this exceed no factor: a flip of an elbow or a wrist is larger, and at the start of a path five joints
+# that turn towards the requested orientation move far more than the mean.
+LEAST_JUMP_RAD = 1.0
+
+# Between samples the tip moves less than a usual step.
+SAMPLE_S = 0.02
+
+# Forward kinematics take some 0.1 ms; a slow path is sampled less often.
+MAX_SAMPLES = 500
+
+# Between quaternions with a cosine above this the rotation has no axis.
+ALIKE = 1.0 - 1e-9
+
+
+async def compute_cartesian_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Plan a path of the tip through waypoints; returns the response of moveit_msgs/GetCartesianPath.
+
+    If only a part of the path can be followed, the response has that part, its fraction, and the code of the obstacle.
+
+    Raises:
+        RefusedError: the request cannot be used, or not even a part of the path can be followed.
+    """
+    start = context.start(request["start_state"], caller)
+    built, thresholds = context.problems.cartesian_path(request, start.start_rad), _read_thresholds(request)
+    plan = required(await context.pool.ask(built.problem, start.scene))
+    if thresholds.any:
+        plan = await _without_jumps(plan, built.problem, thresholds, start.scene, context)
+    context.display.planned((plan.trajectory,), start.start_rad)
+    if plan.stopped_by is not None:
+        context.display.contacts_of(plan.stopped_by.details)
+    root = context.robot.root_link
+    return {
+        "start_state": state_message(dict(start.start_rad), root, 0.0),
+        "solution": to_message(plan.trajectory, root),
+        "fraction": plan.fraction,
+        "error_code": _code(plan, (*start.warnings, *built.warnings)),
+    }
+
+
+def _code(plan: CartesianPlan, notes: tuple[str, ...]) -> dict[str, Any]:
+    if plan.stopped_by is not None and plan.fraction < COMPLETE_FRACTION:
+        return failure_code(plan.stopped_by)
+    reason = "" if plan.stopped_by is None else plan.stopped_by.message
+    return success(*notes, reason, deviation_note(plan.deviation))
+
+
+async def _without_jumps(
+    plan: CartesianPlan, problem: CartesianProblem, thresholds: JumpThresholds, scene: Scene, context: PlanningContext
+) -> CartesianPlan:
+    """Return the plan of the part before the first jump; the same plan if there is no jump.
+
+    Raises:
+        RefusedError: the part cannot be planned on its own.
+    """
+    tip = context.forward, problem.link
+    jump = first_jump(plan.trajectory, tip, problem.start_rad, problem.max_step_m, thresholds)
+    if jump is None:
+        return plan
+    start = pose_of(context.forward.transforms(problem.start_rad)[problem.link])
+    lines = [segment for segment in problem.segments if isinstance(segment, Line)]
+    whole_m = length_m(start, lines)
+    part = replace(problem, segments=cut_lines(start, lines, jump.along_m))
+    plan = required(await context.pool.ask(part, scene))
+    # The part itself may be followed only partly.
+    stopped_by = plan.stopped_by or _stopped_by(jump, problem.max_step_m, whole_m)
+    return replace(plan, fraction=plan.fraction * jump.along_m / whole_m, stopped_by=stopped_by)
+
+
+def _stopped_by(jump: Jump, step_m: float, whole_m: float) -> PlanningFailure:
+    return PlanningFailure(
+        MoveItErrorCode.PLANNING_FAILED,
+        f"the path can be followed for {100.0 * jump.along_m:.1f} of {100.0 * whole_m:.1f} cm: joint {jump.joint!r}"
+        f" would jump by {jump.step_rad:.3g} rad in the next step of {1000.0 * step_m:g} mm"
+        f" (threshold {jump.limit_rad:.3g} rad)",
+        asdict(jump),
+    )
+
+
+def _read_thresholds(request: Message) -> JumpThresholds:
+    return JumpThresholds(_threshold(request, "revolute_jump_threshold"), _threshold(request, "jump_threshold"))
+
+
+def _threshold(request: Message, field: str) -> float:
+    """Read a threshold, 0 for none; as in MoveIt, one below 0 is none."""
+    value = float(request[field])
+    if not math.isfinite(value):
+        raise invalid(f"{field} must be a finite number, not {value}")
+    return max(0.0, value)
+
+
+@dataclass(frozen=True)
+class JumpThresholds:
+    """Thresholds beyond which a step is a jump.
+
+    Attributes:
+        step_rad: greatest step of any joint; 0 for none [rad].
+        factor: greatest step as a multiple of the mean step; 0 for none.
+    """
+
+    step_rad: float
+    factor: float
+
+    @property
+    def any(self) -> bool:
+        """True if there is a threshold."""
+        return self.step_rad > 0.0 or self.factor > 0.0
+
+    def limit_rad(self, steps_rad: Vector) -> float:
+        """Return the greatest step that is no jump, from the greatest joint step at each place, shape (n,) [rad]."""
+        limits = [np.inf]
+        if self.step_rad > 0.0:
+            limits.append(self.step_rad)
+        if self.factor > 0.0:
+            limits.append(max(self.factor * float(np.mean(steps_rad)), LEAST_JUMP_RAD))
+        return min(limits)
+
+
+@dataclass(frozen=True)
+class Jump:
+    """First step beyond the thresholds.
+
+    Attributes:
+        along_m: length of the tip's path before it [m].
+        joint: the joint that jumps.
+        step_rad: size of the step [rad].
+        limit_rad: greatest size that is no jump [rad].
+    """
+
+    along_m: float
+    joint: str
+    step_rad: float
+    limit_rad: float
+
+
+def first_jump(
+    motion: Trajectory,
+    tip: tuple[ForwardPlacements, str],
+    others_rad: Mapping[str, float],
+    step_m: float,
+    thresholds: JumpThresholds,
+) -> Jump | None:
+    """Find the first jump on a path; None if there is none.
+
+    Args:
+        motion: the motion along the path.
+        tip: forward kinematics, and the link that follows the path.
+        others_rad: position of every movable joint; those of the motion's joints are not used [rad].
+        step_m: length of a step of the tip [m].
+        thresholds: the thresholds.
+    """
+    configurations = _sampled(motion)
+    along_m = _along_m(configurations, motion.joint_names, tip, others_rad)
+    places_m = np.append(np.arange(0.0, along_m[-1], step_m), along_m[-1])
+    at = np.column_stack([np.interp(places_m, along_m, column) for column in configurations.T])
+    steps = np.abs(np.diff(at, axis=0))
+    greatest = steps.max(axis=1, initial=0.0)
+    if not greatest.size:
+        return None
+    limit_rad = thresholds.limit_rad(greatest)
+    beyond = np.flatnonzero(greatest > limit_rad)
+    if not beyond.size:
+        return None
+    first = int(beyond[0])
+    joint = int(np.argmax(steps[first]))
+    return Jump(float(places_m[first]), motion.joint_names[joint], float(steps[first, joint]), limit_rad)
+
+
+def _sampled(motion: Trajectory) -> Vector:
+    """Sample configurations of a motion, shape (n, joints) [rad]."""
+    count = min(max(2, int(np.ceil(motion.duration_s / SAMPLE_S)) + 1), MAX_SAMPLES)
+    return np.array([motion.sample(float(time_s))[0] for time_s in np.linspace(0.0, motion.duration_s, count)])
+
+
+def _along_m(
+    configurations: Vector,
+    joint_names: tuple[str, ...],
+    tip: tuple[ForwardPlacements, str],
+    others_rad: Mapping[str, float],
+) -> Vector:
+    """Compute the length of the tip's path up to each configuration, shape (n,) [m]."""
+    forward, link = tip
+    positions = [{**others_rad, **dict(zip(joint_names, q, strict=True))} for q in configurations.tolist()]
+    places_m = np.array([forward.transforms(one)[link][:3, 3] for one in positions])
+    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(places_m, axis=0), axis=1))))
+
+
+def length_m(start: Pose, lines: Sequence[Line]) -> float:
+    """Compute the length of a path of straight lines [m]."""
+    points = np.array([start.position_m, *(line.end.position_m for line in lines)])
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def cut_lines(start: Pose, lines: Sequence[Line], along_m: float) -> tuple[Line, ...]:
+    """Cut a path of straight lines off at a length.
+
+    Args:
+        start: pose at the start of the first line.
+        lines: the path.
+        along_m: the length to keep [m].
+    """
+    kept: list[Line] = []
+    before, left_m = start, along_m
+    for line in lines:
+        this_m = length_m(before, [line])
+        if left_m <= this_m:
+            share = left_m / this_m if this_m > 0.0 else 1.0
+            return (*kept, Line(_between(before, line.end, share)))
+        kept.append(line)
+        before, left_m = line.end, left_m - this_m
+    return tuple(kept)
+
+
+def _between(first: Pose, second: Pose, share: float) -> Pose:
+    a, b = np.array(first.position_m), np.array(second.position_m)
+    x, y, z = (a + share * (b - a)).tolist()
+    turned = _slerp(np.array(first.orientation), np.array(second.orientation), share)
+    qx, qy, qz, qw = turned.tolist()
+    return Pose((x, y, z), (qx, qy, qz, qw))
+
+
+def _slerp(first: Vector, second: Vector, share: float) -> Vector:
+    """Interpolate two unit quaternions on the shorter arc."""
+    cosine = float(first @ second)
+    if cosine < 0.0:
+        second, cosine = -second, -cosine
+    if cosine > ALIKE:
+        return second
+    angle = float(np.arccos(cosine))
+    turned: Vector = (np.sin((1.0 - share) * angle) * first + np.sin(share * angle) * second) / np.sin(angle)
+    return turned

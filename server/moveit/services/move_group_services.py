@@ -1,0 +1,263 @@
+"""Services of MoveIt's move_group: the list of all, and those that plan motions or describe planners and groups.
+
+Their functions raise RefusedError. Here it is caught, logged and written into the response.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import xml.etree.ElementTree as ET
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure
+from robot.description.model import Group, RobotModel
+from server.errors import RefusedError, ServiceError
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph
+from server.moveit.current_state import state_message
+from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S
+from server.moveit.planner_parameters import KNOWN_KEYS
+from server.moveit.requests.context import Message
+from server.moveit.requests.error_codes import deviation_note, failure_code, success
+from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_problems import OMPL, PILZ, PIPELINES, check_pipeline, sequence_requests
+from server.moveit.requests.trajectories import to_message
+from server.moveit.services.cartesian_path import compute_cartesian_path
+from server.moveit.services.kinematics import check_state_validity, compute_fk, compute_ik
+from server.moveit.step_planning import plan_steps
+
+log = logging.getLogger("armbridge.moveit")
+
+# Computes the response to a request of a client.
+Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
+
+# Twice the planners' own deadline: a request may wait for another one first.
+TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
+
+# Names that MoveIt's planning plugins have.
+INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
+
+
+async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Plan a motion; returns the response of moveit_msgs/GetMotionPlan.
+
+    Raises:
+        RefusedError: there is no such motion, or the request cannot be used.
+    """
+    plan_request = request["motion_plan_request"]
+    start = context.start(plan_request["start_state"], caller)
+    built = context.problems.motion_plan(plan_request, start.start_rad)
+    plan = await context.pool.ask(built.problem, start.scene)
+    if isinstance(plan, PlanningFailure):
+        raise RefusedError(plan)
+    if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
+        raise RefusedError(plan.stopped_by)
+    context.display.planned((plan.trajectory,), start.start_rad)
+    root = context.robot.root_link
+    response = {
+        "trajectory_start": state_message(dict(start.start_rad), root, 0.0),
+        "group_name": built.problem.group,
+        "trajectory": to_message(plan.trajectory, root),
+        "planning_time": plan.planning_time_s,
+        "error_code": success(*start.warnings, *built.warnings, deviation_note(plan.deviation)),
+    }
+    context.display.pipeline(plan_request, response)
+    return {"motion_plan_response": response}
+
+
+async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Plan a sequence of motions; returns the response of moveit_msgs/GetMotionSequence.
+
+    If an item cannot be planned, the response has the motions of the items before it, and the item's error code.
+
+    Raises:
+        RefusedError: a sequence or a start state that cannot be used.
+    """
+    requests = sequence_requests(request["request"])
+    steps = [context.problems.step(item) for item in requests]
+    start = context.start(requests[0]["start_state"], caller)
+    planned = await plan_steps(steps, start.start_rad, start.scene, context.pool.ask)
+    root, performed, failure = context.robot.root_link, planned.performed, planned.failure
+    context.display.planned(performed.planned, start.start_rad)
+    return {
+        "response": {
+            "error_code": success(*start.warnings, *planned.notes) if failure is None else failure_code(failure),
+            "sequence_start": state_message(dict(start.start_rad), root, 0.0),
+            "planned_trajectories": [to_message(motion, root) for motion in performed.planned],
+            "planning_time": performed.planning_time_s,
+        }
+    }
+
+
+def query_planner_interface(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """List the planners; returns the response of moveit_msgs/QueryPlannerInterfaces."""
+    interfaces = [
+        {"name": INTERFACE_NAMES[pipeline], "pipeline_id": pipeline, "planner_ids": list(planners)}
+        for pipeline, planners in PIPELINES.items()
+    ]
+    return {"planner_interfaces": interfaces}
+
+
+def get_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """Look parameters of a planner up; returns the response of moveit_msgs/GetPlannerParams.
+
+    Raises:
+        RefusedError: there is no such pipeline or group.
+    """
+    _check_planner(context, request)
+    texts = context.parameters.texts(request["group"], request["planner_config"])
+    descriptions = ["" if key in KNOWN_KEYS else "kept, changes nothing" for key in texts]
+    return {"params": {"keys": list(texts), "values": list(texts.values()), "descriptions": descriptions}}
+
+
+def set_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """Set parameters of a planner; returns the empty response of moveit_msgs/SetPlannerParams.
+
+    Raises:
+        RefusedError: there is no such pipeline or group.
+        ServiceError: a value that cannot be used.
+    """
+    _check_planner(context, request)
+    keys, values = request["params"]["keys"], request["params"]["values"]
+    if len(keys) != len(values):
+        raise ServiceError(f"params.keys has {len(keys)} entries and params.values {len(values)}")
+    replace = request["replace"]
+    context.parameters.set(
+        request["group"], request["planner_config"], dict(zip(keys, values, strict=True)), replace=replace
+    )
+    return {}
+
+
+def _check_planner(context: PlanningContext, request: Message) -> None:
+    check_pipeline(request["pipeline_id"])
+    if request["group"]:
+        context.problems.group(request["group"])
+
+
+def get_urdf(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
+    """Write the URDF of a planning group; returns the response of moveit_msgs/GetGroupUrdf.
+
+    Raises:
+        RefusedError: there is no such group.
+    """
+    group = context.problems.group(request["group_name"])
+    return {"error_code": success(), "urdf_string": group_urdf(context.robot, group)}
+
+
+def group_urdf(robot: RobotModel, group: Group) -> str:
+    """Write the links and joints from a group's base to its tip as a URDF of their own."""
+    by_child = {joint.child: joint for joint in robot.joints.values()}
+    links, joints = {group.base_link}, set()
+    for name in group.joints:
+        joints.add(name)
+        links |= {robot.joints[name].parent, robot.joints[name].child}
+    link = group.tip_link
+    while link != group.base_link and link in by_child:
+        joints.add(by_child[link].name)
+        links.add(link)
+        link = by_child[link].parent
+    # The server's own file, parsed once before: no hostile XML.
+    whole = ET.fromstring(robot.urdf)  # noqa: S314
+    part = ET.Element("robot", {"name": group.name})
+    for element in whole:
+        kept = {"link": links, "joint": joints}.get(element.tag)
+        if kept is None or element.get("name") in kept:
+            part.append(element)
+    return ET.tostring(part, encoding="unicode")
+
+
+def error_response(failure: PlanningFailure) -> dict[str, Any]:
+    """Write a response with nothing but an error code."""
+    return {"error_code": failure_code(failure)}
+
+
+def fail_call(failure: PlanningFailure) -> dict[str, Any]:
+    """Make the call fail, for responses without a field for the reason.
+
+    Raises:
+        ServiceError: always.
+    """
+    raise ServiceError(failure.message)
+
+
+@dataclass(frozen=True)
+class MoveGroupService:
+    """Service of move_group.
+
+    Attributes:
+        type_name: its type.
+        handler: computes the response; raises RefusedError.
+        rejection: writes the response to a request that was rejected.
+    """
+
+    type_name: str
+    handler: Handler
+    rejection: Callable[[PlanningFailure], dict[str, Any]] = error_response
+
+
+SERVICES: Mapping[str, MoveGroupService] = {
+    "/plan_kinematic_path": MoveGroupService(
+        "moveit_msgs/srv/GetMotionPlan",
+        plan_kinematic_path,
+        lambda failure: {"motion_plan_response": error_response(failure)},
+    ),
+    "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
+    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk),
+    "/compute_cartesian_path": MoveGroupService("moveit_msgs/srv/GetCartesianPath", compute_cartesian_path),
+    # The response has no error code; the log has the reason.
+    "/check_state_validity": MoveGroupService(
+        "moveit_msgs/srv/GetStateValidity", check_state_validity, lambda _failure: {"valid": False}
+    ),
+    "/plan_sequence_path": MoveGroupService(
+        "moveit_msgs/srv/GetMotionSequence", plan_sequence_path, lambda failure: {"response": error_response(failure)}
+    ),
+    "/query_planner_interface": MoveGroupService(
+        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call
+    ),
+    "/get_planner_params": MoveGroupService("moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call),
+    "/set_planner_params": MoveGroupService("moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call),
+    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf),
+}
+
+
+def offer_services(graph: Graph, context: PlanningContext) -> None:
+    """Offer all services of move_group.
+
+    Args:
+        graph: where they are.
+        context: all that they plan with.
+    """
+    node = Node("moveit services")
+    for name, service in SERVICES.items():
+        graph.services.offer_calls(node, name, service.type_name, _start_call(service, context), TIMEOUT_S)
+
+
+def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:
+    return lambda call: answer(call, lambda request: _respond(service, context, call, request))
+
+
+async def _respond(service: MoveGroupService, context: PlanningContext, call: Call, request: Message) -> dict[str, Any]:
+    try:
+        handled = service.handler(context, request, call.caller)
+        response = await handled if inspect.isawaitable(handled) else handled
+    except RefusedError as error:
+        failure = error.failure
+        log.warning("%s: %s: %s", call.service, failure.code.name, failure.message)
+        context.display.contacts_of(failure.details)
+        return service.rejection(failure)
+    _log_error_message(call.service, response)
+    return response
+
+
+def _log_error_message(service: str, response: Mapping[str, Any]) -> None:
+    """Log the message of a response's error code, which ROS 1 has no field for."""
+    inner = next((response[name] for name in ("motion_plan_response", "response") if name in response), response)
+    code = inner.get("error_code")
+    if code is not None and code["message"]:
+        name = MoveItErrorCode(code["val"]).name
+        level = logging.INFO if code["val"] == MoveItErrorCode.SUCCESS else logging.WARNING
+        log.log(level, "%s: %s: %s", service, name, code["message"])

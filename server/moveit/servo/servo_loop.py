@@ -1,0 +1,331 @@
+"""Servo loop of MoveIt Servo: from messages of commands to velocities of the joints, many times a second."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from planners.problem import PlanningFailure
+from planners.scene import Point, Pose
+from planners.servo.question import (
+    Anchor,
+    JointVelocities,
+    ServoAnswer,
+    ServoCommand,
+    ServoLimits,
+    ServoQuestion,
+    ServoStatus,
+    TipTarget,
+    TipTwist,
+)
+from robot.arm import Arm, ArmStream
+from robot.trajectory import Vector
+from server.errors import RefusedError
+from server.moveit.poses import composed, matrix_of, read_pose
+from server.moveit.requests.error_codes import invalid, required
+from server.moveit.servo.parameters import ServoParameters
+
+log = logging.getLogger("armbridge.servo")
+
+Message: TypeAlias = Mapping[str, Any]
+Positions: TypeAlias = Mapping[str, float]
+
+# Returns the pose of a frame in the root link, for positions of the joints [rad].
+Resolve: TypeAlias = Callable[[str, Positions], Pose | PlanningFailure]
+
+# Has the planners answer a question.
+Ask: TypeAlias = Callable[[ServoQuestion], Awaitable[ServoAnswer | PlanningFailure]]
+
+# Publishes a status with its message.
+PublishStatus: TypeAlias = Callable[[ServoStatus, str], None]
+
+UNITLESS = "unitless"
+
+# Sticks are not calibrated exactly.
+UNITLESS_TOLERANCE = 1e-3
+
+# Two ticks of the arm, from reading its setpoint to the planners' answer reaching it.
+LEAD_S = 0.02
+
+# An arm at rest is released after this time, which is longer than a stick takes to pass its center.
+REST_S = 0.3
+RESTING_RAD_S = 0.02
+
+
+@dataclass(frozen=True)
+class TwistCommand:
+    """Twist in a frame that may move with the arm; [m/s], [rad/s]."""
+
+    linear_m_s: Point
+    angular_rad_s: Point
+    frame_id: str
+
+
+# MoveIt Servo's name for any of its commands.
+ServoInput: TypeAlias = TwistCommand | JointVelocities | TipTarget
+
+
+@dataclass(frozen=True)
+class ServoSetup:
+    """Setup of a servo loop.
+
+    Attributes:
+        group: the planning group.
+        joints: its joints.
+        link: its tip.
+        limits: limits of the motion.
+        period_s: time between two setpoints [s].
+        timeout_s: time after which a command expires [s].
+    """
+
+    group: str
+    joints: tuple[str, ...]
+    link: str
+    limits: ServoLimits
+    period_s: float
+    timeout_s: float
+
+
+def read_twist(message: Message, parameters: ServoParameters) -> TwistCommand:
+    """Read a geometry_msgs/TwistStamped.
+
+    Raises:
+        RefusedError: a number that cannot be used.
+    """
+    linear = _scaled_vector(message, "linear", parameters.linear_scale, parameters)
+    angular = _scaled_vector(message, "angular", parameters.rotational_scale, parameters)
+    return TwistCommand(linear, angular, message["header"]["frame_id"])
+
+
+def read_joint_jog(message: Message, joints: Sequence[str], parameters: ServoParameters) -> JointVelocities:
+    """Read a control_msgs/JointJog.
+
+    Args:
+        message: the message; its displacements are not followed.
+        joints: joints of the group.
+        parameters: scale of the velocities.
+
+    Raises:
+        RefusedError: a joint or a number that cannot be used.
+    """
+    names, velocities = message["joint_names"], message["velocities"]
+    if len(names) != len(velocities) or not names:
+        also = "; displacements are not followed" if message["displacements"] else ""
+        text = f"velocities has {len(velocities)} values for {len(names)} joint_names{also}"
+        raise invalid(text, field="velocities")
+    for name in names:
+        if name not in joints:
+            text = f"joint_names has {name!r}; joints that can be steered: {', '.join(joints)}"
+            raise invalid(text, field="joint_names")
+    if len(set(names)) < len(names):
+        raise invalid(f"joint_names has a joint twice: {', '.join(names)}", field="joint_names")
+    values = {f"velocities of {name}": float(value) for name, value in zip(names, velocities, strict=True)}
+    return JointVelocities(dict(zip(names, _scaled(values, parameters.joint_scale, parameters), strict=True)))
+
+
+def read_pose_target(message: Message, resolve: Resolve, positions_rad: Positions) -> TipTarget:
+    """Read a geometry_msgs/PoseStamped; a frame that moves with the arm is taken where it is now.
+
+    Args:
+        message: the message.
+        resolve: look-up of frames.
+        positions_rad: commanded position of every movable joint [rad].
+
+    Raises:
+        RefusedError: a pose that is not finite, or an unknown frame.
+    """
+    pose = required(read_pose(message["pose"], "pose"))
+    return TipTarget(composed(required(resolve(message["header"]["frame_id"], positions_rad)), pose))
+
+
+def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Positions) -> ServoCommand:
+    """Transform a command into the root link, as planners take it; a twist turns with its frame.
+
+    Args:
+        command: the command.
+        resolve: look-up of frames.
+        positions_rad: commanded position of every movable joint [rad].
+
+    Raises:
+        RefusedError: an unknown frame.
+    """
+    if not isinstance(command, TwistCommand):
+        return command
+    frame = required(resolve(command.frame_id, positions_rad))
+    rotation = matrix_of(frame)[:3, :3]
+    return TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
+
+
+def halt_command(command: ServoCommand) -> ServoCommand:
+    """Return the command that follows an expired one: after a twist the tip is held, otherwise the joints."""
+    return TipTwist() if isinstance(command, TipTwist) else JointVelocities({})
+
+
+def _rotated(rotation: Vector, vector: Point) -> Point:
+    x, y, z = (rotation @ np.array(vector)).tolist()
+    return x, y, z
+
+
+def _scaled_vector(message: Message, part: str, scale: float, parameters: ServoParameters) -> Point:
+    values = {f"twist.{part}.{axis}": float(message["twist"][part][axis]) for axis in "xyz"}
+    x, y, z = _scaled(values, scale, parameters)
+    return x, y, z
+
+
+def _scaled(values: Mapping[str, float], scale: float, parameters: ServoParameters) -> list[float]:
+    """Scale values to speeds; their names are for errors."""
+    unitless = parameters.command_in_type == UNITLESS
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise invalid(f"{name} must be a finite number, not {value}", field=name)
+        if unitless and abs(value) > 1.0 + UNITLESS_TOLERANCE:
+            raise invalid(f"{name} must be -1 to 1, a share of {scale:g} a second, not {value:g}", field=name)
+    return [value * scale if unitless else value for value in values.values()]
+
+
+class ServoSession:
+    """Servo loop of one group of joints. It controls the arm from a command until the arm has come to rest.
+
+    Args:
+        arm: the arm.
+        setup: setup of the loop.
+        ask: the planners.
+        resolve: look-up of frames.
+        publish_status: called after every step.
+        interrupted: called with the reason when somebody else has stopped the arm.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        setup: ServoSetup,
+        ask: Ask,
+        resolve: Resolve,
+        publish_status: PublishStatus,
+        interrupted: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._arm = arm
+        self._setup = setup
+        self._ask, self._resolve = ask, resolve
+        self._publish_status, self._interrupted = publish_status, interrupted
+        self._clock = clock
+        self._input: ServoInput = JointVelocities({})
+        self._received_at_s = -math.inf
+        self._task: asyncio.Task[None] | None = None
+        self._stream: ArmStream | None = None
+        self._released = False
+
+    def positions_rad(self) -> dict[str, float]:
+        """Return the commanded position of every movable joint [rad]."""
+        state = self._arm.state
+        if state.goal_rad is None:
+            return {}
+        positions = dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
+        commanded = self._stream.commanded if self._stream is not None else None
+        if commanded is not None:
+            ahead = commanded.position_rad + LEAD_S * commanded.velocity_rad_s
+            positions |= dict(zip(self._setup.joints, ahead.tolist(), strict=True))
+        return positions
+
+    def set_command(self, command: ServoInput) -> None:
+        """Follow a command; the loop starts if it is not running."""
+        self._input, self._received_at_s = command, self._clock()
+        if self._task is None:
+            self._task = asyncio.create_task(self._run(), name="servo")
+
+    def release(self) -> None:
+        """Drop the command, bring the arm to rest and end the loop."""
+        self._received_at_s = -math.inf
+        if self._stream is not None:
+            self._released = True
+            self._arm.stop(self._stream.ended)
+
+    async def close(self) -> None:
+        """End the loop at once; the arm comes to rest by itself."""
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+
+    async def _run(self) -> None:
+        self._released = False
+        self._stream = self._arm.stream(self._setup.joints)
+        try:
+            await self._follow_commands(self._stream)
+            ended = self._stream.ended.result()
+        except Exception:  # a bug must not leave the arm under the control of a loop that has ended
+            log.exception("steering failed")
+            self.release()
+            self._publish_status(ServoStatus.INVALID, "steering failed inside the server")
+            return
+        finally:
+            self._stream = self._task = None
+        if self._released:
+            self._publish_status(ServoStatus.NO_WARNING, "")
+            return
+        self._publish_status(ServoStatus.INVALID, f"steering was ended: {ended.message}")
+        self._interrupted(f"steering was ended: {ended.message}")
+
+    async def _follow_commands(self, stream: ArmStream) -> None:
+        velocity: Mapping[str, float] = {}
+        anchor: Anchor | None = None
+        kind: type[ServoCommand] | None = None
+        rested_s = 0.0
+        while not stream.ended.done():
+            due_s = self._clock() + self._setup.period_s
+            positions_rad = self.positions_rad()
+            error = ""
+            try:
+                command = self._command(positions_rad)
+            except RefusedError as rejected:
+                command, error = JointVelocities({}), str(rejected)
+            anchor = anchor if type(command) is kind else None
+            kind = type(command)
+            answer = await self._answer(positions_rad, velocity, command, anchor)
+            velocity, anchor = answer.velocity_rad_s, answer.anchor
+            if error:
+                self._publish_status(ServoStatus.INVALID, error)
+            else:
+                self._publish_status(answer.status, answer.message)
+            stream.steer(np.array([velocity[name] for name in self._setup.joints]))
+            resting = command.zero and max(map(abs, velocity.values())) < RESTING_RAD_S
+            rested_s = rested_s + self._setup.period_s if resting else 0.0
+            if rested_s > REST_S:
+                self.release()
+            await asyncio.wait([stream.ended], timeout=max(due_s - self._clock(), 0.0))
+
+    def _command(self, positions_rad: Positions) -> ServoCommand:
+        """Return the command to follow now, in the root link; a halt if the last command has expired."""
+        command = to_planning_frame(self._input, self._resolve, positions_rad)
+        if self._clock() - self._received_at_s <= self._setup.timeout_s:
+            return command
+        return halt_command(command)
+
+    async def _answer(
+        self, positions_rad: Positions, velocity: Mapping[str, float], command: ServoCommand, anchor: Anchor | None
+    ) -> ServoAnswer:
+        """Ask the planners; their failure is answered by zero velocities."""
+        question = ServoQuestion(
+            self._setup.group,
+            self._setup.link,
+            positions_rad,
+            velocity,
+            self._setup.period_s,
+            command,
+            anchor,
+            self._setup.limits,
+        )
+        answer = await self._ask(question)
+        if isinstance(answer, PlanningFailure):
+            return ServoAnswer(dict.fromkeys(self._setup.joints, 0.0), ServoStatus.INVALID, answer.message, 0.0)
+        return answer

@@ -1,0 +1,123 @@
+"""Goals of actions on their way to the queue and back."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from robot.description import model
+from server.goal_queue import Answer, GoalState, Performed, Progress
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.moveit.actions.goal_bridge import (
+    MoveGroupFeedback,
+    goal_status,
+    move_group_result,
+    reject_goal,
+    sequence_result,
+    submit_goal,
+)
+from server.moveit.motions import PlannedMotion
+from tests.helpers.action_desk import ActionDesk
+from tests.helpers.moveit_requests import message
+from tests.helpers.played_arm import settle
+from tests.helpers.trajectories import smooth_move
+
+ACTION, TYPE = "/move", "moveit_msgs/action/ExecuteTrajectory"
+
+
+class Desk(ActionDesk):
+    def __init__(self) -> None:
+        super().__init__()
+        self.graph.actions.offer(Node("server"), ACTION, TYPE, self.start)
+
+    def start(self, goal: Goal) -> None:
+        submit_goal(goal, self.queue, PlannedMotion(()), MoveGroupFeedback(), code)
+
+
+def code(answer: Answer) -> dict[str, object]:
+    return {"error_code": {"val": int(answer.code), "message": answer.message}}
+
+
+@pytest.fixture
+async def desk() -> AsyncIterator[Desk]:
+    made = Desk()
+    yield made
+    await made.close()
+
+
+async def test_a_goal_gets_each_state_once_and_then_its_result(desk: Desk) -> None:
+    await desk.send(ACTION)
+    for state in (GoalState.PLANNING, GoalState.EXECUTING, GoalState.EXECUTING):
+        desk.report(Progress(state, ""))
+    desk.finish()
+    await settle()
+    assert [message["state"] for message in desk.feedback] == ["PLANNING", "MONITOR", "IDLE"]
+    assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(4, 1)]
+
+
+async def test_a_new_goal_preempts_the_current_one(desk: Desk) -> None:
+    await desk.send(ACTION)
+    await desk.send(ACTION)
+    assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(5, -7)]
+    assert "preempted by goal 2 from /move" in desk.results[0].values["error_code"]["message"]
+    assert len(desk.asked) == 2
+
+
+async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: Desk) -> None:
+    goal = await desk.send(ACTION)
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    assert desk.results[0].status == GoalStatus.CANCELED
+    assert desk.results[0].values["error_code"]["message"] == "cancelled by a client of /move"
+
+
+async def test_a_rejected_goal_is_answered_and_the_motion_continues(desk: Desk) -> None:
+    await desk.send(ACTION)
+    failure = PlanningFailure(MoveItErrorCode.INVALID_GROUP_NAME, "no such group")
+    desk.graph.actions.offer(Node("server"), "/other", TYPE, lambda goal: reject_goal(goal, desk.queue, failure, code))
+    await desk.send("/other")
+    assert [result.values["error_code"]["val"] for result in desk.results] == [-15]
+    assert desk.refused == ["no such group"]
+    assert len(desk.asked) == 1
+
+
+def test_every_end_has_a_status() -> None:
+    assert goal_status(MoveItErrorCode.SUCCESS) is GoalStatus.SUCCEEDED
+    assert goal_status(MoveItErrorCode.PREEMPTED) is GoalStatus.CANCELED
+    assert goal_status(MoveItErrorCode.NO_IK_SOLUTION) is GoalStatus.ABORTED
+
+
+ROBOT = model.builtin()
+FIRST, SECOND = smooth_move({"shoulder_pan": (0.0, 0.2)}, 1.0), smooth_move({"shoulder_pan": (0.2, 0.3)}, 2.0)
+DONE = Answer(
+    MoveItErrorCode.SUCCESS, "there", performed=Performed({"shoulder_pan": 0.0}, (FIRST, SECOND), SECOND, 0.25)
+)
+
+
+def test_a_result_has_start_planned_and_executed_motion_and_time() -> None:
+    result = message("moveit_msgs/action/MoveGroup_Result", **move_group_result(DONE, ROBOT))
+    assert result["error_code"] == {"val": 1, "message": "there", "source": "armbridge"}
+    assert result["trajectory_start"]["joint_state"]["name"] == ["shoulder_pan"]
+    assert len(result["planned_trajectory"]["joint_trajectory"]["points"]) == len(FIRST.time_s)
+    assert len(result["executed_trajectory"]["joint_trajectory"]["points"]) == len(SECOND.time_s)
+    assert result["planning_time"] == 0.25
+
+
+def test_a_goal_that_was_not_planned_has_a_complete_result() -> None:
+    result = message(
+        "moveit_msgs/action/MoveGroup_Result", **move_group_result(Answer(MoveItErrorCode.PREEMPTED, "no"), ROBOT)
+    )
+    assert result["error_code"]["val"] == -7
+    assert result["planned_trajectory"]["joint_trajectory"]["points"] == []
+    assert result["executed_trajectory"]["joint_trajectory"]["points"] == []
+
+
+def test_the_result_of_a_sequence_has_every_motion() -> None:
+    response = message("moveit_msgs/action/MoveGroupSequence_Result", **sequence_result(DONE, ROBOT))["response"]
+    lengths = [len(motion["joint_trajectory"]["points"]) for motion in response["planned_trajectories"]]
+    assert lengths == [len(FIRST.time_s), len(SECOND.time_s)]
+    assert response["sequence_start"]["joint_state"]["name"] == ["shoulder_pan"]

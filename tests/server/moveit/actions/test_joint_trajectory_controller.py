@@ -1,0 +1,380 @@
+"""FollowJointTrajectory and the controller's topics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from protocol.registry import Registry
+from robot.description import model
+from robot.messages import ArmState, Outcome
+from server.errors import RefusedError
+from server.goal_queue import Answer, GoalState, Performed, Progress
+from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.message_types import Interfaces
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+from server.moveit.actions.joint_trajectory_controller import (
+    INDUSTRIAL_ACTION,
+    ControllerStatePublisher,
+    FollowCode,
+    JointTrajectoryController,
+    SegmentTolerances,
+    TrajectoryGoal,
+    check_trajectory,
+    follow_code,
+    read_segment_tolerances,
+    read_tolerances,
+    rejection_code,
+    violation,
+)
+from server.moveit.motions import GivenMotion
+from tests.helpers.action_desk import ActionDesk
+from tests.helpers.moveit_requests import HOME, message, outcome
+from tests.helpers.moveit_services import ROBOT
+from tests.helpers.played_arm import JOINTS, PlayedArm, settle
+from tests.helpers.trajectories import smooth_move
+
+ACTION = "/arm_controller/follow_joint_trajectory"
+TOPIC = "/arm_controller/joint_trajectory"
+TRAJECTORY = {"joint_names": ["elbow_flex"], "points": [{"positions": [0.3], "time_from_start": {"sec": 2}}]}
+MOVING = Progress(GoalState.EXECUTING, "", 0.5, 1.0)
+
+
+class Desk(ActionDesk):
+    def __init__(self) -> None:
+        super().__init__()
+        self.controller = JointTrajectoryController(
+            self.graph,
+            ROBOT,
+            ROBOT.groups["arm"],
+            self.played_arm,  # type: ignore[arg-type]
+            self.arm,  # type: ignore[arg-type]
+            self.queue,
+        )
+
+    async def publish(self, **trajectory: Any) -> None:
+        self.graph.publish(self.client, TOPIC, trajectory)
+        await settle()
+
+    @property
+    def codes(self) -> list[tuple[int, int]]:
+        return [(result.status, result.values["error_code"]) for result in self.results]
+
+
+@pytest.fixture
+async def desk() -> AsyncIterator[Desk]:
+    made = Desk()
+    yield made
+    await made.close()
+
+
+@pytest.mark.parametrize("action", [ACTION, INDUSTRIAL_ACTION])
+async def test_a_trajectory_is_played_under_both_names(desk: Desk, action: str) -> None:
+    await desk.send(action, trajectory=TRAJECTORY)
+    assert isinstance(desk.asked[0], GivenMotion)
+    desk.report(MOVING)
+    desk.finish()
+    await settle()
+    assert desk.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
+    assert len(desk.feedback) == 1
+
+
+async def test_a_refused_goal_is_answered_with_code_and_sentence(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory={**TRAJECTORY, "joint_names": ["knee"]})
+    await desk.send(ACTION, trajectory=TRAJECTORY, goal_time_tolerance={"sec": 60})
+    assert desk.codes == [
+        (GoalStatus.ABORTED, FollowCode.INVALID_JOINTS),
+        (GoalStatus.ABORTED, FollowCode.INVALID_GOAL),
+    ]
+    assert "'knee'" in desk.results[0].values["error_string"]
+    assert len(desk.refused) == 2
+    assert desk.asked == []
+
+
+async def test_a_new_goal_preempts_the_old_one(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    await desk.send(INDUSTRIAL_ACTION, trajectory=TRAJECTORY)
+    assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
+    assert "preempted by goal 2" in desk.results[0].values["error_string"]
+
+
+async def test_a_cancel_ends_the_goal(desk: Desk) -> None:
+    goal = await desk.send(ACTION, trajectory=TRAJECTORY)
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
+
+
+async def test_leaving_the_path_tolerance_ends_the_goal(desk: Desk) -> None:
+    tolerance = [{"name": "elbow_flex", "position": 0.05}]
+    await desk.send(ACTION, trajectory=TRAJECTORY, path_tolerance=tolerance)
+    desk.report(MOVING)
+    arm = desk.played_arm
+    measured = arm.state
+    arm.put(elbow_flex=0.2)
+    lagging = type(measured)(**{**vars(arm.state), "position_rad": measured.position_rad})
+    desk.controller.take_state(lagging)
+    await settle()
+    assert desk.codes == [(GoalStatus.ABORTED, FollowCode.PATH_TOLERANCE_VIOLATED)]
+
+
+async def test_a_trajectory_on_the_topic_preempts_the_current_motion(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    await desk.publish(**TRAJECTORY)
+    assert len(desk.asked) == 2
+    assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
+
+
+async def test_an_empty_trajectory_on_the_topic_stops_the_arm(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    await desk.publish(joint_names=["elbow_flex"])
+    assert len(desk.asked) == 1
+    assert "stopped by an empty trajectory" in desk.results[0].values["error_string"]
+
+
+async def test_a_bad_trajectory_on_the_topic_is_rejected_and_the_motion_continues(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    await desk.publish(joint_names=["knee"], points=TRAJECTORY["points"])
+    assert len(desk.asked) == 1
+    assert "'knee'" in desk.refused[0]
+
+
+ARM = model.builtin().groups["arm"].joints
+END = Performed({}, (smooth_move(dict.fromkeys(ARM, (0.0, 0.5)), 1.0),))
+REACHED = Answer(MoveItErrorCode.SUCCESS, "the arm is there", performed=END)
+INTERFACES = Interfaces(Registry.load())
+
+
+def at(position_rad: float, goal_rad: float, clock_s: float = 1.0, stamp_s: float = 1.0) -> ArmState:
+    position, goal = np.full(len(JOINTS), position_rad), np.full(len(JOINTS), goal_rad)
+    return replace(PlayedArm().state, stamp_s=stamp_s, clock_s=clock_s, position_rad=position, goal_rad=goal)
+
+
+class Followed:
+    def __init__(self, path_rad: float = 0.0, goal_rad: float = 0.0, time_s: float = 0.0) -> None:
+        self.results: list[Result] = []
+        self.cancelled: list[str] = []
+        goal = Goal("/follow", "control_msgs/action/FollowJointTrajectory", {}, INTERFACES, None, Node("client"))
+        goal.when_ended(self.results.append)
+        path = {"elbow_flex": path_rad} if path_rad else {}
+        end = {"elbow_flex": goal_rad} if goal_rad else {}
+        self.goal = TrajectoryGoal(goal, ARM, SegmentTolerances(path, end, time_s))
+
+    def state(self, state: ArmState) -> None:
+        self.goal.take_state(state, self.cancelled.append)
+
+    @property
+    def codes(self) -> list[tuple[int, int]]:
+        return [(result.status, result.values["error_code"]) for result in self.results]
+
+
+def test_a_joint_that_leaves_the_path_tolerance_ends_the_motion_once() -> None:
+    followed = Followed(path_rad=0.05)
+    followed.state(at(0.0, 0.3))
+    followed.goal.take_progress(MOVING)
+    for lag_rad in (0.04, 0.06, 0.07):
+        followed.state(at(0.3 - lag_rad, 0.3))
+    assert len(followed.cancelled) == 1
+    followed.goal.take_answer(Answer(MoveItErrorCode.PREEMPTED, "stopped"), at(0.2, 0.3))
+    assert followed.codes == [(GoalStatus.ABORTED, FollowCode.PATH_TOLERANCE_VIOLATED)]
+    assert "elbow_flex is 0.060 rad" in followed.results[0].values["error_string"]
+
+
+def test_a_goal_within_its_tolerance_succeeds_at_once() -> None:
+    followed = Followed(goal_rad=0.02)
+    followed.goal.take_answer(REACHED, at(0.49, 0.5))
+    assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
+
+
+def test_a_joint_may_come_near_enough_within_the_goal_time_tolerance() -> None:
+    followed = Followed(goal_rad=0.02, time_s=1.0)
+    followed.goal.take_answer(REACHED, at(0.45, 0.5, 10.0))
+    followed.state(at(0.45, 0.5, 10.5))
+    assert followed.codes == []
+    followed.state(at(0.49, 0.5, 10.9))
+    assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
+
+
+def test_a_joint_that_stays_away_violates_the_goal_tolerance() -> None:
+    followed = Followed(goal_rad=0.02, time_s=1.0)
+    followed.goal.take_answer(REACHED, at(0.45, 0.5, 10.0))
+    followed.state(at(0.45, 0.5, 11.0))
+    assert followed.codes == [(GoalStatus.ABORTED, FollowCode.GOAL_TOLERANCE_VIOLATED)]
+
+
+def test_a_slow_arm_has_all_of_the_goal_time_tolerance_by_its_own_clock() -> None:
+    followed = Followed(goal_rad=0.02, time_s=1.0)
+    followed.goal.take_answer(REACHED, at(0.45, 0.5, clock_s=10.0, stamp_s=100.0))
+    followed.state(at(0.45, 0.5, clock_s=10.9, stamp_s=109.0))
+    assert followed.codes == []
+    followed.state(at(0.49, 0.5, clock_s=10.95, stamp_s=109.5))
+    assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
+
+
+def test_feedback_has_every_joint_while_the_arm_moves() -> None:
+    followed = Followed()
+    assert followed.goal.feedback(at(0.2, 0.3)) is None
+    followed.goal.take_progress(MOVING)
+    feedback: Any = followed.goal.feedback(at(0.2, 0.3))
+    assert feedback["joint_names"] == list(ARM)
+    assert feedback["error"]["positions"] == pytest.approx([0.1] * len(ARM))
+
+
+ENDS = {
+    "reached": (REACHED, FollowCode.SUCCESSFUL),
+    "lost": (
+        Answer(MoveItErrorCode.CONTROL_FAILED, "", {"outcome": Outcome.TRACKING_LOST.value}),
+        FollowCode.PATH_TOLERANCE_VIOLATED,
+    ),
+    "not settled": (
+        Answer(MoveItErrorCode.CONTROL_FAILED, "", {"outcome": Outcome.NOT_SETTLED.value}),
+        FollowCode.GOAL_TOLERANCE_VIOLATED,
+    ),
+    "preempted": (Answer(MoveItErrorCode.PREEMPTED, ""), FollowCode.INVALID_GOAL),
+}
+
+
+@pytest.mark.parametrize(("answer", "code"), ENDS.values(), ids=ENDS.keys())
+def test_every_end_has_a_code_of_the_controllers(answer: Answer, code: FollowCode) -> None:
+    assert follow_code(answer) is code
+
+
+ARM_GROUP = ROBOT.groups["arm"]
+NOW_S = 1000.0
+POINT = {"positions": [0.3], "time_from_start": {"sec": 2}}
+REQUESTED: dict[str, Any] = {"joint_names": ["elbow_flex"], "points": [POINT], "header": {"stamp": {"sec": 0}}}
+
+
+def refusal(**changes: Any) -> RefusedError | None:
+    trajectory = message("trajectory_msgs/msg/JointTrajectory", **{**REQUESTED, **changes})
+    try:
+        check_trajectory(trajectory, ARM_GROUP, ROBOT, HOME, NOW_S)
+    except RefusedError as error:
+        return error
+    return None
+
+
+REFUSED = {
+    "no points": ({"points": []}, FollowCode.INVALID_GOAL, "points is empty"),
+    "unknown joint": ({"joint_names": ["knee"]}, FollowCode.INVALID_JOINTS, "'knee'"),
+    "joint of another controller": ({"joint_names": ["gripper"]}, FollowCode.INVALID_JOINTS, "'gripper'"),
+    "stamp in the past": ({"header": {"stamp": {"sec": 990}}}, FollowCode.OLD_HEADER_TIMESTAMP, "8.0 s ago"),
+    "no positions": ({"points": [{**POINT, "positions": []}]}, FollowCode.INVALID_GOAL, "positions"),
+    "wrong length": ({"points": [{**POINT, "positions": [0.1, 0.2]}]}, FollowCode.INVALID_GOAL, "2 values for 1"),
+    "times that go back": (
+        {"points": [POINT, {"positions": [0.1], "time_from_start": {"sec": 1}}]},
+        FollowCode.INVALID_GOAL,
+        "points[1].time_from_start",
+    ),
+    "beyond the limits": ({"points": [{**POINT, "positions": [9.0]}]}, FollowCode.INVALID_GOAL, "9.000 rad"),
+}
+
+
+@pytest.mark.parametrize(("changes", "code", "words"), REFUSED.values(), ids=REFUSED.keys())
+def test_a_trajectory_that_cannot_be_played_is_refused_with_its_code(
+    changes: dict[str, Any], code: FollowCode, words: str
+) -> None:
+    refused = refusal(**changes)
+    assert refused is not None
+    assert rejection_code(refused) is code
+    assert words in refused.failure.message
+
+
+TAKEN = {
+    "as it is": {},
+    "stamp of now": {"header": {"stamp": {"sec": 1000}}},
+    "efforts": {"points": [{**POINT, "effort": [0.0]}]},
+    "a last point in motion": {"points": [{**POINT, "velocities": [0.5]}]},
+}
+
+
+@pytest.mark.parametrize("changes", TAKEN.values(), ids=TAKEN.keys())
+def test_trajectories_that_other_controllers_reject_silently_are_accepted(changes: dict[str, Any]) -> None:
+    assert refusal(**changes) is None
+
+
+def tolerances(**fields: Any) -> SegmentTolerances | PlanningFailure:
+    goal = message("control_msgs/action/FollowJointTrajectory_Goal", **fields)
+    tolerances: SegmentTolerances | PlanningFailure = outcome(read_segment_tolerances, goal, ARM_GROUP)
+    return tolerances
+
+
+def test_tolerances_are_read_by_joint() -> None:
+    read = tolerances(
+        path_tolerance=[{"name": "elbow_flex", "position": 0.1}], goal_time_tolerance={"sec": 1, "nanosec": 500_000_000}
+    )
+    assert read == SegmentTolerances({"elbow_flex": 0.1}, {}, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"goal_tolerance": [{"name": "knee"}]}, "goal_tolerance names the joint 'knee'"),
+        ({"goal_time_tolerance": {"sec": 60}}, "at most 10 s, not 60 s"),
+    ],
+    ids=["joint", "time"],
+)
+def test_tolerances_that_cannot_be_kept_are_refused(fields: dict[str, Any], words: str) -> None:
+    refused = tolerances(**fields)
+    assert isinstance(refused, PlanningFailure)
+    assert words in refused.message
+
+
+GROUP = model.builtin().groups["arm"]
+STATE = replace(PlayedArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_rad=np.full(len(JOINTS), 0.2))
+
+
+@pytest.mark.parametrize("name", ["state", "controller_state"])
+async def test_subscribers_get_reference_and_feedback_of_the_joints(name: str) -> None:
+    graph = Graph(Registry.load())
+    told = ControllerStatePublisher(graph, GROUP)
+    heard: list[Any] = []
+    subscriber = Subscriber(lambda publication: heard.append(publication.msg))
+    graph.subscribe(Node("client"), f"/arm_controller/{name}", None, subscriber)
+    told.take_state(STATE)
+    told.take_state(replace(STATE, goal_rad=None))
+    assert len(heard) == 1
+    assert heard[0]["joint_names"] == list(GROUP.joints)
+    assert heard[0]["reference"]["positions"] == [0.3] * len(GROUP.joints)
+    assert heard[0]["error"]["positions"] == pytest.approx([0.1] * len(GROUP.joints))
+    assert heard[0]["speed_scaling_factor"] == 1.0
+
+
+STANDING = replace(PlayedArm().state, position_rad=np.full(len(JOINTS), 0.1))
+WANTED = dict.fromkeys(JOINTS, 0.0)
+
+
+def read(name: str, position_rad: float) -> object:
+    tolerance = message("control_msgs/msg/JointTolerance", name=name, position=position_rad)
+    return outcome(read_tolerances, [tolerance], "path_tolerance", JOINTS)
+
+
+@pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])
+def test_only_a_positive_tolerance_is_checked(position_rad: float, demanded: dict[str, float]) -> None:
+    assert read("elbow_flex", position_rad) == demanded
+
+
+@pytest.mark.parametrize(("name", "position_rad", "word"), [("knee", 0.1, "'knee'"), ("elbow_flex", math.nan, "nan")])
+def test_a_wrong_tolerance_is_refused_with_its_field(name: str, position_rad: float, word: str) -> None:
+    refused = read(name, position_rad)
+    assert isinstance(refused, PlanningFailure)
+    assert refused.message.startswith("path_tolerance")
+    assert word in refused.message
+
+
+def test_a_violation_names_the_joint_with_its_numbers() -> None:
+    assert violation({"elbow_flex": 0.2}, STANDING, WANTED) == ""
+    sentence = violation({"elbow_flex": 0.05}, STANDING, WANTED)
+    assert sentence == "joint elbow_flex is 0.100 rad from where it should be (tolerance 0.05 rad)"
+
+
+def test_an_arm_that_is_not_read_violates_nothing() -> None:
+    assert violation({"elbow_flex": 0.05}, replace(STANDING, position_rad=None), WANTED) == ""

@@ -1,0 +1,310 @@
+"""The actions of move_group."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from server.graph.actions import Goal, GoalStatus
+from server.moveit.actions.move_group import (
+    DEFAULT_ATTEMPTS,
+    EXECUTE_ACTION,
+    MAX_ATTEMPTS,
+    MOVE_ACTIONS,
+    MOVE_GROUP,
+    SEQUENCE_ACTION,
+    ExecuteTrajectory,
+    MotionActions,
+    PlanningActions,
+    PlanningGoal,
+    PlanningOptions,
+    plan_only,
+    planned_motion,
+    read_planning_goal,
+    read_planning_options,
+)
+from server.moveit.motions import GivenMotion, PlannedMotion
+from tests.helpers.action_desk import ActionDesk
+from tests.helpers.moveit_requests import joint, message, outcome
+from tests.helpers.moveit_services import HOME, ROBOT, ServiceRig
+from tests.helpers.played_arm import settle
+
+OFFERED = {
+    "/move_action": "moveit_msgs/action/MoveGroup",
+    "/move_group": "moveit_msgs/action/MoveGroup",
+    "/sequence_move_group": "moveit_msgs/action/MoveGroupSequence",
+    "/execute_trajectory": "moveit_msgs/action/ExecuteTrajectory",
+    "/arm_controller/follow_joint_trajectory": "control_msgs/action/FollowJointTrajectory",
+    "/joint_trajectory_action": "control_msgs/action/FollowJointTrajectory",
+}
+
+
+@pytest.fixture
+async def desk() -> AsyncIterator[ActionDesk]:
+    made = ActionDesk()
+    MotionActions(made.graph, made.context, made.played_arm, made.queue).open(())  # type: ignore[arg-type]
+    yield made
+    await made.close()
+
+
+async def test_every_action_is_offered_under_its_names(desk: ActionDesk) -> None:
+    assert desk.graph.actions.types() == OFFERED
+
+
+async def test_every_action_has_the_topics_of_actionlib(desk: ActionDesk) -> None:
+    types = desk.graph.topic_types()
+    for name, type_name in OFFERED.items():
+        package, _, action = type_name.split("/")
+        assert types[f"{name}/goal"] == f"{package}/msg/{action}ActionGoal"
+        assert types[f"{name}/feedback"] == f"{package}/msg/{action}ActionFeedback"
+        assert types[f"{name}/result"] == f"{package}/msg/{action}ActionResult"
+        assert types[f"{name}/cancel"] == "actionlib_msgs/msg/GoalID"
+        assert types[f"{name}/status"] == "actionlib_msgs/msg/GoalStatusArray"
+
+
+@pytest.fixture
+async def planning_desk() -> AsyncIterator[ActionDesk]:
+    made = ActionDesk()
+    PlanningActions(made.graph, made.context, made.queue)
+    yield made
+    await made.close()
+
+
+def to(position_rad: float) -> dict[str, Any]:
+    constraint = {"joint_constraints": [joint("shoulder_pan", position_rad)]}
+    return {"group_name": "arm", "goal_constraints": [constraint]}
+
+
+def codes(planning_desk: ActionDesk) -> list[int]:
+    return [result.values["error_code"]["val"] for result in planning_desk.results]
+
+
+@pytest.mark.parametrize("name", MOVE_ACTIONS)
+async def test_a_goal_is_carried_out_under_both_names(planning_desk: ActionDesk, name: str) -> None:
+    await planning_desk.send(name, request=to(0.3))
+    planning_desk.finish()
+    await settle()
+    assert codes(planning_desk) == [1]
+
+
+async def test_a_bad_goal_is_answered_while_another_moves(planning_desk: ActionDesk) -> None:
+    await planning_desk.send("/move_group", request=to(0.3))
+    await planning_desk.send("/move_group", request={"group_name": "leg"})
+    await planning_desk.send("/move_group", request=to(0.3), planning_options={"replan_delay": -1.0})
+    assert codes(planning_desk) == [-15, 99999]
+    assert len(planning_desk.asked) == 1
+
+
+async def test_a_plan_only_goal_does_not_disturb_the_motion(planning_desk: ActionDesk) -> None:
+    await planning_desk.send("/move_group", request=to(0.3))
+    await planning_desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
+    assert codes(planning_desk) == [1]
+    assert len(planning_desk.asked) == 1
+    assert [message["state"] for message in planning_desk.feedback] == ["PLANNING", "IDLE"]
+    assert planning_desk.results[0].values["planned_trajectory"]["joint_trajectory"]["points"]
+
+
+async def test_a_plan_alone_can_be_cancelled(planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def never(*_request: object) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(planning_desk.pool, "ask", never)
+    goal = await planning_desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    assert codes(planning_desk) == [-7]
+    assert planning_desk.results[0].status == GoalStatus.CANCELED
+
+
+async def test_a_bug_in_planning_is_answered(
+    planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def broken(*_request: object) -> None:
+        raise ValueError("broken")
+
+    monkeypatch.setattr(planning_desk.pool, "ask", broken)
+    await planning_desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
+    assert codes(planning_desk) == [99999]
+    assert "broken" in caplog.text
+
+
+async def test_a_sequence_is_one_motion_of_several_steps(planning_desk: ActionDesk) -> None:
+    items = [{"req": to(0.3)}, {"req": to(0.5)}]
+    await planning_desk.send(SEQUENCE_ACTION, request={"items": items})
+    assert isinstance(planning_desk.asked[0], PlannedMotion)
+    assert len(planning_desk.asked[0].steps) == 2
+    planning_desk.finish()
+    await settle()
+    assert planning_desk.results[0].values["response"]["error_code"]["val"] == 1
+
+
+async def test_a_blend_radius_is_refused_with_a_reason(planning_desk: ActionDesk) -> None:
+    items = [{"req": to(0.3), "blend_radius": 0.05}, {"req": to(0.5)}]
+    await planning_desk.send(SEQUENCE_ACTION, request={"items": items})
+    assert "blend_radius must be 0 m, not 0.05" in planning_desk.results[0].values["response"]["error_code"]["message"]
+    assert planning_desk.asked == []
+
+
+GOAL = {"group_name": "arm", "goal_constraints": [{"joint_constraints": [joint("shoulder_pan", 0.3)]}]}
+
+
+@pytest.fixture
+async def rig() -> ServiceRig:
+    return ServiceRig()
+
+
+def goal(rig: ServiceRig, request: dict[str, Any], **options: Any) -> Goal:
+    fields = message("moveit_msgs/action/MoveGroup_Goal", request=request, planning_options=options)
+    return Goal("/move_group", "moveit_msgs/action/MoveGroup", fields, rig.graph.interfaces, None, rig.client)
+
+
+def asked(rig: ServiceRig, request: dict[str, Any], **options: Any) -> PlanningGoal:
+    return read_planning_goal(goal(rig, request, **options).request, MOVE_GROUP)
+
+
+async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn_comes(rig: ServiceRig) -> None:
+    motion = planned_motion(asked(rig, GOAL), rig.context)
+    assert isinstance(motion, PlannedMotion)
+    later_rad = {**HOME, "elbow_flex": 0.2}
+    problem = motion.steps[0](later_rad)
+    assert isinstance(problem, PlanningProblem)
+    assert problem.start_rad == later_rad
+
+
+async def test_a_bad_request_is_rejected_at_once(rig: ServiceRig) -> None:
+    failure = outcome(planned_motion, asked(rig, {**GOAL, "group_name": "leg"}), rig.context)
+    assert isinstance(failure, PlanningFailure)
+    assert failure.code is MoveItErrorCode.INVALID_GROUP_NAME
+
+
+async def test_a_start_state_is_ignored_with_a_warning_if_the_arm_is_to_move(rig: ServiceRig) -> None:
+    start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
+    motion = planned_motion(asked(rig, {**GOAL, "start_state": start}), rig.context)
+    assert isinstance(motion, PlannedMotion)
+    assert any("start_state is ignored" in warning for warning in motion.warnings)
+
+
+async def test_a_motion_is_planned_in_the_scene_with_the_diff(rig: ServiceRig) -> None:
+    box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.1, 0.1, 0.1]}]}
+    box["pose"] = {"position": {"x": 2.0}}
+    diff = {"world": {"collision_objects": [box]}}
+    motion = planned_motion(asked(rig, GOAL, planning_scene_diff=diff), rig.context)
+    assert isinstance(motion, PlannedMotion)
+    assert motion.scene is not None
+    scene = motion.scene(HOME)
+    assert not isinstance(scene, PlanningFailure)
+    assert [one.name for one in scene.objects] == ["box"]
+    assert rig.scene_state.scene.objects == ()
+
+
+async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> None:
+    start = {"joint_state": {"name": ["elbow_flex"], "position": [0.5]}, "is_diff": True}
+    request = {**GOAL, "start_state": start}
+    answer = await plan_only(asked(rig, request), rig.client, rig.context)
+    assert answer.code is MoveItErrorCode.SUCCESS
+    assert answer.performed is not None
+    assert answer.performed.start_rad["elbow_flex"] == 0.5
+    assert answer.performed.planned[0].positions_rad[-1, 0] == pytest.approx(0.3)
+
+
+async def test_a_plan_alone_starts_where_its_client_wants_the_arm_to_be(rig: ServiceRig) -> None:
+    rig.assumed.by_node[rig.client] = {"elbow_flex": 0.4}
+    answer = await plan_only(asked(rig, GOAL), rig.client, rig.context)
+    assert answer.performed is not None
+    assert answer.performed.start_rad["elbow_flex"] == 0.4
+
+
+async def test_a_plan_that_cannot_be_had_has_its_own_code_and_data(rig: ServiceRig) -> None:
+    request = {"group_name": "arm", "start_state": {"joint_state": {"name": ["knee"], "position": [0.0]}}}
+    answer = await plan_only(asked(rig, request), rig.client, rig.context)
+    assert answer.code is MoveItErrorCode.INVALID_ROBOT_STATE
+    assert "knee" in answer.message
+
+
+def options(**fields: Any) -> PlanningOptions:
+    return read_planning_options(message("moveit_msgs/msg/PlanningOptions", **fields))
+
+
+def test_default_options_are_one_attempt_in_the_present_scene() -> None:
+    assert options() == PlanningOptions(plan_only=False, attempts=1, delay_s=0.0, scene_diff=None, warnings=())
+
+
+@pytest.mark.parametrize(
+    ("asked", "attempts"), [(0, DEFAULT_ATTEMPTS), (-1, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)]
+)
+def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int) -> None:
+    assert options(replan=True, replan_attempts=asked).attempts == attempts
+
+
+@pytest.mark.parametrize("delay_s", [-1.0, 11.0, math.nan, math.inf])
+def test_a_delay_out_of_bounds_is_rejected_with_its_limit(delay_s: float) -> None:
+    read = outcome(read_planning_options, message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
+    assert isinstance(read, PlanningFailure)
+    assert "replan_delay must be from 0 to 10 s" in read.message
+
+
+def test_an_object_in_the_scene_diff_is_kept_as_a_difference() -> None:
+    diff = options(planning_scene_diff={"world": {"collision_objects": [{"id": "box"}]}}).scene_diff
+    assert diff is not None
+    assert diff["is_diff"]
+    assert diff["world"]["collision_objects"][0]["id"] == "box"
+
+
+def test_look_around_is_ignored_with_a_warning() -> None:
+    assert "look_around" in options(look_around=True).warnings[0]
+
+
+@pytest.fixture
+async def execution_desk() -> AsyncIterator[ActionDesk]:
+    made = ActionDesk()
+    ExecuteTrajectory(made.graph, ROBOT, made.arm, made.queue)  # type: ignore[arg-type]
+    yield made
+    await made.close()
+
+
+def trajectory(position_rad: float) -> dict[str, object]:
+    point = {"positions": [position_rad], "time_from_start": {"sec": 2}}
+    return {"joint_trajectory": {"joint_names": ["elbow_flex"], "points": [point]}}
+
+
+async def test_a_trajectory_is_played_and_answered(execution_desk: ActionDesk) -> None:
+    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
+    assert isinstance(execution_desk.asked[0], GivenMotion)
+    execution_desk.finish()
+    await settle()
+    assert execution_desk.results[0].values["error_code"]["val"] == 1
+
+
+async def test_a_cancel_ends_it(execution_desk: ActionDesk) -> None:
+    goal = await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    assert execution_desk.results[0].values["error_code"]["val"] == -7
+
+
+async def test_a_trajectory_without_points_is_done_at_once(execution_desk: ActionDesk) -> None:
+    await execution_desk.send(EXECUTE_ACTION)
+    assert execution_desk.results[0].values["error_code"]["val"] == 1
+    assert execution_desk.asked == []
+
+
+async def test_a_bad_trajectory_is_answered_and_the_motion_continues(execution_desk: ActionDesk) -> None:
+    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
+    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(9.0))
+    assert [result.values["error_code"]["val"] for result in execution_desk.results] == [-2]
+    assert "elbow_flex" in execution_desk.results[0].values["error_code"]["message"]
+    assert len(execution_desk.asked) == 1
+
+
+async def test_multi_dof_joints_are_ignored_with_a_warning(
+    execution_desk: ActionDesk, caplog: pytest.LogCaptureFixture
+) -> None:
+    await execution_desk.send(EXECUTE_ACTION, trajectory={"multi_dof_joint_trajectory": {"points": [{}]}})
+    assert "multi_dof_joint_trajectory is ignored" in caplog.text

@@ -1,0 +1,211 @@
+"""Start states, scenes and problems of requests."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.problem import CartesianProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
+from server.errors import RefusedError
+from server.graph.node import Node
+from server.moveit.requests.planning_context import (
+    MAX_START_BOUNDS_ERROR_RAD,
+    StartState,
+    attached_diff,
+    start_positions,
+    state_positions,
+)
+from server.moveit.requests.planning_problems import PILZ
+from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, joint, message, outcome
+from tests.helpers.moveit_services import ServiceRig
+
+ELBOW = ROBOT.joints["elbow_flex"]
+CURRENT = HOME | {"shoulder_pan": 0.3}
+
+
+def state(positions=None, **fields):
+    positions = positions or {}
+    joints = {"name": list(positions), "position": list(positions.values())}
+    return message("RobotState", joint_state=joints, **fields)
+
+
+def start(positions=None, current=CURRENT, **fields):
+    return outcome(start_positions, state(positions, **fields), current, ROBOT)
+
+
+@pytest.mark.parametrize("is_diff", [True, False])
+def test_a_state_without_joints_is_the_present_one(is_diff: bool) -> None:
+    assert start(is_diff=is_diff) == StartState(CURRENT)
+
+
+@pytest.mark.parametrize("is_diff", [True, False])
+def test_joints_that_are_not_named_are_where_they_are(is_diff: bool) -> None:
+    assert start({"elbow_flex": 0.5}, is_diff=is_diff) == StartState(CURRENT | {"elbow_flex": 0.5})
+
+
+def test_a_whole_state_needs_no_present_one() -> None:
+    assert start(HOME, current=None) == StartState(HOME)
+
+
+def test_joints_without_a_known_position_are_named() -> None:
+    assert_refused(start({"elbow_flex": 0.5}, current=None), MoveItErrorCode.ROBOT_STATE_STALE, "'shoulder_pan'")
+
+
+@given(st.floats(0.0, MAX_START_BOUNDS_ERROR_RAD, exclude_min=True), st.sampled_from([-1.0, 1.0]))
+def test_a_start_slightly_beyond_a_limit_is_clamped_with_a_warning(beyond: float, side: float) -> None:
+    limit = ELBOW.upper if side > 0.0 else ELBOW.lower
+    moved = start({"elbow_flex": limit + side * beyond * 0.999})
+    assert isinstance(moved, StartState)
+    assert moved.positions_rad["elbow_flex"] == pytest.approx(limit)
+    assert all("elbow_flex" in warning for warning in moved.warnings)
+
+
+def test_a_start_far_beyond_a_limit_is_refused_with_joint_value_and_limits() -> None:
+    failure = assert_refused(
+        start({"elbow_flex": 1.8}), MoveItErrorCode.START_STATE_INVALID, "'elbow_flex'", "1.8", "-1.69 to 1.69"
+    )
+    assert failure.details["joint"] == "elbow_flex"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_position_that_is_no_number_is_named(value: float) -> None:
+    assert_refused(start({"elbow_flex": value}), MoveItErrorCode.INVALID_ROBOT_STATE, "'elbow_flex'", str(value))
+
+
+def test_an_unknown_joint_is_named_with_those_that_exist() -> None:
+    assert_refused(start({"knee": 0.1}), MoveItErrorCode.INVALID_ROBOT_STATE, "'knee'", "elbow_flex")
+
+
+def test_a_fixed_joint_in_a_state_is_ignored() -> None:
+    fixed = next(joint.name for joint in ROBOT.joints.values() if not joint.movable)
+    assert start({fixed: 0.0}) == StartState(CURRENT)
+
+
+def test_lists_of_unlike_lengths_are_refused_with_both() -> None:
+    uneven = message("RobotState", joint_state={"name": ["elbow_flex"], "position": []})
+    assert_refused(
+        outcome(start_positions, uneven, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "1 entries", "0"
+    )
+
+
+def test_a_joint_that_is_named_twice_is_refused() -> None:
+    twice = message("RobotState", joint_state={"name": ["elbow_flex"] * 2, "position": [0.1, 0.2]})
+    assert_refused(
+        outcome(start_positions, twice, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "more than once"
+    )
+
+
+def test_joints_of_many_dimensions_are_ignored_with_a_warning() -> None:
+    floating = start(multi_dof_joint_state={"joint_names": ["virtual_joint"]})
+    assert isinstance(floating, StartState)
+    assert "multi_dof_joint_state" in floating.warnings[0]
+
+
+def test_a_queried_state_may_be_beyond_its_limits() -> None:
+    asked = state_positions(state({"elbow_flex": 3.0}), CURRENT, ROBOT)
+    assert asked == CURRENT | {"elbow_flex": 3.0}
+
+
+def test_a_whole_state_lists_all_attached_objects() -> None:
+    diff = attached_diff(state({"elbow_flex": 0.1}, is_diff=False))
+    assert diff == {"is_diff": True, "robot_state": {"attached_collision_objects": [], "is_diff": False}}
+
+
+def test_a_diff_state_keeps_unlisted_attached_objects() -> None:
+    held = {"link_name": "gripper_link", "object": {"id": "mug"}}
+    diff = attached_diff(state({"elbow_flex": 0.1}, is_diff=True, attached_collision_objects=[held]))
+    assert diff is not None
+    assert diff["robot_state"]["is_diff"] is True
+    assert diff["robot_state"]["attached_collision_objects"][0]["object"]["id"] == "mug"
+
+
+@pytest.mark.parametrize(("positions", "is_diff"), [({}, False), ({}, True), ({"elbow_flex": 0.1}, True)])
+def test_a_state_without_attached_objects_changes_none(positions, is_diff: bool) -> None:
+    assert attached_diff(state(positions, is_diff=is_diff)) is None
+
+
+BOX = {"primitives": [{"type": 1, "dimensions": [0.01] * 3}], "primitive_poses": [{}]}
+HELD = {"link_name": "gripper_link", "object": {"id": "mug", "header": {"frame_id": "gripper_link"}, **BOX}}
+
+
+@pytest.fixture
+def rig() -> ServiceRig:
+    return ServiceRig()
+
+
+def test_a_request_without_a_start_begins_where_the_arm_is(rig: ServiceRig) -> None:
+    rig.arm.at_rad = HOME | {"elbow_flex": 0.4}
+    assert rig.context.start(state(), rig.client).start_rad == rig.arm.at_rad
+
+
+def test_an_assumed_state_counts_for_its_client_alone(rig: ServiceRig) -> None:
+    rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7}
+    assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
+    assert rig.context.start(state(), Node("other")).start_rad == HOME
+
+
+def test_a_requests_state_overrides_the_assumed_one(rig: ServiceRig) -> None:
+    rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7, "wrist_roll": 0.1}
+    start = rig.context.start(state({"elbow_flex": 0.2}), rig.client).start_rad
+    assert start == HOME | {"elbow_flex": 0.2, "wrist_roll": 0.1}
+
+
+def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
+    rig.arm.at_rad = None
+    with pytest.raises(RefusedError) as raised:
+        rig.context.start(state(), rig.client)
+    assert_refused(raised.value.failure, MoveItErrorCode.ROBOT_STATE_STALE)
+
+
+def test_the_scene_is_the_present_one_unless_something_is_attached(rig: ServiceRig) -> None:
+    assert rig.context.start(state(HOME), rig.client).scene is rig.scene_state.scene
+
+
+def test_objects_attached_by_a_start_state_count_for_its_request_alone(rig: ServiceRig) -> None:
+    scene = rig.context.start(state(is_diff=True, attached_collision_objects=[HELD]), rig.client).scene
+    assert [held.object.name for held in scene.attached] == ["mug"]
+    assert not rig.scene_state.scene.attached
+
+
+def test_a_whole_start_state_detaches_unlisted_objects(rig: ServiceRig) -> None:
+    diff = message("PlanningScene", is_diff=True, robot_state={"is_diff": True, "attached_collision_objects": [HELD]})
+    rig.scene_state.apply_diff(diff, HOME)
+    assert rig.context.start(state(), rig.client).scene.attached
+    assert not rig.context.start(state(HOME, is_diff=False), rig.client).scene.attached
+
+
+def test_an_unknown_group_is_refused(rig: ServiceRig) -> None:
+    with pytest.raises(RefusedError) as raised:
+        rig.context.problems.group("manipulator")
+    assert_refused(raised.value.failure, MoveItErrorCode.INVALID_GROUP_NAME, "'manipulator'")
+
+
+def request(**fields):
+    goal = {"joint_constraints": [joint("elbow_flex", 0.5)]}
+    return message("MotionPlanRequest", **{"goal_constraints": [goal], **fields})
+
+
+def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
+    step = rig.context.problems.step(request())
+    for start_rad in (HOME, HOME | {"wrist_roll": 0.3}):
+        problem = step(start_rad)
+        assert isinstance(problem, PlanningProblem)
+        assert problem.start_rad == start_rad
+
+
+def test_a_step_may_be_a_path_of_the_tip(rig: ServiceRig) -> None:
+    assert isinstance(rig.context.problems.step(request(pipeline_id=PILZ, planner_id="LIN"))(HOME), CartesianProblem)
+
+
+def test_a_step_that_cannot_be_is_refused_when_its_turn_comes(rig: ServiceRig) -> None:
+    assert isinstance(rig.context.problems.step(request(goal_constraints=[]))(HOME), PlanningFailure)
+
+
+def test_parameters_that_were_set_count_for_requests(rig: ServiceRig) -> None:
+    rig.context.parameters.set("arm", "", {"num_planning_attempts": "3"}, replace=False)
+    problem = rig.context.problems.step(request())(HOME)
+    assert isinstance(problem, PlanningProblem)
+    assert problem.attempts == 3

@@ -1,0 +1,323 @@
+"""moveit_msgs/MotionPlanRequest and MotionSequenceRequest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from planners.goals import JointGoal, PoseGoal, PositionGoal
+from planners.problem import PLANNER_IDS, Arc, CartesianProblem, Line, MoveItErrorCode, PlanningProblem
+from planners.scene import Pose
+from server.errors import RefusedError
+from server.moveit.parameters import MAX_ALLOWED_PLANNING_TIME_S, MAX_PLANNING_ATTEMPTS, MoveItParameters
+from server.moveit.planner_parameters import PlannerParameters
+from server.moveit.requests.planning_problems import (
+    CIRCULAR,
+    MAX_ITEMS,
+    OMPL,
+    PILZ,
+    STRAIGHT,
+    BuiltProblem,
+    ProblemBuilder,
+    sequence_requests,
+    tip_problem,
+)
+from tests.helpers.moveit_requests import (
+    FRAMES,
+    HOME,
+    ROBOT,
+    TIP,
+    assert_refused,
+    ball,
+    constraints,
+    context,
+    joint,
+    message,
+    outcome,
+)
+
+GOAL = {"joint_constraints": [joint("elbow_flex", 0.5)]}
+PARAMETERS = MoveItParameters()
+
+
+def asked(parameters=PARAMETERS, **fields):
+    request = message("MotionPlanRequest", **{"goal_constraints": [GOAL], **fields})
+    return outcome(ProblemBuilder(ROBOT, FRAMES, PlannerParameters(parameters)).motion_plan, request, HOME)
+
+
+def problem(**fields) -> PlanningProblem:
+    read = asked(**fields)
+    assert isinstance(read, BuiltProblem)
+    assert isinstance(read.problem, PlanningProblem)
+    return read.problem
+
+
+def test_a_request_with_only_a_goal_is_planned_by_the_parameters_at_full_speed() -> None:
+    assert problem() == PlanningProblem(
+        "arm",
+        HOME,
+        JointGoal({"elbow_flex": 0.5}, PARAMETERS.joint_tolerance),
+        velocity_scaling=1.0,
+        acceleration_scaling=1.0,
+        allowed_time_s=PARAMETERS.allowed_planning_time,
+        attempts=PARAMETERS.num_planning_attempts,
+        optimization_time_s=PARAMETERS.optimization_time,
+    )
+
+
+def test_fields_of_a_request_override_the_parameters() -> None:
+    said = problem(
+        group_name="arm",
+        num_planning_attempts=7,
+        allowed_planning_time=2.5,
+        max_velocity_scaling_factor=0.2,
+        max_acceleration_scaling_factor=0.1,
+        planner_id="RRT",
+    )
+    assert (said.attempts, said.allowed_time_s, said.planner_id) == (7, 2.5, "RRT")
+    assert (said.velocity_scaling, said.acceleration_scaling) == (0.2, 0.1)
+
+
+@pytest.mark.parametrize("name", ["manipulator", "/arm"])
+def test_an_unknown_group_is_refused_with_those_that_exist(name: str) -> None:
+    assert_refused(asked(group_name=name), MoveItErrorCode.INVALID_GROUP_NAME, repr(name), "arm, gripper")
+
+
+@pytest.mark.parametrize("field", ["max_velocity_scaling_factor", "max_acceleration_scaling_factor"])
+@pytest.mark.parametrize("value", [-0.1, math.nan])
+def test_a_senseless_scaling_is_refused(field: str, value: float) -> None:
+    assert_refused(asked(**{field: value}), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, field, f"{value:g}")
+
+
+def test_a_scaling_above_one_is_full_speed_with_a_warning() -> None:
+    read = asked(max_velocity_scaling_factor=1.5)
+    assert isinstance(read, BuiltProblem)
+    assert read.problem.velocity_scaling == 1.0
+    assert "max_velocity_scaling_factor 1.5" in read.warnings[0]
+
+
+@pytest.mark.parametrize(("field", "value"), [("allowed_planning_time", -1.0), ("num_planning_attempts", -1)])
+def test_time_and_attempts_below_zero_are_the_defaults(field: str, value: float) -> None:
+    assert problem(**{field: value}) == problem()
+
+
+def test_time_and_attempts_are_bounded_with_a_warning() -> None:
+    read = asked(allowed_planning_time=1e6, num_planning_attempts=10_000)
+    assert isinstance(read, BuiltProblem)
+    assert isinstance(read.problem, PlanningProblem)
+    assert read.problem.allowed_time_s == MAX_ALLOWED_PLANNING_TIME_S
+    assert read.problem.attempts == MAX_PLANNING_ATTEMPTS
+    assert len(read.warnings) == 2
+
+
+def test_a_planning_time_that_is_no_number_is_refused() -> None:
+    refusal = asked(allowed_planning_time=math.nan)
+    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "allowed_planning_time", "nan")
+
+
+@pytest.mark.parametrize("pipeline", ["", OMPL])
+def test_the_pipeline_of_these_planners_is_known(pipeline: str) -> None:
+    assert problem(pipeline_id=pipeline) == problem()
+
+
+def test_an_unknown_pipeline_is_refused_with_those_that_exist() -> None:
+    assert_refused(asked(pipeline_id="chomp"), MoveItErrorCode.FAILURE, "'chomp'", OMPL, PILZ)
+
+
+def test_an_unknown_planner_is_replaced_with_a_warning() -> None:
+    read = asked(planner_id="CHOMP", parameters=MoveItParameters(planner_id="RRT"))
+    assert isinstance(read, BuiltProblem)
+    assert isinstance(read.problem, PlanningProblem)
+    assert read.problem.planner_id == "RRT"
+    assert "'CHOMP'" in read.warnings[0]
+
+
+@pytest.mark.parametrize("spelled", ["RRTConnect", "RRTConnectkConfigDefault", "geometric::RRTConnect"])
+def test_planners_are_known_in_moveits_spellings(spelled: str) -> None:
+    assert problem(planner_id=spelled).planner_id == PLANNER_IDS[0]
+
+
+def test_the_workspace_is_ignored() -> None:
+    box = {"min_corner": {"x": math.nan, "y": 0.0, "z": 0.0}, "header": {"frame_id": "moon"}}
+    assert asked(workspace_parameters=box) == asked()
+
+
+IGNORED = {
+    "trajectory_constraints": {"constraints": [{}]},
+    "reference_trajectories": [{}],
+    "max_cartesian_speed": 0.1,
+}
+
+
+@pytest.mark.parametrize("field", IGNORED)
+def test_ignored_fields_have_a_warning(field: str) -> None:
+    read = asked(**{field: IGNORED[field]})
+    assert isinstance(read, BuiltProblem)
+    assert field in read.warnings[0]
+
+
+def test_path_constraints_hold_on_the_way() -> None:
+    held = problem(path_constraints={"joint_constraints": [joint("wrist_roll", 0.0, 0.1, 0.1)]})
+    assert held.path_constraints is not None
+    assert held.path_constraints.joints[0].joint == "wrist_roll"
+
+
+def test_pilz_point_to_point_is_any_motion() -> None:
+    assert problem(pipeline_id=PILZ, planner_id="PTP") == problem()
+
+
+def test_pilz_line_is_a_path_of_the_tip() -> None:
+    read = asked(pipeline_id=PILZ, planner_id="LIN", goal_constraints=[{"position_constraints": [ball(0.3, 0.0, 0.2)]}])
+    assert isinstance(read, BuiltProblem)
+    assert isinstance(read.problem, CartesianProblem)
+
+
+def test_an_unknown_planner_of_pilz_is_point_to_point_with_a_warning() -> None:
+    read = asked(pipeline_id=PILZ, planner_id="SPLINE")
+    assert isinstance(read, BuiltProblem)
+    assert isinstance(read.problem, PlanningProblem)
+    assert "'SPLINE'" in read.warnings[0]
+
+
+# As scripts on roslibpy send them: no tolerances, no header, no times, no scaling.
+SPARSE = {
+    "joints": {"goal_constraints": [{"joint_constraints": [{"joint_name": "elbow_flex", "position": 0.5}]}]},
+    "diff": {"start_state": {"is_diff": True}, "goal_constraints": [GOAL]},
+    "state": {"start_state": {"joint_state": {"name": ["elbow_flex"], "position": [0.1]}}, "goal_constraints": [GOAL]},
+    "pose": {
+        "group_name": "arm",
+        "goal_constraints": [
+            {
+                "position_constraints": [
+                    {"link_name": "gripper_frame_link", "constraint_region": {"primitive_poses": [{}]}}
+                ],
+                "orientation_constraints": [{"link_name": "gripper_frame_link"}],
+            }
+        ],
+    },
+}
+
+
+@pytest.mark.parametrize("sparse", SPARSE.values(), ids=SPARSE.keys())
+def test_sparse_requests_are_understood(sparse) -> None:
+    assert isinstance(asked(**sparse), BuiltProblem)
+
+
+END = (0.3, 0.0, 0.2)
+TO_POINT = PlanningProblem("arm", HOME, PositionGoal(TIP, END, 0.005), velocity_scaling=0.5)
+NO_ARC = constraints()
+
+
+def path(planner=STRAIGHT, problem=TO_POINT, arc=NO_ARC, tip_speed=0.0):
+    return tip_problem(planner, problem, arc, tip_speed, context())
+
+
+def refusal(**fields):
+    with pytest.raises(RefusedError) as raised:
+        path(**fields)
+    return raised.value.failure
+
+
+def test_a_line_ends_at_the_goal_in_whatever_orientation() -> None:
+    line = path()
+    (segment,) = line.segments
+    assert isinstance(segment, Line)
+    assert segment.end.position_m == END
+    assert not line.keep_orientation
+    assert line.velocity_scaling == 0.5
+
+
+def test_a_strict_pose_keeps_its_orientation_on_the_way() -> None:
+    goal = PoseGoal(TIP, Pose(END), 0.005, (0.1, 0.1, 0.2), strict=True)
+    line = path(problem=PlanningProblem("arm", HOME, goal))
+    assert line.keep_orientation
+    assert line.orientation_tolerance_rad == 0.2
+
+
+def test_a_joint_goal_is_where_it_brings_the_tip() -> None:
+    goal = JointGoal({"elbow_flex": 0.4})
+    line = path(problem=PlanningProblem("arm", HOME, goal))
+    assert line.segments[0].end == FRAMES.resolve(TIP, HOME | {"elbow_flex": 0.4})
+
+
+@pytest.mark.parametrize(("asked", "kept"), [(0.0, None), (0.05, 0.05)])
+def test_the_speed_of_the_tip_is_bounded_on_request(asked, kept) -> None:
+    assert path(tip_speed=asked).tip_speed_m_s == kept
+
+
+def test_a_circle_leads_through_its_interim_point() -> None:
+    arc = constraints(name="interim", position_constraints=[ball(0.35, 0.03, 0.22)])
+    (segment,) = path(CIRCULAR, arc=arc).segments
+    assert isinstance(segment, Arc)
+    assert segment.via_m == (0.35, 0.03, 0.22)
+
+
+def test_a_circle_about_a_center_is_the_shorter_way_around_it() -> None:
+    start = np.array(FRAMES.resolve(TIP, HOME).position_m)
+    center = 0.5 * (start + END) + (0.0, 0.0, -0.1)
+    arc = constraints(name="center", position_constraints=[ball(*center.tolist())])
+    (segment,) = path(CIRCULAR, arc=arc).segments
+    via = np.array(segment.via_m)
+    assert np.linalg.norm(via - center) == pytest.approx(np.linalg.norm(start - center))
+    assert via[2] > max(start[2], END[2])
+
+
+BAD_ARCS = {
+    "unnamed": (constraints(position_constraints=[ball(0.3, 0.0, 0.2)]), "'interim'"),
+    "pointless": (constraints(name="interim"), "one position constraint"),
+    "poseless": (constraints(name="interim", position_constraints=[{}]), "primitive_poses is empty"),
+}
+
+
+@pytest.mark.parametrize(("arc", "words"), BAD_ARCS.values(), ids=BAD_ARCS.keys())
+def test_a_circle_without_a_point_is_refused(arc, words) -> None:
+    assert_refused(refusal(planner=CIRCULAR, arc=arc), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, words)
+
+
+def test_a_half_circle_about_a_center_is_refused_as_ambiguous() -> None:
+    middle = 0.5 * (np.array(FRAMES.resolve(TIP, HOME).position_m) + END)
+    arc = constraints(name="center", position_constraints=[ball(*middle.tolist())])
+    assert_refused(refusal(planner=CIRCULAR, arc=arc), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "opposite")
+
+
+def test_a_goal_of_several_points_is_no_path() -> None:
+    goal = PositionGoal(TIP, END, 0.005, (math.pi, 0.0, 0.0))
+    refused = refusal(problem=PlanningProblem("arm", HOME, goal))
+    assert_refused(refused, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "one pose of one link")
+
+
+NAMED_START = {"start_state": {"joint_state": {"name": ["elbow_flex"], "position": [0.1]}}}
+
+
+def read(*items):
+    return outcome(sequence_requests, message("MotionSequenceRequest", items=list(items)))
+
+
+def test_the_items_requests_come_in_their_order() -> None:
+    requests = read({"req": {"group_name": "arm"}}, {"req": {"group_name": "gripper"}})
+    assert isinstance(requests, list)
+    assert [request["group_name"] for request in requests] == ["arm", "gripper"]
+
+
+def test_the_first_item_may_say_where_it_starts() -> None:
+    assert isinstance(read({"req": NAMED_START}, {}), list)
+
+
+def test_a_start_in_the_middle_is_refused_by_its_place() -> None:
+    assert_refused(read({}, {"req": NAMED_START}), MoveItErrorCode.INVALID_MOTION_PLAN, "items[1].req.start_state")
+
+
+@pytest.mark.parametrize("radius", [0.01, -0.01])
+def test_a_blend_radius_is_refused_with_its_reason(radius: float) -> None:
+    refusal = read({"blend_radius": radius}, {})
+    failure = assert_refused(
+        refusal, MoveItErrorCode.INVALID_MOTION_PLAN, "items[0].blend_radius", f"{radius:g}", "rest"
+    )
+    assert failure.details["item"] == 0
+
+
+@pytest.mark.parametrize("count", [0, MAX_ITEMS + 1])
+def test_no_items_and_too_many_are_refused_with_the_limit(count: int) -> None:
+    assert_refused(read(*[{}] * count), MoveItErrorCode.INVALID_MOTION_PLAN, str(count), str(MAX_ITEMS))

@@ -1,0 +1,162 @@
+"""Collision objects as moveit_msgs/CollisionObject describes them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from planners.scene import Box, Plane, Pose, Sphere
+from server.errors import RefusedError
+from server.moveit.scene.collision_objects import (
+    MAX_SUBFRAMES,
+    AttachedCollisionObject,
+    has_geometry,
+    read_collision_object,
+    read_shape_poses,
+    with_object_pose,
+)
+from tests.helpers.planning_scene import box, collision_object, message, pose
+
+BALL = {"type": 2, "dimensions": [0.1]}
+QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+RICH = collision_object(
+    id="rack",
+    header={"frame_id": "base_link"},
+    pose=pose(1.0, 2.0, 3.0, turned=QUARTER),
+    type={"key": "furniture", "db": "{}"},
+    primitives=[{"type": 1, "dimensions": [1.0, 2.0, 3.0]}, BALL],
+    primitive_poses=[pose(0.1), pose(0.2, turned=QUARTER)],
+    planes=[{"coef": [0.0, 0.0, 1.0, 0.5]}],
+    plane_poses=[pose(0.0, 0.0, 0.3)],
+    subframe_names=["hook"],
+    subframe_poses=[pose(0.0, 0.4)],
+)
+
+
+def test_an_object_is_written_as_it_was_read():
+    assert read_collision_object(RICH, "base_link", "it").message == RICH
+
+
+def test_shapes_are_in_the_objects_frame_in_moveits_order():
+    thing = read_collision_object(RICH, "base_link", "it")
+    assert [type(shape) for shape, _ in thing.shapes] == [Box, Sphere, Plane]
+    assert [at.position_m[0] for _, at in thing.shapes] == [0.1, 0.2, 0.0]
+    assert thing.scene_object.pose.position_m == (1.0, 2.0, 3.0)
+    assert thing.subframes == {"hook": Pose((0.0, 0.4, 0.0))}
+
+
+def test_an_object_without_a_pose_gets_that_of_its_single_shape():
+    thing = read_collision_object(collision_object(**box("b"), primitive_poses=[pose(0.3)]), "", "it")
+    assert thing.pose == Pose((0.3, 0.0, 0.0))
+    assert thing.shapes[0][1] == Pose()
+
+
+def test_two_shapes_keep_their_poses_whatever_the_objects_pose():
+    shapes = ((Sphere(1.0), Pose((1.0, 0.0, 0.0))), (Sphere(2.0), Pose()))
+    assert with_object_pose(Pose(), shapes) == (Pose(), shapes)
+
+
+def test_shapes_without_poses_have_the_objects_pose():
+    thing = read_collision_object(collision_object(id="two", primitives=[BALL, BALL], pose=pose(1.0)), "", "it")
+    assert [at for _, at in thing.shapes] == [Pose(), Pose()]
+    assert len(thing.message["primitive_poses"]) == 2
+
+
+def test_a_quaternion_of_zeros_is_no_rotation_and_others_are_brought_to_length_one():
+    told = collision_object(**box("b", at=pose(1.0, turned=(0.0,) * 4)))
+    assert read_collision_object(told, "", "it").pose == Pose((1.0, 0.0, 0.0))
+    long = collision_object(**box("b", at=pose(1.0, turned=(0.0, 0.0, 2.0, 0.0))))
+    assert read_collision_object(long, "", "it").pose.orientation == (0.0, 0.0, 1.0, 0.0)
+
+
+def test_a_repeated_message_equals_its_object_whatever_its_stamp():
+    thing = read_collision_object(RICH, "base_link", "it")
+    header = {"stamp": {"sec": 9, "nanosec": 9}, "frame_id": "base_link"}
+    assert thing.equals_message({**RICH, "header": header})
+    assert not thing.equals_message({**RICH, "pose": pose(1.0)})
+
+
+@pytest.mark.parametrize(
+    ("at", "same"), [(RICH["pose"], True), (pose(1.0, 2.0, 3.0), False), (pose(turned=QUARTER), False)]
+)
+def test_an_object_compares_a_pose_with_its_own(at, same):
+    assert read_collision_object(RICH, "base_link", "it").has_pose(at) is same
+
+
+DIFFERENCES = {
+    "pose": pose(1.0),
+    "type": {"key": "other", "db": ""},
+    "primitives": [BALL, BALL],
+    "primitive_poses": [pose(), pose()],
+    "subframe_names": ["eye"],
+    "planes": [{"coef": [0.0, 1.0, 0.0, 0.5]}],
+}
+
+
+@pytest.mark.parametrize(("field", "value"), DIFFERENCES.items(), ids=DIFFERENCES.keys())
+def test_two_objects_are_equal_unless_a_field_differs(field, value):
+    thing = read_collision_object(RICH, "base_link", "it")
+    assert thing.equals(read_collision_object(RICH, "base_link", "it"))
+    assert not thing.equals(read_collision_object(collision_object(**{**RICH, field: value}), "base_link", "it"))
+
+
+def test_two_attached_objects_are_equal_unless_a_field_differs():
+    thing, posture = read_collision_object(RICH, "gripper_link", "it"), {}
+    held = AttachedCollisionObject(thing, ("wrist_link",), posture, 0.25)
+    assert held.equals(
+        AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
+    )
+    others = [((), posture, 0.25), (("wrist_link",), {"points": []}, 0.25), (("wrist_link",), posture, 0.5)]
+    assert not any(held.equals(AttachedCollisionObject(thing, *other)) for other in others)
+
+
+def test_an_attached_object_is_written_as_it_was_read():
+    posture = message("trajectory_msgs/JointTrajectory", joint_names=["gripper"])
+    held = AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
+    told = held.message
+    assert told == message("AttachedCollisionObject", **told)
+    assert (told["link_name"], told["object"]["header"]["frame_id"]) == ("gripper_link", "gripper_link")
+    assert (told["touch_links"], told["weight"], told["detach_posture"]) == (["wrist_link"], 0.25, posture)
+    assert held.attached_object.touch_links == {"wrist_link"}
+
+
+def test_only_shapes_are_geometry():
+    assert has_geometry(RICH)
+    assert not has_geometry(collision_object(id="b", subframe_names=["hook"], subframe_poses=[pose()]))
+
+
+def test_poses_of_shapes_are_read_in_moveits_order():
+    told = collision_object(plane_poses=[pose(3.0)], primitive_poses=[pose(1.0)], mesh_poses=[pose(2.0)])
+    assert [at.position_m[0] for at in read_shape_poses(told, "it")] == [1.0, 2.0, 3.0]
+
+
+BAD = {
+    "no shape": ({"primitives": []}, "has no shape"),
+    "a pose of NaN": ({"pose": pose(math.nan)}, "it.pose.position.x must be a finite number, not nan"),
+    "beyond the horizon": ({"pose": pose(1e6)}, "beyond 100 m"),
+    "a shape's pose of NaN": ({"primitive_poses": [pose(0.0, math.inf)]}, "it.primitive_poses[0].position.y"),
+    "more poses than shapes": (
+        {"primitive_poses": [pose(), pose()]},
+        "it.primitive_poses has 2 entries, primitives only 1",
+    ),
+    "poses of no meshes": ({"mesh_poses": [pose()]}, "it.mesh_poses has 1 entries, meshes only 0"),
+    "a bad shape": ({"primitives": [{"type": 2, "dimensions": [0.0]}]}, "it.primitives[0] is a sphere"),
+    "subframes without poses": ({"subframe_names": ["a"]}, "subframe_names has 1 entries, subframe_poses 0"),
+    "subframes without name": ({"subframe_names": [""], "subframe_poses": [pose()]}, "it.subframe_names[0] is ''"),
+    "subframes twice": ({"subframe_names": ["a", "a"], "subframe_poses": [pose()] * 2}, "it.subframe_names[1] is 'a'"),
+    "a subframe of NaN": ({"subframe_names": ["a"], "subframe_poses": [pose(math.nan)]}, "it.subframe_poses[0]"),
+    "too many subframes": (
+        {"subframe_names": ["a"] * (MAX_SUBFRAMES + 1), "subframe_poses": [pose()] * (MAX_SUBFRAMES + 1)},
+        f"more than {MAX_SUBFRAMES}",
+    ),
+}
+
+
+@pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
+def test_a_bad_value_is_rejected_with_object_and_field(fields, words):
+    with pytest.raises(RefusedError) as refusal:
+        read_collision_object(collision_object(**{**box("odd one"), **fields}), "", "it")
+    assert words in refusal.value.failure.message
+    assert "'odd one'" in refusal.value.failure.message
+    assert refusal.value.failure.details["object"] == "odd one"

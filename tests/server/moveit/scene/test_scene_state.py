@@ -1,0 +1,211 @@
+"""The planning scene of the server, and the joint states that clients assume."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.problem import MoveItErrorCode
+from planners.scene import EMPTY_SCENE, Scene
+from planners.scene_checks import MAX_SHAPES
+from server.errors import RefusedError
+from server.graph.node import Node
+from server.moveit.scene.scene_state import AssumedStates, SceneState
+from tests.helpers.planning_scene import (
+    BENT,
+    ROBOT,
+    box,
+    collision_object,
+    diff,
+    held,
+    message,
+    pose,
+    rejection,
+    scene_state,
+)
+
+ADDED = diff(world={"collision_objects": [box("cup", at=pose(0.3)), box("pen")]})
+RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
+
+
+def test_a_scene_begins_empty():
+    state = SceneState(ROBOT)
+    assert state.scene is EMPTY_SCENE
+    assert state.frame == "base_link"
+
+
+def test_every_change_that_planners_see_has_a_version_of_its_own():
+    state = scene_state()
+    versions = {state.scene.version}
+    for fields in (
+        {"world": {"collision_objects": [box("cup")]}},
+        {"robot_state": {"attached_collision_objects": [held("cup")]}},
+        {"link_padding": [{"link_name": "wrist_link", "padding": 0.01}]},
+        {"allowed_collision_matrix": {"default_entry_names": ["cup"], "default_entry_values": [True]}},
+    ):
+        state.apply_diff(diff(**fields), BENT)
+        versions.add(state.scene.version)
+    assert len(versions) == 5
+
+
+def test_a_repeated_message_changes_nothing():
+    state = scene_state()
+    state.apply_diff(ADDED, BENT)
+    scene, contents = state.scene, state.contents
+    calls = []
+    state.on_change(lambda: calls.append(1))
+    state.apply_diff(ADDED, BENT)
+    assert state.scene is scene
+    assert state.contents is contents
+    assert calls == []
+
+
+def test_a_colour_changes_the_contents_and_not_the_planners_scene():
+    state = scene_state(box("cup"))
+    scene = state.scene
+    calls = []
+    state.on_change(lambda: calls.append(state.contents.colors))
+    state.apply_diff(diff(object_colors=[{"id": "cup", "color": RED}]), BENT)
+    assert state.scene is scene
+    assert calls == [{"cup": RED}]
+
+
+@given(st.permutations(["good", "good too", "bad"]))
+def test_one_bad_object_and_nothing_is_changed(names):
+    state = scene_state(box("cup"))
+    contents, scene = state.contents, state.scene
+    objects = [box(name, frame="nowhere" if name == "bad" else "") for name in names]
+    changed = diff(world={"collision_objects": [{"id": "cup", "operation": 1}, *objects]})
+    assert rejection(state.apply_diff, changed, BENT).details["object"] == "bad"
+    assert (state.contents, state.scene) == (contents, scene)
+
+
+def test_with_diff_does_not_change_the_scene():
+    state = scene_state(box("cup"))
+    scene = state.scene
+    would_be = state.with_diff(diff(world={"collision_objects": [{"id": "cup", "operation": 1}]}), BENT)
+    assert isinstance(would_be, Scene)
+    assert would_be.objects == ()
+    assert would_be.version != scene.version
+    assert state.scene is scene
+    assert state.with_diff(diff(), BENT) is scene
+    assert rejection(state.with_diff, diff(world={"collision_objects": [{"id": "x"}]}), BENT).details["object"] == "x"
+
+
+def test_a_world_replaces_the_one_before_and_keeps_attached_objects():
+    state = scene_state(box("cup"), box("pen"))
+    state.apply_attached_object(held("cup"), BENT)
+    state.apply_world(message("PlanningSceneWorld", collision_objects=[box("new")]), BENT)
+    assert (list(state.contents.objects), list(state.contents.attached)) == (["new"], ["cup"])
+
+
+def test_single_objects_are_taken():
+    state = SceneState(ROBOT)
+    state.apply_collision_object(collision_object(**box("cup")), None)
+    assert [thing.name for thing in state.scene.objects] == ["cup"]
+
+
+@pytest.mark.parametrize(
+    ("objects", "code"),
+    [
+        ([box("gripper_link")], MoveItErrorCode.INVALID_OBJECT_NAME),
+        ([box("")], MoveItErrorCode.INVALID_OBJECT_NAME),
+        ([box("held")], MoveItErrorCode.INVALID_OBJECT_NAME),
+    ],
+)
+def test_names_that_are_taken_or_empty_are_refused(objects, code):
+    state = scene_state()
+    state.apply_attached_object(held("held", **box("held")), BENT)
+    assert rejection(state.apply_diff, diff(world={"collision_objects": objects}), BENT).code is code
+
+
+def test_an_unknown_touch_link_is_refused():
+    state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
+    assert rejection(state.apply_attached_object, touching, BENT).code is MoveItErrorCode.INVALID_LINK_NAME
+
+
+def test_more_shapes_than_a_scene_holds_are_refused_bit_by_bit_as_well():
+    half = [{"type": 2, "dimensions": [0.1]}] * (MAX_SHAPES // 2)
+    state = scene_state({"id": "a", "primitives": half}, {"id": "b", "primitives": half})
+    assert rejection(state.apply_collision_object, collision_object(**box("c")), BENT).details["limit"] == MAX_SHAPES
+
+
+def test_a_scene_for_another_robot_is_taken_with_a_warning(caplog):
+    with caplog.at_level(logging.WARNING, "armbridge"):
+        scene_state().apply_diff(diff(robot_model_name="panda"), BENT)
+    assert "'panda'" in caplog.text
+
+
+def state(is_diff=True, **positions):
+    joint_state = {"name": list(positions), "position": list(positions.values())}
+    return message("RobotState", joint_state=joint_state, is_diff=is_diff)
+
+
+def said(*states, told=None):
+    assumed, node = AssumedStates(ROBOT), Node("client")
+    if told is not None:
+        assumed.note_sent(node, told)
+    for each in states:
+        assumed.assume(node, assumed.after(node, each))
+    return assumed.of(node)
+
+
+def test_a_client_assumes_nothing_at_first():
+    assert said() is None
+    assert said(state()) is None
+
+
+def test_a_state_is_assumed_for_its_client_alone():
+    assumed, one, other = AssumedStates(ROBOT), Node("one"), Node("other")
+    assumed.assume(one, assumed.after(one, state(gripper=0.5)))
+    assert (assumed.of(one), assumed.of(other)) == ({"gripper": 0.5}, None)
+
+
+def test_a_difference_leaves_the_other_joints_and_a_whole_state_does_not():
+    assert said(state(gripper=0.5), state(wrist_roll=0.1)) == {"gripper": 0.5, "wrist_roll": 0.1}
+    assert said(state(gripper=0.5), state(is_diff=False, wrist_roll=0.1)) == {"wrist_roll": 0.1}
+
+
+def test_a_state_sent_back_assumes_nothing():
+    assert said(state(**BENT), told=BENT) is None
+    assert said(state(gripper=0.5), state(gripper=0.5), told=BENT) == {"gripper": 0.5}
+
+
+def test_an_earlier_state_sent_after_another_is_assumed():
+    assert said(state(gripper=0.5), state(gripper=BENT["gripper"]), told=BENT) == {"gripper": BENT["gripper"]}
+
+
+def test_joints_that_are_not_assumed_are_as_measured():
+    assumed = AssumedStates(ROBOT)
+    assert assumed.completed({"gripper": 0.5}, BENT) == {**BENT, "gripper": 0.5}
+    assert assumed.completed(None, BENT) == BENT
+    assert assumed.completed({"gripper": 0.5}, None) is None
+    assert assumed.completed(BENT, None) == BENT
+
+
+def test_a_client_that_has_left_is_forgotten():
+    assumed, node = AssumedStates(ROBOT), Node("client")
+    assumed.assume(node, {"gripper": 0.5})
+    assert len(assumed._assumed) == 1
+    del node
+    gc.collect()
+    assert len(assumed._assumed) == 0
+
+
+@pytest.mark.parametrize(
+    ("joint_state", "words"),
+    [
+        ({"name": ["gripper"], "position": []}, "name has 1 entries and position 0"),
+        ({"name": ["knee"], "position": [0.0]}, "there is no joint 'knee'"),
+        ({"name": ["gripper"], "position": [math.nan]}, "joint 'gripper' must be a finite number, not nan"),
+    ],
+)
+def test_a_state_that_is_none_is_refused(joint_state, words):
+    with pytest.raises(RefusedError, match=words) as refusal:
+        AssumedStates(ROBOT).after(Node("client"), message("RobotState", joint_state=joint_state))
+    assert refusal.value.failure.code is MoveItErrorCode.INVALID_ROBOT_STATE

@@ -1,0 +1,285 @@
+"""``/compute_cartesian_path``."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
+from planners.scene import Pose
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.trajectory import Trajectory
+from server.moveit.requests.error_codes import failure_code, success
+from server.moveit.services.cartesian_path import (
+    LEAST_JUMP_RAD,
+    MAX_SAMPLES,
+    JumpThresholds,
+    _code,
+    cut_lines,
+    first_jump,
+    length_m,
+)
+from tests.helpers.examples import examples
+from tests.helpers.moveit_requests import HOME, ROBOT, TIP, joint, point
+from tests.helpers.moveit_services import ServiceRig
+
+NEAR, FAR = point(0.33, 0.0, 0.2, w=1.0), point(0.33, 0.6, 0.2, w=1.0)
+
+
+@pytest.fixture
+def rig() -> ServiceRig:
+    return ServiceRig()
+
+
+async def path(rig: ServiceRig, *waypoints: Any, max_step: float = 0.01, **fields: Any) -> Any:
+    return await rig.call("/compute_cartesian_path", waypoints=list(waypoints or [NEAR]), max_step=max_step, **fields)
+
+
+def asked(rig: ServiceRig) -> CartesianProblem:
+    problem = rig.pool.requests[-1]
+    assert isinstance(problem, CartesianProblem)
+    return problem
+
+
+async def test_a_path_that_can_be_followed_is_whole(rig: ServiceRig) -> None:
+    answer = await path(rig)
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert answer["fraction"] == 1.0
+    assert len(answer["solution"]["joint_trajectory"]["points"]) > 2
+
+
+async def test_the_last_link_of_the_group_follows_unless_another_is_named(rig: ServiceRig) -> None:
+    await path(rig)
+    assert asked(rig).link == TIP
+    await path(rig, link_name="wrist_link")
+    assert asked(rig).link == "wrist_link"
+
+
+async def test_a_path_that_can_be_followed_in_part_says_how_far_and_why(rig: ServiceRig) -> None:
+    answer = await path(rig, NEAR, FAR)
+    assert 0.0 < answer["fraction"] < 1.0
+    assert answer["error_code"]["val"] == MoveItErrorCode.NO_IK_SOLUTION
+    assert "cm" in answer["error_code"]["message"]
+    assert answer["solution"]["joint_trajectory"]["points"]
+
+
+async def test_waypoints_are_in_the_frame_of_the_header(rig: ServiceRig) -> None:
+    answer = await path(rig, point(0.0, 0.0, 0.0, w=1.0), header={"frame_id": TIP})
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert asked(rig).segments[0].end.position_m == pytest.approx((0.39136147, -9.2e-6, 0.22646971), abs=1e-6)
+
+
+@pytest.mark.parametrize("max_step", [0.0, -0.1, math.nan])
+async def test_a_step_that_is_none_is_refused(rig: ServiceRig, max_step: float) -> None:
+    answer = await path(rig, max_step=max_step)
+    assert answer["error_code"]["val"] == MoveItErrorCode.FAILURE
+    assert "max_step" in answer["error_code"]["message"]
+    assert answer["fraction"] == 0.0
+
+
+async def test_speeds_are_kept(rig: ServiceRig) -> None:
+    fields = {"max_velocity_scaling_factor": 0.4, "max_acceleration_scaling_factor": 0.3, "max_cartesian_speed": 0.05}
+    await path(rig, **fields)
+    problem = asked(rig)
+    assert (problem.velocity_scaling, problem.acceleration_scaling, problem.tip_speed_m_s) == (0.4, 0.3, 0.05)
+
+
+async def test_a_link_that_does_not_follow_the_path_limits_no_speed(rig: ServiceRig) -> None:
+    answer = await path(rig, max_cartesian_speed=0.05, cartesian_speed_limited_link="wrist_link")
+    assert "wrist_link" in answer["error_code"]["message"]
+
+
+async def test_the_link_that_follows_the_path_may_be_named_for_its_speed(rig: ServiceRig) -> None:
+    answer = await path(rig, max_cartesian_speed=0.05, cartesian_speed_limited_link=TIP)
+    assert "max_cartesian_speed" not in answer["error_code"]["message"]
+
+
+def test_all_but_the_last_bit_of_a_path_is_a_success_that_says_why_it_ends_there() -> None:
+    still = Trajectory(("elbow_flex",), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    why = PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "no further")
+    assert _code(CartesianPlan(still, 0.995, why, 0.0), ()) == success("no further")
+    assert _code(CartesianPlan(still, 0.9, why, 0.0), ()) == failure_code(why)
+
+
+async def test_a_greater_step_of_a_joint_than_allowed_ends_the_path_before_it(rig: ServiceRig) -> None:
+    # Towards the end the arm is stretched, and its elbow races.
+    bent = {"joint_state": {"name": ["shoulder_lift", "elbow_flex"], "position": [-1.2, 1.4]}}
+    stretching = {"start_state": bent, "max_step": 0.02}
+    stretched = {**point(0.45, 0.0, 0.226), "orientation": {"y": 0.7071, "w": 0.7071}}
+    assert (await path(rig, stretched, **stretching))["fraction"] == 1.0
+    answer = await path(rig, stretched, revolute_jump_threshold=0.3, **stretching)
+    assert 0.5 < answer["fraction"] < 0.95
+    assert answer["error_code"]["val"] == MoveItErrorCode.PLANNING_FAILED
+    said = answer["error_code"]["message"]
+    assert "of 21.4 cm" in said
+    assert "'elbow_flex' would jump" in said
+    assert "step of 20 mm" in said
+    assert answer["solution"]["joint_trajectory"]["points"]
+
+
+async def test_a_threshold_that_the_first_step_exceeds_leaves_nothing(rig: ServiceRig) -> None:
+    answer = await path(rig, revolute_jump_threshold=1e-4)
+    assert answer["fraction"] == 0.0
+    assert answer["error_code"]["val"] == MoveItErrorCode.PLANNING_FAILED
+
+
+async def test_a_factor_that_no_step_exceeds_changes_nothing(rig: ServiceRig) -> None:
+    assert (await path(rig, jump_threshold=1.57))["fraction"] == 1.0
+    assert len(rig.pool.requests) == 1
+
+
+async def test_contacts_end_the_path_when_they_are_to_be_avoided(rig: ServiceRig) -> None:
+    shown = rig.listen("/display_contacts", "visualization_msgs/MarkerArray")
+    into_itself = point(0.0, 0.0, 0.1, w=1.0)
+    blind, careful = await path(rig, into_itself), await path(rig, into_itself, avoid_collisions=True)
+    assert careful["fraction"] < blind["fraction"]
+    assert careful["error_code"]["val"] == MoveItErrorCode.INVALID_MOTION_PLAN
+    assert "touch" in careful["error_code"]["message"]
+    assert len(shown[-1]["markers"]) > 1
+
+
+async def test_constraints_hold_on_the_way(rig: ServiceRig) -> None:
+    held = {"joint_constraints": [joint("elbow_flex", 0.0, 0.05, 0.05)]}
+    answer = await path(rig, path_constraints=held)
+    assert answer["fraction"] < 1.0
+    assert "'elbow_flex'" in answer["error_code"]["message"]
+
+
+BAD = {
+    "unknown group": ({"group_name": "manipulator"}, -15, "'manipulator'"),
+    "unknown link": ({"link_name": "hand"}, -18, "'hand'"),
+    "unknown frame": ({"header": {"frame_id": "moon"}}, -21, "'moon'"),
+    "scaling": ({"max_velocity_scaling_factor": -1.0}, -16, "max_velocity_scaling_factor"),
+    "threshold": ({"jump_threshold": math.nan}, -16, "jump_threshold"),
+    "speed": ({"max_cartesian_speed": math.nan}, -16, "max_cartesian_speed"),
+}
+
+
+@pytest.mark.parametrize(("fields", "code", "words"), BAD.values(), ids=BAD.keys())
+async def test_a_path_that_cannot_be_begun_has_its_code_and_a_sentence(rig: ServiceRig, fields, code, words) -> None:
+    answer = await path(rig, **fields)
+    assert answer["error_code"]["val"] == code
+    assert words in answer["error_code"]["message"]
+
+
+async def test_no_waypoints_are_refused(rig: ServiceRig) -> None:
+    answer = await rig.call("/compute_cartesian_path", waypoints=[], max_step=0.01)
+    assert answer["error_code"]["val"] == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+
+
+HALF = math.sqrt(0.5)
+START = Pose()
+ALONG_X = Line(Pose((0.3, 0.0, 0.0)))
+THEN_Y = Line(Pose((0.3, 0.4, 0.0), (0.0, 0.0, 1.0, 0.0)))
+
+
+def test_the_length_of_a_path_is_that_of_its_lines() -> None:
+    assert length_m(START, [ALONG_X, THEN_Y]) == pytest.approx(0.7)
+
+
+@examples(50)
+@given(st.floats(0.0, 0.7))
+def test_a_cut_path_has_the_length_to_keep(along_m: float) -> None:
+    assert length_m(START, cut_lines(START, [ALONG_X, THEN_Y], along_m)) == pytest.approx(along_m, abs=1e-12)
+
+
+def test_lines_before_the_cut_stay_as_they_are() -> None:
+    first, second = cut_lines(START, [ALONG_X, THEN_Y], 0.5)
+    assert first is ALONG_X
+    assert second.end.position_m == pytest.approx((0.3, 0.2, 0.0))
+
+
+def test_an_orientation_is_cut_in_the_same_proportion() -> None:
+    *_, last = cut_lines(START, [ALONG_X, THEN_Y], 0.5)
+    assert last.end.orientation == pytest.approx((0.0, 0.0, HALF, HALF))
+
+
+def test_orientations_turn_the_shorter_way() -> None:
+    flipped = Line(Pose((1.0, 0.0, 0.0), (0.0, 0.0, -HALF, -HALF)))
+    (half,) = cut_lines(START, [flipped], 0.5)
+    assert abs(np.dot(half.end.orientation, (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8)))) > 1.0 - 1e-9
+
+
+def test_a_cut_beyond_the_end_leaves_the_path_whole() -> None:
+    assert cut_lines(START, [ALONG_X, THEN_Y], 9.0) == (ALONG_X, THEN_Y)
+
+
+def test_a_path_that_only_turns_is_kept() -> None:
+    turn = Line(Pose((0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)))
+    assert cut_lines(START, [turn], 0.0) == (turn,)
+
+
+FORWARD = ForwardPlacements(ROBOT)
+
+
+def panned(*angles_rad: float, duration_s: float = 1.0) -> Trajectory:
+    """The shoulder turns: the tip goes round on a circle of 0.35 m."""
+    times = np.linspace(0.0, duration_s, len(angles_rad))
+    positions = np.array(angles_rad)[:, np.newaxis]
+    speeds = np.gradient(positions[:, 0], times)[:, np.newaxis] if len(times) > 1 else np.zeros((1, 1))
+    return Trajectory(("shoulder_pan",), times, positions, speeds, np.zeros_like(positions))
+
+
+def jump(motion, step_m=0.05, step_rad=0.0, factor=0.0):
+    return first_jump(motion, (FORWARD, TIP), HOME, step_m, JumpThresholds(step_rad, factor))
+
+
+EVEN = panned(*np.linspace(0.0, 1.0, 20))
+
+
+def test_a_step_is_what_joints_do_while_the_tip_moves_by_a_length() -> None:
+    radius_m = math.hypot(*FORWARD.transforms(HOME)[TIP][:2, 3] - FORWARD.transforms(HOME)["shoulder_link"][:2, 3])
+    expected_rad = 0.05 / radius_m
+    assert jump(EVEN, step_rad=1.02 * expected_rad) is None
+    found = jump(EVEN, step_rad=0.98 * expected_rad)
+    assert found is not None
+    assert found.joint == "shoulder_pan"
+    assert found.step_rad == pytest.approx(expected_rad, rel=0.01)
+
+
+def test_an_even_motion_exceeds_no_factor() -> None:
+    assert jump(EVEN, step_m=0.1, factor=1.2) is None
+
+
+def test_the_mean_times_a_factor_is_the_limit_of_a_step() -> None:
+    assert JumpThresholds(0.0, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == pytest.approx(2.0)
+
+
+def test_small_steps_exceed_no_factor() -> None:
+    assert JumpThresholds(0.0, 2.0).limit_rad(np.array([0.01, 0.01])) == LEAST_JUMP_RAD
+
+
+def test_of_two_thresholds_the_stricter_counts() -> None:
+    assert JumpThresholds(0.3, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == 0.3
+
+
+def test_the_first_jump_has_the_length_before_it() -> None:
+    assert jump(EVEN, step_rad=0.01).along_m == 0.0
+
+
+def test_a_motion_that_stands_has_no_jump() -> None:
+    assert jump(panned(0.3), step_rad=0.01, factor=1.0) is None
+
+
+def test_without_thresholds_nothing_is_a_jump() -> None:
+    assert not JumpThresholds(0.0, 0.0).any
+    assert jump(EVEN) is None
+
+
+def test_a_slow_path_is_looked_at_no_more_often_than_is_quick() -> None:
+    placed = 0
+
+    class Counting(ForwardPlacements):
+        def transforms(self, positions_rad):
+            nonlocal placed
+            placed += 1
+            return super().transforms(positions_rad)
+
+    slow = panned(0.0, 1.0, duration_s=1000.0)
+    assert first_jump(slow, (Counting(ROBOT), TIP), HOME, 0.05, JumpThresholds(9.0, 0.0)) is None
+    assert placed <= MAX_SAMPLES

@@ -1,0 +1,315 @@
+"""Services of MoveIt that plan, and those that describe planners and groups."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from planners.problem import PLANNER_IDS, MoveItErrorCode
+from robot.description import model
+from server.moveit.requests.planning_problems import PILZ
+from server.moveit.services.move_group_services import SERVICES, group_urdf
+from tests.helpers.arm_server import ArmClient
+from tests.helpers.messages import made_up
+from tests.helpers.moveit_requests import HOME, ROBOT, SPHERE, TIP, ball, joint, point, region, turned
+from tests.helpers.moveit_services import REGISTRY, ServiceRig
+
+
+@pytest.fixture
+def rig() -> ServiceRig:
+    return ServiceRig()
+
+
+def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
+    for name, offer in SERVICES.items():
+        assert rig.graph.services.type_of(name) == offer.type_name
+
+
+@pytest.mark.parametrize("name", SERVICES)
+async def test_an_empty_request_is_answered(rig: ServiceRig, name: str) -> None:
+    ok, values = await rig.outcome(name)
+    assert ok, values
+
+
+@pytest.mark.parametrize("name", SERVICES)
+async def test_a_request_for_an_arm_that_is_not_read_is_answered(rig: ServiceRig, name: str) -> None:
+    rig.arm.at_rad = None
+    ok, values = await rig.outcome(name)
+    assert ok, values
+
+
+@pytest.mark.parametrize("name", SERVICES)
+async def test_nonsense_is_answered_too(rig: ServiceRig, name: str) -> None:
+    for seed in range(10):
+        _, values = await rig.outcome(name, **made_up(REGISTRY, f"{SERVICES[name].type_name}_Request", seed))
+        assert "inside the server" not in str(values)
+
+
+async def test_a_running_server_offers_them(client: ArmClient) -> None:
+    answer = await client.call("/compute_fk", fk_link_names=[TIP])
+    assert answer["fk_link_names"] == [TIP]
+    goal = {"joint_constraints": [{"joint_name": "shoulder_pan", "position": 0.2}]}
+    planned = await client.call("/plan_kinematic_path", motion_plan_request={"goal_constraints": [goal]})
+    assert planned["motion_plan_response"]["error_code"]["val"] == 1
+
+
+# Shoulder and gripper overlap by centimetres.
+FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.6, "wrist_flex": 1.6}
+REACHABLE = {"position_constraints": [ball(0.3, 0.0, 0.2)]}
+ELBOW = {"joint_constraints": [joint("elbow_flex", 0.5)]}
+
+
+async def planned(rig: ServiceRig, *goals: Any, **fields: Any) -> Any:
+    request = {"goal_constraints": list(goals or [ELBOW]), **fields}
+    return (await rig.call("/plan_kinematic_path", motion_plan_request=request))["motion_plan_response"]
+
+
+def points(response: Any) -> list[Any]:
+    return response["trajectory"]["joint_trajectory"]["points"]
+
+
+def start_state(positions, **fields):
+    return {"joint_state": {"name": list(positions), "position": list(positions.values())}, **fields}
+
+
+def thing(at, size=0.1):
+    box = {"primitives": [{"type": 1, "dimensions": [size] * 3}], "primitive_poses": [point(*at)]}
+    return {"is_diff": True, "world": {"collision_objects": [{"id": "crate", **box}]}}
+
+
+def put(rig: ServiceRig, scene: Any) -> None:
+    complete = rig.graph.interfaces.complete("moveit_msgs/msg/PlanningScene", scene)
+    rig.scene_state.apply_diff(complete, HOME)
+
+
+async def test_a_motion_leads_from_the_start_to_the_goal(rig: ServiceRig) -> None:
+    response = await planned(rig, start_state=start_state({"wrist_roll": 0.2}))
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert response["group_name"] == "arm"
+    first, last = points(response)[0]["positions"], points(response)[-1]["positions"]
+    names = response["trajectory"]["joint_trajectory"]["joint_names"]
+    assert dict(zip(names, first, strict=True))["wrist_roll"] == pytest.approx(0.2)
+    assert dict(zip(names, last, strict=True))["elbow_flex"] == pytest.approx(0.5)
+    assert response["trajectory_start"]["joint_state"]["position"][-2] == pytest.approx(0.2)
+
+
+async def test_a_goal_that_holds_already_is_a_motion_of_one_point(rig: ServiceRig) -> None:
+    response = await planned(rig, {"joint_constraints": [joint("elbow_flex", 0.0)]})
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert len(points(response)) == 1
+
+
+async def test_warnings_are_in_the_message_of_a_success(rig: ServiceRig) -> None:
+    code = (await planned(rig, start_state=start_state({"elbow_flex": -1.72}), planner_id="CHOMP"))["error_code"]
+    assert code["val"] == MoveItErrorCode.SUCCESS
+    assert "elbow_flex" in code["message"]
+    assert "'CHOMP'" in code["message"]
+
+
+async def test_five_joints_reach_a_pose_in_the_nearest_orientation_and_tell_how_far_it_is_off(rig: ServiceRig) -> None:
+    code = (await planned(rig, REACHABLE | {"orientation_constraints": [turned(0.001)]}))["error_code"]
+    assert code["val"] == MoveItErrorCode.SUCCESS
+    assert "degrees off" in code["message"]
+
+
+UNPLANNABLE = {
+    "unknown group": ([ELBOW], {"group_name": "manipulator"}, -15, "'manipulator'"),
+    "unknown pipeline": ([ELBOW], {"pipeline_id": "chomp"}, 99999, "'chomp'"),
+    "no goal constraints": ([{}], {}, -16, "empty"),
+    "unknown joint": ([{"joint_constraints": [joint("knee", 0.1)]}], {}, -16, "'knee'"),
+    "joint beyond its limits": ([{"joint_constraints": [joint("elbow_flex", 3.0)]}], {}, -16, "-1.69 to 1.69"),
+    "negative tolerance": ([{"joint_constraints": [joint("elbow_flex", 0.1, above=-1.0)]}], {}, -16, "tolerance_above"),
+    "unknown link": ([{"position_constraints": [ball(0.3, 0, 0.2, link_name="hand")]}], {}, -18, "'hand'"),
+    "unknown frame": ([{"position_constraints": [ball(0.3, 0, 0.2, header={"frame_id": "moon"})]}], {}, -21, "'moon'"),
+    "no region": ([{"position_constraints": [{}]}], {}, -16, "no region"),
+    "unreachable": ([{"position_constraints": [ball(0.8, 0.0, 0.2)]}], {}, -31, "nearest point it can reach"),
+    "unreachable orientation": (
+        [REACHABLE | {"orientation_constraints": [turned(0.1)]}],
+        {},
+        -31,
+        "not in the orientation asked for",
+    ),
+    "start out of limits": ([ELBOW], {"start_state": start_state({"elbow_flex": -2.0})}, -26, "'elbow_flex'"),
+    "start in collision": ([ELBOW], {"start_state": start_state(FOLDED)}, -10, "shoulder_link and gripper_link"),
+    "goal in collision": ([{"joint_constraints": [joint(*pair) for pair in FOLDED.items()]}], {}, -12, "shoulder_link"),
+    "start violates": ([ELBOW], {"path_constraints": {"position_constraints": [ball(0.2, 0.2, 0.2)]}}, -11, TIP),
+    "goal violates": (
+        [{"joint_constraints": [joint("wrist_roll", 1.0)]}],
+        {"path_constraints": {"joint_constraints": [joint("wrist_roll", 0.0, 0.5, 0.5)]}},
+        -13,
+        "'wrist_roll'",
+    ),
+    "time over": ([REACHABLE], {"allowed_planning_time": 1e-6}, -6, "allowed"),
+    "line out of reach": (
+        [{"position_constraints": [ball(0.8, 0.0, 0.2)]}],
+        {"pipeline_id": PILZ, "planner_id": "LIN"},
+        -31,
+        "cm",
+    ),
+}
+
+
+@pytest.mark.parametrize(("goals", "fields", "code", "words"), UNPLANNABLE.values(), ids=UNPLANNABLE.keys())
+async def test_a_failed_plan_has_its_code_and_message(rig, goals, fields, code, words) -> None:
+    response = await planned(rig, *goals, **fields)
+    assert response["error_code"]["val"] == code
+    assert words in response["error_code"]["message"]
+    assert not points(response)
+
+
+async def test_a_failure_is_in_the_log(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
+    await planned(rig, group_name="manipulator")
+    assert any("INVALID_GROUP_NAME" in record.getMessage() for record in caplog.records)
+
+
+async def test_the_message_of_a_success_is_logged(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "armbridge")
+    await planned(rig, planner_id="CHOMP")
+    assert any("'CHOMP'" in record.getMessage() for record in caplog.records)
+
+
+async def test_a_goal_in_collision_names_the_object_and_shows_the_contact(rig: ServiceRig) -> None:
+    shown = rig.listen("/display_contacts", "visualization_msgs/MarkerArray")
+    put(rig, thing((0.0, 0.35, 0.2)))
+    code = (await planned(rig, {"position_constraints": [ball(0.0, 0.35, 0.2)]}))["error_code"]
+    assert code["val"] == MoveItErrorCode.GOAL_IN_COLLISION
+    assert "crate" in code["message"]
+    assert "crate" in shown[-1]["markers"][-1]["ns"]
+
+
+async def test_any_one_of_several_goals_will_do(rig: ServiceRig) -> None:
+    response = await planned(rig, {"position_constraints": [ball(0.8, 0.0, 0.2)]}, ELBOW)
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_any_one_of_several_regions_will_do(rig: ServiceRig) -> None:
+    two = region((SPHERE, [0.01]), (SPHERE, [0.01]), poses=[point(0.8, 0.0, 0.2), point(0.3, 0.0, 0.2)])
+    assert (await planned(rig, {"position_constraints": [two]}))["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_a_line_of_the_tip_ends_at_the_goal(rig: ServiceRig) -> None:
+    response = await planned(rig, REACHABLE, pipeline_id=PILZ, planner_id="LIN")
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def test_a_plan_is_shown(rig: ServiceRig) -> None:
+    shown = rig.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
+    response = await planned(rig)
+    assert shown[-1]["trajectory"][0]["joint_trajectory"]["points"] == points(response)
+
+
+async def test_the_pipeline_state_has_request_and_response(rig: ServiceRig) -> None:
+    heard = rig.listen("/pipeline_state", "moveit_msgs/PipelineState")
+    await planned(rig, planner_id="RRT")
+    assert heard[-1]["request"]["planner_id"] == "RRT"
+    assert heard[-1]["response"]["error_code"]["val"] == MoveItErrorCode.SUCCESS
+
+
+async def planned_sequence(rig: ServiceRig, *items: Any) -> Any:
+    return (await rig.call("/plan_sequence_path", request={"items": list(items)}))["response"]
+
+
+def to(position: float, **item: Any) -> Any:
+    return {"req": {"goal_constraints": [{"joint_constraints": [joint("elbow_flex", position)]}]}, **item}
+
+
+def ends(motion: Any) -> tuple[Any, Any]:
+    points = motion["joint_trajectory"]["points"]
+    return points[0]["positions"], points[-1]["positions"]
+
+
+async def test_each_motion_begins_where_the_one_before_ends(rig: ServiceRig) -> None:
+    response = await planned_sequence(rig, to(0.3), to(0.6), to(0.1))
+    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    motions = [ends(motion) for motion in response["planned_trajectories"]]
+    assert [last for _, last in motions[:-1]] == [pytest.approx(first) for first, _ in motions[1:]]
+
+
+async def test_the_motions_before_a_failed_item_are_in_the_response(rig: ServiceRig) -> None:
+    far = {"req": {"goal_constraints": [{"position_constraints": [ball(0.9, 0.0, 0.2)]}]}}
+    response = await planned_sequence(rig, to(0.3), far)
+    assert response["error_code"]["val"] == MoveItErrorCode.NO_IK_SOLUTION
+    assert "items[1]" in response["error_code"]["message"]
+    assert len(response["planned_trajectories"]) == 1
+
+
+@pytest.mark.parametrize("items", [[], [to(0.3, blend_radius=0.05), to(0.6)]])
+async def test_a_sequence_that_cannot_be_is_refused(rig: ServiceRig, items) -> None:
+    response = await planned_sequence(rig, *items)
+    assert response["error_code"]["val"] == MoveItErrorCode.INVALID_MOTION_PLAN
+    assert not response["planned_trajectories"]
+
+
+async def params(rig: ServiceRig, **fields):
+    told = (await rig.call("/get_planner_params", **fields))["params"]
+    return dict(zip(told["keys"], told["values"], strict=True))
+
+
+async def test_every_planner_is_listed_with_its_pipeline(rig: ServiceRig) -> None:
+    told = (await rig.call("/query_planner_interface"))["planner_interfaces"]
+    by_pipeline = {one["pipeline_id"]: one["planner_ids"] for one in told}
+    assert by_pipeline["ompl"] == list(PLANNER_IDS)
+    assert by_pipeline["pilz_industrial_motion_planner"] == ["PTP", "LIN", "CIRC"]
+
+
+async def test_parameters_that_were_set_are_returned(rig: ServiceRig) -> None:
+    wanted = {"keys": ["num_planning_attempts", "range"], "values": ["3", "0.1"]}
+    await rig.call("/set_planner_params", group="arm", params=wanted)
+    told = await params(rig, group="arm")
+    assert (told["num_planning_attempts"], told["range"]) == ("3", "0.1")
+
+
+async def test_a_parameter_that_changes_nothing_says_so(rig: ServiceRig) -> None:
+    await rig.call("/set_planner_params", params={"keys": ["range"], "values": ["0.1"]})
+    told = (await rig.call("/get_planner_params"))["params"]
+    described = dict(zip(told["keys"], told["descriptions"], strict=True))
+    assert described["range"]
+    assert not described["planner_id"]
+
+
+BAD = {
+    "value": ({"params": {"keys": ["num_planning_attempts"], "values": ["many"]}}, "num_planning_attempts"),
+    "lists": ({"params": {"keys": ["range"], "values": []}}, "1 entries"),
+    "group": ({"group": "manipulator"}, "'manipulator'"),
+    "pipeline": ({"pipeline_id": "chomp"}, "'chomp'"),
+}
+
+
+@pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
+async def test_a_bad_parameter_fails_with_a_message(rig: ServiceRig, fields, words) -> None:
+    ok, said = await rig.outcome("/set_planner_params", **fields)
+    assert not ok
+    assert words in said
+
+
+async def test_a_bad_parameter_changes_nothing(rig: ServiceRig) -> None:
+    before = await params(rig)
+    await rig.outcome("/set_planner_params", params={"keys": ["range", "planner_id"], "values": ["1", "CHOMP"]})
+    assert await params(rig) == before
+
+
+@pytest.mark.parametrize("name", ["arm", "gripper"])
+def test_a_groups_urdf_is_a_robot_with_its_joints(name: str) -> None:
+    group = ROBOT.groups[name]
+    chain = f'<chain base_link="{group.base_link}" tip_link="{group.tip_link}"/>'
+    srdf = f'<robot name="{name}"><group name="{name}">{chain}</group></robot>'
+    part = model.parse(group_urdf(ROBOT, group), srdf)
+    assert part.groups[name].joints == group.joints
+    assert part.root_link == group.base_link
+
+
+def test_links_beside_the_group_are_left_out() -> None:
+    assert "moving_jaw" not in group_urdf(ROBOT, ROBOT.groups["arm"])
+
+
+async def test_an_unknown_group_has_no_urdf() -> None:
+    answer = await ServiceRig().call("/get_urdf", group_name="manipulator")
+    assert answer["error_code"]["val"] == MoveItErrorCode.INVALID_GROUP_NAME
+    assert answer["urdf_string"] == ""
+
+
+async def test_an_empty_name_is_the_configured_group() -> None:
+    answer = await ServiceRig().call("/get_urdf")
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert "gripper_frame_link" in answer["urdf_string"]

@@ -1,0 +1,285 @@
+"""The servo loop and the commands it follows."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import Pose
+from planners.servo.question import (
+    Anchor,
+    JointVelocities,
+    ServoAnswer,
+    ServoLimits,
+    ServoQuestion,
+    ServoStatus,
+    TipTarget,
+    TipTwist,
+)
+from protocol.messages import Stamp, complete
+from protocol.registry import Registry
+from server.moveit.servo.parameters import ServoParameters
+from server.moveit.servo.servo_loop import (
+    REST_S,
+    ServoSession,
+    ServoSetup,
+    TwistCommand,
+    halt_command,
+    read_joint_jog,
+    read_pose_target,
+    read_twist,
+    to_planning_frame,
+)
+from tests.helpers.clock import FakeClock
+from tests.helpers.moveit_requests import outcome
+from tests.helpers.steerable_arm import ROBOT, SteerableArm
+
+REGISTRY = Registry.load()
+UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0.5)
+SPEEDS = ServoParameters(command_in_type="speed_units")
+STEERED_JOINTS = ("shoulder_pan", "elbow_flex")
+
+# Turned a quarter about z: its x is the root link's y.
+QUARTER = Pose((0.1, 0.0, 0.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
+
+
+def resolve(frame_id: str, _positions: object) -> Pose | PlanningFailure:
+    frames = {"": Pose(), "tool": QUARTER}
+    return frames.get(frame_id) or PlanningFailure(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, f"no frame {frame_id!r}")
+
+
+def message(type_name: str, values: dict[str, Any]) -> Any:
+    return complete(REGISTRY, type_name, values, Stamp(0, 0))
+
+
+def twist(linear: dict[str, float], frame_id: str = "", angular: dict[str, float] | None = None) -> Any:
+    values = {"header": {"frame_id": frame_id}, "twist": {"linear": linear, "angular": angular or {}}}
+    return message("geometry_msgs/TwistStamped", values)
+
+
+def jog(names: list[str], velocities: list[float], **more: Any) -> Any:
+    return message("control_msgs/JointJog", {"joint_names": names, "velocities": velocities, **more})
+
+
+def test_unitless_commands_are_scaled_to_speeds() -> None:
+    read = read_twist(twist({"x": 0.5}, angular={"z": -1.0}), UNITLESS)
+    assert isinstance(read, TwistCommand)
+    assert read.linear_m_s == pytest.approx((0.1, 0.0, 0.0))
+    assert read.angular_rad_s == pytest.approx((0.0, 0.0, -0.8))
+    assert read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities({"elbow_flex": 0.25})
+
+
+def test_commands_in_speed_units_are_not_scaled() -> None:
+    read = read_twist(twist({"x": 1.5}), SPEEDS)
+    assert isinstance(read, TwistCommand)
+    assert read.linear_m_s == (1.5, 0.0, 0.0)
+
+
+def test_a_twist_turns_with_its_frame() -> None:
+    command = to_planning_frame(TwistCommand((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), "tool"), resolve, {})
+    assert isinstance(command, TipTwist)
+    assert command.linear_m_s == pytest.approx((0.0, 0.1, 0.0))
+    assert command.angular_rad_s == pytest.approx((-0.2, 0.0, 0.0))
+
+
+def test_a_target_in_a_frame_is_one_in_the_root_link() -> None:
+    values = {"header": {"frame_id": "tool"}, "pose": {"position": {"x": 0.2}}}
+    read = read_pose_target(message("geometry_msgs/PoseStamped", values), resolve, {})
+    assert isinstance(read, TipTarget)
+    assert read.pose.position_m == pytest.approx((0.1, 0.2, 0.0))
+    assert np.linalg.norm(read.pose.orientation) == pytest.approx(1.0)
+
+
+def test_an_unknown_frame_is_refused_by_name() -> None:
+    values = {"header": {"frame_id": "nowhere"}}
+    for refused in (
+        outcome(to_planning_frame, TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"), resolve, {}),
+        outcome(read_pose_target, message("geometry_msgs/PoseStamped", values), resolve, {}),
+    ):
+        assert isinstance(refused, PlanningFailure)
+        assert "'nowhere'" in refused.message
+
+
+@pytest.mark.parametrize(
+    ("read", "said"),
+    [
+        (outcome(read_twist, twist({"y": 1.5}), UNITLESS), "twist.linear.y must be -1 to 1"),
+        (
+            outcome(read_twist, twist({}, angular={"x": math.nan}), UNITLESS),
+            "twist.angular.x must be a finite number, not nan",
+        ),
+        (outcome(read_twist, twist({"z": math.inf}), SPEEDS), "twist.linear.z"),
+        (outcome(read_joint_jog, jog(["elbow_flex"], []), STEERED_JOINTS, UNITLESS), "0 values for 1 joint_names"),
+        (outcome(read_joint_jog, jog([], []), STEERED_JOINTS, UNITLESS), "0 values for 0 joint_names"),
+        (
+            outcome(read_joint_jog, jog(["elbow_flex"], [], displacements=[0.1]), STEERED_JOINTS, UNITLESS),
+            "displacements are not followed",
+        ),
+        (outcome(read_joint_jog, jog(["gripper"], [0.1]), STEERED_JOINTS, UNITLESS), "'gripper'"),
+        (outcome(read_joint_jog, jog(["elbow_flex"] * 2, [0.1, 0.2]), STEERED_JOINTS, UNITLESS), "twice"),
+        (
+            outcome(read_joint_jog, jog(["elbow_flex"], [math.nan]), STEERED_JOINTS, UNITLESS),
+            "velocities of elbow_flex",
+        ),
+    ],
+)
+def test_a_bad_command_is_rejected_with_field_and_value(read: object, said: str) -> None:
+    assert isinstance(read, PlanningFailure)
+    assert said in read.message
+
+
+def test_an_expired_command_becomes_a_halt() -> None:
+    for command in (TipTwist((0.1, 0.0, 0.0)), JointVelocities({"elbow_flex": 0.1}), TipTarget(Pose())):
+        assert halt_command(command).zero
+    # A twist's rest keeps what it did not move.
+    assert isinstance(halt_command(TipTwist((0.1, 0.0, 0.0))), TipTwist)
+
+
+JOINTS = ROBOT.groups["arm"].joints
+PERIOD_S, TIMEOUT_S = 0.02, 0.25
+NORTH = TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "")
+MOVING = dict.fromkeys(JOINTS, 0.1) | {"elbow_flex": 0.3}
+RESTING = dict.fromkeys(JOINTS, 0.0)
+KEPT = Anchor(Pose((0.3, 0.0, 0.2)))
+
+
+class Rig:
+    """A session whose planners move every joint while anything is wanted; each answer takes a period."""
+
+    def __init__(self) -> None:
+        self.arm, self.clock = SteerableArm(), FakeClock()
+        self.questions: list[ServoQuestion] = []
+        self.told: list[tuple[ServoStatus, str]] = []
+        self.interruptions: list[str] = []
+        self.answer: Callable[[ServoQuestion], ServoAnswer | PlanningFailure] = lambda question: ServoAnswer(
+            RESTING if question.command.zero else MOVING, anchor=KEPT
+        )
+        self.session = ServoSession(
+            self.arm.as_arm,
+            ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), PERIOD_S, TIMEOUT_S),
+            self._ask,
+            self._resolve,
+            lambda status, message: self.told.append((status, message)),
+            self.interruptions.append,
+            self.clock,
+        )
+
+    async def until_let_go(self) -> None:
+        async with asyncio.timeout(5.0):
+            while self.session._task is not None:
+                await asyncio.sleep(0)
+
+    async def until_asked(self, times: int) -> None:
+        async with asyncio.timeout(5.0):
+            while len(self.questions) < times:
+                await asyncio.sleep(0)
+
+    async def _ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        self.questions.append(question)
+        self.clock.advance(PERIOD_S)
+        await asyncio.sleep(0)
+        return self.answer(question)
+
+    def _resolve(self, frame_id: str, _positions: object) -> Pose | PlanningFailure:
+        if frame_id == "nowhere":
+            return PlanningFailure(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "there is no frame 'nowhere'")
+        return Pose()
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+async def test_a_command_starts_the_loop_and_moves_the_joints(rig: Rig) -> None:
+    rig.session.set_command(NORTH)
+    await rig.until_asked(2)
+    assert rig.questions[0].command == TipTwist((0.1, 0.0, 0.0))
+    assert rig.arm.setpoints[0].velocity_rad_s.tolist() == [MOVING[name] for name in JOINTS]
+    await rig.session.close()
+
+
+async def test_a_command_expires_and_then_the_arm_is_released(rig: Rig) -> None:
+    rig.session.set_command(NORTH)
+    await rig.until_let_go()
+    wanted = [not question.command.zero for question in rig.questions]
+    assert wanted.count(True) == pytest.approx(TIMEOUT_S / PERIOD_S, abs=1.5)
+    assert wanted.count(False) == pytest.approx(REST_S / PERIOD_S, abs=1.5)
+    assert rig.told[-1] == (ServoStatus.NO_WARNING, "")
+    assert not rig.interruptions
+
+
+async def test_a_release_before_the_loop_runs_moves_nothing(rig: Rig) -> None:
+    rig.session.set_command(NORTH)
+    rig.session.release()
+    await rig.until_let_go()
+    assert all(question.command.zero for question in rig.questions)
+
+
+async def test_the_next_command_starts_the_loop_again(rig: Rig) -> None:
+    for streams in (1, 2):
+        rig.session.set_command(NORTH)
+        await rig.until_let_go()
+        assert len(rig.arm.streams) == streams
+
+
+async def test_every_question_has_velocity_and_anchor_of_the_last_answer(rig: Rig) -> None:
+    rig.session.set_command(NORTH)
+    await rig.until_asked(2)
+    assert (rig.questions[0].velocity_rad_s, rig.questions[0].anchor) == ({}, None)
+    assert (rig.questions[1].velocity_rad_s, rig.questions[1].anchor) == (MOVING, KEPT)
+    await rig.session.close()
+
+
+async def test_the_anchor_of_a_twist_is_not_used_for_joints(rig: Rig) -> None:
+    rig.session.set_command(NORTH)
+    await rig.until_asked(2)
+    rig.session.set_command(JointVelocities({"elbow_flex": 0.2}))
+    await rig.until_asked(4)
+    first = next(question for question in rig.questions if isinstance(question.command, JointVelocities))
+    assert first.anchor is None
+    await rig.session.close()
+
+
+async def test_a_stop_by_somebody_else_is_an_interruption(rig: Rig) -> None:
+    rig.session.set_command(NORTH)
+    await rig.until_asked(2)
+    rig.arm.stop()
+    await rig.until_let_go()
+    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: stopped")
+    assert rig.interruptions == ["steering was ended: stopped"]
+
+
+async def test_a_failure_of_the_planners_halts_the_arm_with_its_message(rig: Rig) -> None:
+    rig.answer = lambda _question: PlanningFailure(MoveItErrorCode.CRASH, "the planner process ended")
+    rig.session.set_command(NORTH)
+    await rig.until_asked(2)
+    assert not rig.arm.setpoints[0].velocity_rad_s.any()
+    assert rig.told[0] == (ServoStatus.INVALID, "the planner process ended")
+    await rig.session.close()
+
+
+async def test_an_unknown_frame_moves_nothing(rig: Rig) -> None:
+    rig.session.set_command(TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"))
+    await rig.until_asked(3)
+    assert all(question.command.zero for question in rig.questions)
+    assert set(rig.told) == {(ServoStatus.INVALID, "there is no frame 'nowhere'")}
+    await rig.session.close()
+
+
+async def test_a_bug_releases_the_arm(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    def broken(_question: ServoQuestion) -> ServoAnswer:
+        raise AssertionError("broken")
+
+    rig.answer = broken
+    rig.session.set_command(NORTH)
+    await rig.until_let_go()
+    assert rig.arm.streams[0].ended.done()
+    assert rig.told[-1][0] is ServoStatus.INVALID
+    assert "steering failed" in caplog.text

@@ -1,4 +1,4 @@
-"""Settings as a list: each with its meaning, unit, range and default; the key that was probably meant; a template file."""
+"""Settings as a list: meaning, unit, range and default of each; the nearest key to an unknown one; a template file."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = ("server", "planners", "robot", "protocol")
 
-# What each room may import of ours; a name with a dot is one module of a room.
+# What each room may import of ours; a name with a dot is one module of a room. docs/architecture.md shows it.
 ALLOWED = {
     "server": (
         "server",
@@ -22,16 +23,21 @@ ALLOWED = {
         "planners.goals",
         "planners.scene",
         "planners.scene_checks",
-        "planners.scene",
         "planners.problem",
         "planners.files.problem_file",
         "planners.files.plan_command",
         "planners.pool",
         "planners.servo.question",
     ),
-    "planners": ("planners", "robot.description.model", "robot.trajectory", "robot.channel", "robot.processes"),
+    "planners": ("planners", "robot.description", "robot.trajectory", "robot.channel", "robot.processes"),
     "robot": ("robot",),
     "protocol": ("protocol",),
+}
+PURPOSES = {
+    "server": "asyncio, sockets, configuration: what clients meet",
+    "planners": "problem in, plan out",
+    "robot": "the arm: description, hardware, control",
+    "protocol": "the wire: bytes in, operations out",
 }
 
 # Only the server knows sockets of clients and configuration; the handles on child processes know asyncio.
@@ -116,3 +122,37 @@ def test_a_server_starts_without_loading_what_only_few_need(loaded_by_the_server
     """The metrics' library is loaded: it counts from the start, and takes 20 to 30 ms of the 1.3 s of imports."""
     assert {"server.monitoring.metrics", "server.zenoh.bridge", "prometheus_client"} <= loaded_by_the_server
     assert not {"zenoh", "mcap", "distributed"} & loaded_by_the_server
+
+
+def import_table() -> str:
+    """Return the rooms and what they import, as a table of docs/architecture.md."""
+    lines = ["| room | imports of ours | purpose |", "|---|---|---|"]
+    for room, names in ALLOWED.items():
+        others = [f"`{name}`" for name in names if name != room]
+        lines.append(f"| `{room}/` | {', '.join(others) or 'nothing'} | {PURPOSES[room]} |")
+    return "\n".join(lines)
+
+
+def test_the_architecture_page_shows_these_imports() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    shown = page.split("<!-- imports -->")[1].split("<!-- /imports -->")[0].strip()
+    assert shown == import_table()
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts): imports_when_loaded(path)
+        for room in ROOMS
+        for path in modules(room)
+    }
+    order = TopologicalSorter({name: {each for each in found if each in graph} for name, found in graph.items()})
+    order.prepare()
+
+
+def imports_when_loaded(path: Path) -> set[str]:
+    """Return the modules that a module imports when it is loaded, so not for its types alone, nor in a function."""
+    names = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return names

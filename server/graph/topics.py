@@ -1,7 +1,7 @@
 """Topics of the graph, latched messages included; services and actions stand beside them.
 
-Local parts and remote clients use a topic alike. Every message is complete and valid against the topic's type. The first
-to name a type for a topic decides it, for as long as anyone publishes or subscribes there, and a little longer.
+Local parts and remote clients use a topic alike. Every message is complete and valid against the topic's type. The
+first to name a type for a topic decides it, for as long as anyone publishes or subscribes there, and a little longer.
 
 rosbridge_server publishes with transient-local durability: with ``latch`` the last message is kept for as long as its
 publisher lives, without it every message for a second (rosbridge_library, internal/publishers.py).
@@ -116,7 +116,7 @@ class Retained:
         self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 
     def _give_up_old(self, now: float) -> None:
-        """Drop what is too old, and what is too much: the oldest message of the topic that has been quiet for longest."""
+        """Drop what is too old; over the limit, the oldest message of the topic that has been quiet for longest."""
         while self._recent:
             topic, recent = next(iter(self._recent.items()))
             if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:

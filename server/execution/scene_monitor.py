@@ -17,7 +17,7 @@ log = logging.getLogger("armbridge.execution")
 
 
 class SceneSource(Protocol):
-    """The planning scene, as `server.moveit.scene.state.SceneState`."""
+    """The planning scene, as `server.moveit.scene.scene_state.SceneState`."""
 
     @property
     def scene(self) -> Scene:

@@ -33,7 +33,6 @@ CONTACT_DIAMETER_M = 0.02
 CONTACT_LIFETIME_S = 10
 CONTACT_COLOR = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 0.7}
 
-
 TRANSFORMS_TOPIC = "/tf"
 STATIC_TRANSFORMS_TOPIC = "/tf_static"
 

@@ -57,7 +57,7 @@ class IkPlanner(Protocol):
 
 
 class CurrentScene(Protocol):
-    """The planning scene, as `server.moveit.scene.state.SceneState`."""
+    """The planning scene, as `server.moveit.scene.scene_state.SceneState`."""
 
     @property
     def scene(self) -> Scene:

@@ -18,7 +18,6 @@ MAX_PLANNING_ATTEMPTS = 100
 # No client waits longer for an inverse kinematics.
 MAX_KINEMATICS_TIMEOUT_S = 10.0
 
-
 # Far more than MoveIt's own planners have.
 MAX_KEYS = 200
 MAX_CONFIGURATIONS = 100

@@ -18,7 +18,6 @@ from server.execution.current_state import CurrentState, check_ready, state_mess
 ROBOT = model.builtin()
 NAMES = ("shoulder_pan", "gripper")
 
-
 GOAL = np.zeros(6)
 METAL_MAX_AGE_S, SIMULATED_MAX_AGE_S = 1.0, 5.0
 STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex")

@@ -36,7 +36,6 @@ from tests.helpers.trajectories import smooth_move
 
 TIMEOUT_S = 30.0
 
-
 STATE = ArmState(5.0, Mode.MOVING, ("a", "b"), position_rad=np.array([0.1, 0.2]), velocity_rad_s=np.array([1.0, 2.0]))
 
 

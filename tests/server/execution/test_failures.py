@@ -20,7 +20,6 @@ FAILURE = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "the goal touches t
 
 KEPT = 5
 
-
 TIP = "gripper_frame_link"
 
 # A wall beside the arm, which reaches over it in its home position.

@@ -28,7 +28,6 @@ from tests.helpers.trajectories import smooth_move
 UNDER_WAY = smooth_move({"a": (0.0, 1.0), "b": (0.5, -0.5)}, 2.0)
 MOVING = ArmState(0.0, Mode.MOVING, ("a", "b"), fraction=0.5)
 
-
 ROBOT = model.builtin()
 JOINTS = ROBOT.groups["arm"].joints
 HOME = dict.fromkeys(JOINTS, 0.0)

@@ -32,7 +32,6 @@ TYPES = {
     PIPELINE_TOPIC: "moveit_msgs/PipelineState",
 }
 
-
 JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 WATCHER = Node("watcher")
 

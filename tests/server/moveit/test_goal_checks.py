@@ -36,7 +36,6 @@ from tests.helpers.moveit_services import DirectPool
 CLIENT = Node("client")
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
 
-
 ROBOT = model.builtin()
 HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}
 TURNED = {**HOME, "shoulder_pan": 0.5}

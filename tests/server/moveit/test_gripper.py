@@ -23,7 +23,6 @@ from tests.server.conftest import JOINTS
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
 SUCCEEDED, CANCELED = 4, 5
 
-
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
 ABORTED = 6
 

@@ -27,7 +27,6 @@ from tests.helpers.server import RunningServer
 CANCELED, SUCCEEDED = 5, 4
 MOVE, MOVE_TYPE = "/move_action", "moveit_msgs/action/MoveGroup"
 
-
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
 NAMED_GOAL = ("/moveit_goal_named", "std_msgs/String")
 RESULT, STATUS = "/moveit_goal_result", "/moveit_goal_status"

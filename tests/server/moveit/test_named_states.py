@@ -36,9 +36,7 @@ from tests.helpers.readings import reading
 ROBOT = model.builtin()
 BENT = {"elbow_flex": 0.4}
 
-
 KEPT_STATES = {"mine": {"elbow_flex": 0.4, "gripper": 1.0}, "": {}}
-
 
 CLIENT = Node("client")
 JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)

@@ -86,7 +86,7 @@ def with_package_urls(urdf: str, package: str) -> str:
         urdf: the text.
         package: of the URLs.
     """
-    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.model
+    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
     meshes = [mesh for mesh in root.iter("mesh") if not _SCHEME.match(mesh.get("filename", ""))]
     if not meshes:
         return urdf

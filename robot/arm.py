@@ -42,145 +42,6 @@ from robot.messages import (
 from robot.processes import Child, StartedChild
 from robot.trajectory import Trajectory, Vector
 
-# Orders that come before the process knows its arm are kept for it; it takes a fraction of a second.
-MAX_EARLY_ORDERS = 16
-
-
-def start_arm_process() -> StartedChild:
-    """Start a process that can drive an arm; it loads, and waits to be told which."""
-    return StartedChild("robot.control.loop")
-
-
-class ArmProcess:
-    """One process after the other.
-
-    Args:
-        on_message: called in the event loop with every message of the process.
-        on_exit: called in the event loop when a process is gone.
-        started: the first process, if it was started ahead.
-    """
-
-    def __init__(
-        self,
-        on_message: Callable[[Any], None],
-        on_exit: Callable[[], None],
-        started: StartedChild | None = None,
-    ) -> None:
-        self._started = started
-        self._on_message = on_message
-        self._on_exit = on_exit
-        self._child: Child | None = None
-        self._configured = False
-        self._early: list[Command] = []
-
-    @property
-    def pid(self) -> int | None:
-        """Process id."""
-        return None if self._child is None else self._child.pid
-
-    @property
-    def launched(self) -> bool:
-        """Whether there has been a process."""
-        return self._child is not None
-
-    @property
-    def drives(self) -> bool:
-        """Whether a process runs that knows its arm."""
-        return self._configured and self._runs()
-
-    async def launch(self) -> None:
-        """Start a process, which does nothing before it is configured."""
-        started, self._started = self._started or start_arm_process(), None
-        self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
-        await self._child.connect()
-
-    def configure(self, config: ArmConfig) -> None:
-        """Tell the process of its arm, and of the orders that came before; nothing happens when it has ended."""
-        if self._child is None or not self._runs():
-            return
-        self._configured = True
-        self._child.send(config)
-        early, self._early = self._early, []
-        for command in early:
-            self._child.send(command)
-
-    def send(self, message: object) -> None:
-        """Send a message; lost when no process knows its arm."""
-        if self._child is not None and self._configured:
-            self._child.send(message)
-
-    def order(self, command: Command) -> bool:
-        """Send an order, or keep it for a process that is not configured yet; says whether somebody sees to it."""
-        if not self._runs() or (not self._configured and len(self._early) >= MAX_EARLY_ORDERS):
-            return False
-        if self._configured:
-            self.send(command)
-        else:
-            self._early.append(command)
-        return True
-
-    async def end(self, timeout_s: float) -> None:
-        """Have the process bring the arm to its end state and end; by force after ``timeout_s``."""
-        if self._child is None:
-            return
-        if self._configured:
-            self._child.send(Shutdown())
-            await self._child.wait(timeout_s)
-        else:
-            await self._child.kill()
-
-    async def kill(self) -> None:
-        """End the process at once."""
-        if self._child is not None:
-            await self._child.kill()
-
-    def _runs(self) -> bool:
-        return self._child is not None and self._child.running
-
-    def _exited(self) -> None:
-        self._configured = False
-        self._early.clear()
-        self._on_exit()
-
-
-class ArmStream:
-    """One stream, from its beginning to its one end.
-
-    Args:
-        motion_id: its number.
-        joint_names: the joints that follow.
-        ended: its one end.
-        send: takes setpoints.
-
-    Attributes:
-        joint_names: as given.
-        ended: as given.
-        commanded: where the joints are told to be now; None until the arm has begun.
-    """
-
-    def __init__(
-        self,
-        motion_id: int,
-        joint_names: tuple[str, ...],
-        ended: asyncio.Future[MotionEnded],
-        send: Callable[[Setpoint], None],
-    ) -> None:
-        self._motion_id = motion_id
-        self._send = send
-        self.joint_names = joint_names
-        self.ended = ended
-        self.commanded: Commanded | None = None
-
-    def steer(self, velocity_rad_s: Vector) -> None:
-        """Have the joints move so until the next setpoint, which must come soon.
-
-        Args:
-            velocity_rad_s: in the order of ``joint_names`` [rad/s].
-        """
-        if not self.ended.done():
-            self._send(Setpoint(self._motion_id, velocity_rad_s))
-
-
 log = logging.getLogger("armbridge.arm")
 
 Answer = TypeVar("Answer", MotionEnded, CommandDone)
@@ -188,8 +49,11 @@ Answer = TypeVar("Answer", MotionEnded, CommandDone)
 # Ends of motions that come with a latched fault.
 FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)
 
-# Longer than the arm process itself takes to brake, relax and end.
-CLOSE_TIMEOUT_S = 5.5
+# Motions are numbered from 1 on.
+NO_MOTION = 0
+
+# Orders that come before the process knows its arm are kept for it; it takes a fraction of a second.
+MAX_EARLY_ORDERS = 16
 
 # A fifth of the shortest silence that the arm process takes for the server's death.
 HEARTBEAT_S = 0.1
@@ -205,11 +69,16 @@ STATE_MAX_AGE_S = 1.0
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
 
-# Motions are numbered from 1 on.
-NO_MOTION = 0
-
 # A process that dies at once must not be restarted in a tight loop.
 RESTART_DELAY_S = 0.5
+
+# Longer than the arm process itself takes to brake, relax and end.
+CLOSE_TIMEOUT_S = 5.5
+
+
+def start_arm_process() -> StartedChild:
+    """Start a process that can drive an arm; it loads, and waits to be told which."""
+    return StartedChild("robot.control.loop")
 
 
 class Arm:
@@ -514,6 +383,136 @@ class Arm:
         await self._process.launch()
         if self._begun:
             self._process.configure(self._config)
+
+
+class ArmStream:
+    """One stream, from its beginning to its one end.
+
+    Args:
+        motion_id: its number.
+        joint_names: the joints that follow.
+        ended: its one end.
+        send: takes setpoints.
+
+    Attributes:
+        joint_names: as given.
+        ended: as given.
+        commanded: where the joints are told to be now; None until the arm has begun.
+    """
+
+    def __init__(
+        self,
+        motion_id: int,
+        joint_names: tuple[str, ...],
+        ended: asyncio.Future[MotionEnded],
+        send: Callable[[Setpoint], None],
+    ) -> None:
+        self._motion_id = motion_id
+        self._send = send
+        self.joint_names = joint_names
+        self.ended = ended
+        self.commanded: Commanded | None = None
+
+    def steer(self, velocity_rad_s: Vector) -> None:
+        """Have the joints move so until the next setpoint, which must come soon.
+
+        Args:
+            velocity_rad_s: in the order of ``joint_names`` [rad/s].
+        """
+        if not self.ended.done():
+            self._send(Setpoint(self._motion_id, velocity_rad_s))
+
+
+class ArmProcess:
+    """One process after the other.
+
+    Args:
+        on_message: called in the event loop with every message of the process.
+        on_exit: called in the event loop when a process is gone.
+        started: the first process, if it was started ahead.
+    """
+
+    def __init__(
+        self,
+        on_message: Callable[[Any], None],
+        on_exit: Callable[[], None],
+        started: StartedChild | None = None,
+    ) -> None:
+        self._started = started
+        self._on_message = on_message
+        self._on_exit = on_exit
+        self._child: Child | None = None
+        self._configured = False
+        self._early: list[Command] = []
+
+    @property
+    def pid(self) -> int | None:
+        """Process id."""
+        return None if self._child is None else self._child.pid
+
+    @property
+    def launched(self) -> bool:
+        """Whether there has been a process."""
+        return self._child is not None
+
+    @property
+    def drives(self) -> bool:
+        """Whether a process runs that knows its arm."""
+        return self._configured and self._runs()
+
+    async def launch(self) -> None:
+        """Start a process, which does nothing before it is configured."""
+        started, self._started = self._started or start_arm_process(), None
+        self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
+        await self._child.connect()
+
+    def configure(self, config: ArmConfig) -> None:
+        """Tell the process of its arm, and of the orders that came before; nothing happens when it has ended."""
+        if self._child is None or not self._runs():
+            return
+        self._configured = True
+        self._child.send(config)
+        early, self._early = self._early, []
+        for command in early:
+            self._child.send(command)
+
+    def send(self, message: object) -> None:
+        """Send a message; lost when no process knows its arm."""
+        if self._child is not None and self._configured:
+            self._child.send(message)
+
+    def order(self, command: Command) -> bool:
+        """Send an order, or keep it for a process that is not configured yet; says whether somebody sees to it."""
+        if not self._runs() or (not self._configured and len(self._early) >= MAX_EARLY_ORDERS):
+            return False
+        if self._configured:
+            self.send(command)
+        else:
+            self._early.append(command)
+        return True
+
+    async def end(self, timeout_s: float) -> None:
+        """Have the process bring the arm to its end state and end; by force after ``timeout_s``."""
+        if self._child is None:
+            return
+        if self._configured:
+            self._child.send(Shutdown())
+            await self._child.wait(timeout_s)
+        else:
+            await self._child.kill()
+
+    async def kill(self) -> None:
+        """End the process at once."""
+        if self._child is not None:
+            await self._child.kill()
+
+    def _runs(self) -> bool:
+        return self._child is not None and self._child.running
+
+    def _exited(self) -> None:
+        self._configured = False
+        self._early.clear()
+        self._on_exit()
 
 
 def _position_rad(state: ArmState) -> dict[str, float]:

@@ -48,6 +48,9 @@ GRIPPER_JOINT = "gripper"
 # lerobot turns this joint freely while it records the others, and writes 0..4095 for it.
 FREE_TURNING_JOINT = "wrist_roll"
 
+# lerobot's names of the SO-101 follower: since January 2026, and before.
+ROBOT_NAMES = ("so_follower", "so101_follower")
+
 
 @dataclass(frozen=True)
 class JointSpec:
@@ -214,6 +217,71 @@ class Calibration:
         )
 
 
+def find_calibration(name_or_path: str, environment: Mapping[str, str]) -> Path:
+    """The file that is meant: a path, or an arm's id as lerobot knows it.
+
+    Raises:
+        CalibrationError: lerobot has no calibration of that id, or one under each of its names that differ.
+    """
+    if _is_path(name_or_path):
+        return Path(name_or_path)
+    candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(environment)]
+    found = [path for path in candidates if path.is_file()]
+    if not found:
+        places = " or ".join(str(path) for path in candidates)
+        raise CalibrationError(name_or_path, "", f"is no file, and lerobot has none of that id: {places}")
+    if len({path.read_bytes() for path in found}) > 1:
+        raise CalibrationError(name_or_path, "", f"is ambiguous, name one: {' or '.join(str(path) for path in found)}")
+    return found[0]
+
+
+def new_calibration_path(name_or_path: str, environment: Mapping[str, str]) -> Path:
+    """Where a new calibration goes: to the path, or to where lerobot looks for that id."""
+    if _is_path(name_or_path):
+        return Path(name_or_path)
+    return lerobot_directories(environment)[0] / f"{name_or_path}.json"
+
+
+def lerobot_directories(environment: Mapping[str, str]) -> tuple[Path, ...]:
+    """Directories in which lerobot keeps calibrations of this arm, the newer one first.
+
+    Args:
+        environment: the process's environment variables.
+    """
+    cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
+    huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
+    home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"
+    directory = Path(environment.get("HF_LEROBOT_CALIBRATION") or f"{home}/calibration").expanduser()
+    return tuple(directory / "robots" / name for name in ROBOT_NAMES)
+
+
+def save(calibration: Calibration, path: Path) -> None:
+    """Write a calibration as lerobot does; the file is there wholly or not at all.
+
+    Raises:
+        CalibrationError: the file cannot be written.
+    """
+    table = {
+        joint.joint: {
+            "id": joint.servo_id,
+            "drive_mode": joint.drive_mode,
+            "homing_offset": joint.homing_offset,
+            "range_min": joint.range_min,
+            "range_max": joint.range_max,
+        }
+        for joint in calibration.joints
+    }
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_text(json.dumps(table, indent=4) + "\n")
+        unfinished.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise CalibrationError(str(path), "", f"cannot be written: {error}") from error
+
+
 def _nominal(spec: JointSpec) -> JointCalibration:
     middle = MAX_TICK / 2.0
     overtravel_rad = 0.0 if spec.name == GRIPPER_JOINT else NOMINAL_OVERTRAVEL_RAD
@@ -275,75 +343,6 @@ def _check_ids(file: str, joints: tuple[JointCalibration, ...]) -> None:
         other = owners.setdefault(joint.servo_id, joint.joint)
         if other != joint.joint:
             raise CalibrationError(file, f"{joint.joint}.id", f"{joint.servo_id} is the id of {other} as well")
-
-
-# lerobot's names of the SO-101 follower: since January 2026, and before.
-ROBOT_NAMES = ("so_follower", "so101_follower")
-
-
-def lerobot_directories(environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Directories in which lerobot keeps calibrations of this arm, the newer one first.
-
-    Args:
-        environment: the process's environment variables.
-    """
-    cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
-    huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
-    home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"
-    directory = Path(environment.get("HF_LEROBOT_CALIBRATION") or f"{home}/calibration").expanduser()
-    return tuple(directory / "robots" / name for name in ROBOT_NAMES)
-
-
-def find_calibration(name_or_path: str, environment: Mapping[str, str]) -> Path:
-    """The file that is meant: a path, or an arm's id as lerobot knows it.
-
-    Raises:
-        CalibrationError: lerobot has no calibration of that id, or one under each of its names that differ.
-    """
-    if _is_path(name_or_path):
-        return Path(name_or_path)
-    candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(environment)]
-    found = [path for path in candidates if path.is_file()]
-    if not found:
-        places = " or ".join(str(path) for path in candidates)
-        raise CalibrationError(name_or_path, "", f"is no file, and lerobot has none of that id: {places}")
-    if len({path.read_bytes() for path in found}) > 1:
-        raise CalibrationError(name_or_path, "", f"is ambiguous, name one: {' or '.join(str(path) for path in found)}")
-    return found[0]
-
-
-def new_calibration_path(name_or_path: str, environment: Mapping[str, str]) -> Path:
-    """Where a new calibration goes: to the path, or to where lerobot looks for that id."""
-    if _is_path(name_or_path):
-        return Path(name_or_path)
-    return lerobot_directories(environment)[0] / f"{name_or_path}.json"
-
-
-def save(calibration: Calibration, path: Path) -> None:
-    """Write a calibration as lerobot does; the file is there wholly or not at all.
-
-    Raises:
-        CalibrationError: the file cannot be written.
-    """
-    table = {
-        joint.joint: {
-            "id": joint.servo_id,
-            "drive_mode": joint.drive_mode,
-            "homing_offset": joint.homing_offset,
-            "range_min": joint.range_min,
-            "range_max": joint.range_max,
-        }
-        for joint in calibration.joints
-    }
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_text(json.dumps(table, indent=4) + "\n")
-        unfinished.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
-        raise CalibrationError(str(path), "", f"cannot be written: {error}") from error
 
 
 def _is_path(name_or_path: str) -> bool:

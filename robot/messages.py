@@ -18,6 +18,18 @@ from robot.hardware.interface import BusCounters
 from robot.trajectory import Trajectory, Vector
 
 
+class Frequent:
+    """A message sent many times a second: its arrays travel as lists, a third of the work of pickling them."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What travels."""
+        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what has travelled."""
+        vars(self).update((name, np.array(value) if type(value) is list else value) for name, value in state.items())
+
+
 @dataclass(frozen=True)
 class GuardLimits:
     """How far, how much and how long.
@@ -51,29 +63,6 @@ class GuardLimits:
     settle_timeout_s: float = 1.0
 
 
-class Frequent:
-    """A message sent many times a second: its arrays travel as lists, a third of the work of pickling them."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What travels."""
-        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take what has travelled."""
-        vars(self).update((name, np.array(value) if type(value) is list else value) for name, value in state.items())
-
-
-class Mode(Enum):
-    """What the arm is doing: the states of its machine."""
-
-    DISCONNECTED = "disconnected"
-    CONNECTED = "connected"
-    RELAXED = "relaxed"
-    HOLDING = "holding"
-    MOVING = "moving"
-    FAULT = "fault"
-
-
 class EndState(Enum):
     """What becomes of the arm when nobody drives it any more."""
 
@@ -86,20 +75,6 @@ class EmergencyPolicy(Enum):
 
     TORQUE_OFF = "torque_off"
     HOLD = "hold"
-
-
-class Outcome(Enum):
-    """How a motion ended."""
-
-    REACHED = "reached"
-    STOPPED = "stopped"
-    REFUSED = "refused"
-    TRACKING_LOST = "tracking lost"
-    NOT_SETTLED = "not settled"
-    BUS_LOST = "bus lost"
-    PROCESS_LOST = "process lost"
-    FAULT = "fault"
-    GRIPPED = "gripped"
 
 
 @dataclass(frozen=True)
@@ -199,22 +174,6 @@ class Setpoint:
     velocity_rad_s: Vector
 
 
-@dataclass(frozen=True)
-class Commanded(Frequent):
-    """Where the joints of a stream were told to be, at every tick.
-
-    Attributes:
-        at_s: time since the stream began [s].
-        position_rad: in the stream's order, shape (joints,) [rad].
-        velocity_rad_s: shape (joints,) [rad/s].
-    """
-
-    motion_id: int
-    at_s: float
-    position_rad: Vector
-    velocity_rad_s: Vector
-
-
 class Course(Enum):
     """Which way a motion is played along its path."""
 
@@ -267,17 +226,33 @@ class Command:
 
 
 @dataclass(frozen=True)
-class CommandDone:
-    """The one answer to a :class:`Command`: whether it was carried out, and a sentence."""
-
-    number: int
-    done: bool
-    message: str
-
-
-@dataclass(frozen=True)
 class Shutdown:
     """Brake, then end the process; the servos hold their last goal."""
+
+
+class Mode(Enum):
+    """What the arm is doing: the states of its machine."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTED = "connected"
+    RELAXED = "relaxed"
+    HOLDING = "holding"
+    MOVING = "moving"
+    FAULT = "fault"
+
+
+class Outcome(Enum):
+    """How a motion ended."""
+
+    REACHED = "reached"
+    STOPPED = "stopped"
+    REFUSED = "refused"
+    TRACKING_LOST = "tracking lost"
+    NOT_SETTLED = "not settled"
+    BUS_LOST = "bus lost"
+    PROCESS_LOST = "process lost"
+    FAULT = "fault"
+    GRIPPED = "gripped"
 
 
 @dataclass(frozen=True)
@@ -287,6 +262,31 @@ class MotionEnded:
     motion_id: int
     outcome: Outcome
     message: str
+
+
+@dataclass(frozen=True)
+class CommandDone:
+    """The one answer to a :class:`Command`: whether it was carried out, and a sentence."""
+
+    number: int
+    done: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class Commanded(Frequent):
+    """Where the joints of a stream were told to be, at every tick.
+
+    Attributes:
+        at_s: time since the stream began [s].
+        position_rad: in the stream's order, shape (joints,) [rad].
+        velocity_rad_s: shape (joints,) [rad/s].
+    """
+
+    motion_id: int
+    at_s: float
+    position_rad: Vector
+    velocity_rad_s: Vector
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
+# Shorter ways are no motion: a servo's tick is a thousand times as much.
+SHORTEST_WAY_RAD = 1e-6
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -61,10 +64,6 @@ class Trajectory:
         velocity = (m0 + u * (2.0 * c2 + 3.0 * u * c3)) / span_s
         acceleration = (2.0 * c2 + 6.0 * u * c3) / span_s**2
         return position, velocity, acceleration
-
-
-# Shorter ways are no motion: a servo's tick is a thousand times as much.
-SHORTEST_WAY_RAD = 1e-6
 
 
 def rest_to_rest(

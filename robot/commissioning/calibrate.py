@@ -74,53 +74,6 @@ def calibrate(joints: Sequence[JointSpec], sweep: Sweep, offsets: Mapping[int, i
     return Calibration(tuple(_joint(joint, sweep, offsets[joint.servo_id], recentre=recentre) for joint in joints))
 
 
-def _joint(spec: JointSpec, sweep: Sweep, offset: int, *, recentre: bool) -> JointCalibration:
-    servo_id = spec.servo_id
-    middle = sweep.middle[servo_id]
-    new_offset = _centring_offset(middle + offset) if recentre else offset
-    shift = (middle + offset - new_offset) % TICKS_PER_TURN - middle if recentre else 0
-    if spec.name == FREE_TURNING_JOINT:
-        _check_free_middle(spec.name, middle + shift)
-        lowest, highest = 0, MAX_TICK
-    else:
-        lowest, highest = sweep.lowest[servo_id] + shift, sweep.highest[servo_id] + shift
-        _check_range(spec.name, lowest, highest, recentre=recentre)
-    return JointCalibration(spec.name, servo_id, 0, new_offset, lowest, highest)
-
-
-def _centring_offset(encoder_ticks: int) -> int:
-    """The homing offset that makes an encoder position the middle; the register cannot hold 2048."""
-    offset = (encoder_ticks - MIDDLE_TICK) % TICKS_PER_TURN
-    if offset > TICKS_PER_TURN // 2:
-        offset -= TICKS_PER_TURN
-    return min(offset, MAX_HOMING_OFFSET)
-
-
-def _check_free_middle(name: str, middle: int) -> None:
-    if abs(middle - MIDDLE_TICK) > FREE_MIDDLE_WITHIN_TICKS:
-        raise CalibrationError(
-            "sweep",
-            name,
-            f"its middle is tick {middle}, and the file's format takes {MIDDLE_TICK} for it: the servo needs a new "
-            "homing offset (--write-servos)",
-        )
-
-
-def _check_range(name: str, lowest: int, highest: int, *, recentre: bool) -> None:
-    if highest - lowest < LEAST_SWEEP_TICKS:
-        raise CalibrationError(
-            "sweep", name, f"was moved by {highest - lowest} ticks only: move every joint from stop to stop"
-        )
-    if lowest < 0 or highest > MAX_TICK:
-        remedy = "begin with it in the middle of its range" if recentre else "its servo needs a new homing offset"
-        option = "" if recentre else " (--write-servos)"
-        raise CalibrationError(
-            "sweep",
-            name,
-            f"its range of {lowest} to {highest} ticks crosses the seam between {MAX_TICK} and 0: {remedy}{option}",
-        )
-
-
 @dataclass(frozen=True)
 class Difference:
     """A register of a servo that is not what the calibration says."""
@@ -182,3 +135,50 @@ def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
             if (yield from read(bus, servo_id, change.register)) != change.calibrated:
                 yield from write_verified(bus, servo_id, change.register, change.calibrated)
         yield from write_verified(bus, servo_id, Register.LOCK, 1)
+
+
+def _joint(spec: JointSpec, sweep: Sweep, offset: int, *, recentre: bool) -> JointCalibration:
+    servo_id = spec.servo_id
+    middle = sweep.middle[servo_id]
+    new_offset = _centring_offset(middle + offset) if recentre else offset
+    shift = (middle + offset - new_offset) % TICKS_PER_TURN - middle if recentre else 0
+    if spec.name == FREE_TURNING_JOINT:
+        _check_free_middle(spec.name, middle + shift)
+        lowest, highest = 0, MAX_TICK
+    else:
+        lowest, highest = sweep.lowest[servo_id] + shift, sweep.highest[servo_id] + shift
+        _check_range(spec.name, lowest, highest, recentre=recentre)
+    return JointCalibration(spec.name, servo_id, 0, new_offset, lowest, highest)
+
+
+def _centring_offset(encoder_ticks: int) -> int:
+    """The homing offset that makes an encoder position the middle; the register cannot hold 2048."""
+    offset = (encoder_ticks - MIDDLE_TICK) % TICKS_PER_TURN
+    if offset > TICKS_PER_TURN // 2:
+        offset -= TICKS_PER_TURN
+    return min(offset, MAX_HOMING_OFFSET)
+
+
+def _check_free_middle(name: str, middle: int) -> None:
+    if abs(middle - MIDDLE_TICK) > FREE_MIDDLE_WITHIN_TICKS:
+        raise CalibrationError(
+            "sweep",
+            name,
+            f"its middle is tick {middle}, and the file's format takes {MIDDLE_TICK} for it: the servo needs a new "
+            "homing offset (--write-servos)",
+        )
+
+
+def _check_range(name: str, lowest: int, highest: int, *, recentre: bool) -> None:
+    if highest - lowest < LEAST_SWEEP_TICKS:
+        raise CalibrationError(
+            "sweep", name, f"was moved by {highest - lowest} ticks only: move every joint from stop to stop"
+        )
+    if lowest < 0 or highest > MAX_TICK:
+        remedy = "begin with it in the middle of its range" if recentre else "its servo needs a new homing offset"
+        option = "" if recentre else " (--write-servos)"
+        raise CalibrationError(
+            "sweep",
+            name,
+            f"its range of {lowest} to {highest} ticks crosses the seam between {MAX_TICK} and 0: {remedy}{option}",
+        )

@@ -37,9 +37,60 @@ STEP_TICKS = 25
 STEP_TICKS_S = 300
 STEP_S = 0.4
 
+# A servo that has come this far of a step has followed it.
+FOLLOWED_TICKS = STEP_TICKS // 2
+
+# Time constant of a step's answer: where 63 % of it are done.
+RISE_SHARE = 0.63
+
+# Register RETURN_DELAY: lerobot's comment names 250 (500 us) as the factory's value.
+LONG_RETURN_DELAY = 250
+RETURN_DELAY_READS = 30
+RETURN_DELAY_SEEN_S = 0.0003
+
+# TORQUE_ENABLE 2, which one vendor's document calls damping.
+DAMPING = 2
+
+# Current below this is noise of the measurement [A].
+CURRENT_SEEN_A = 0.02
+
 # How long a person has to cut the power, and to bring it back.
 POWER_TIMEOUT_S = 60.0
 POWER_POLL_S = 0.1
+
+# A servo that has just got power is given time to start.
+BOOT_S = 0.5
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One question.
+
+    Attributes:
+        name: short name.
+        does: what will happen to the arm, for the person who is asked to agree.
+        switches_torque: whether a servo will be driven.
+        needs_hands: whether a person must do something meanwhile.
+        run: asks it; raises NoReply, StartupError or PortLost when the servo does not play along.
+    """
+
+    name: str
+    does: str
+    switches_torque: bool
+    needs_hands: bool
+    run: Callable[[Bench], Finding]
+
+
+def ask(experiment: Experiment, bench: Bench) -> Finding:
+    """Carry out an experiment; a servo that does not play along leaves its question open.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    try:
+        return experiment.run(bench)
+    except (NoReply, StartupError) as error:
+        return _open(experiment.name, str(error))
 
 
 @dataclass(frozen=True)
@@ -148,58 +199,6 @@ class Bench:
             self.read(Register.TORQUE_ENABLE)
             return True
         return False
-
-
-# A servo that has come this far of a step has followed it.
-FOLLOWED_TICKS = STEP_TICKS // 2
-
-# Time constant of a step's answer: where 63 % of it are done.
-RISE_SHARE = 0.63
-
-# Register RETURN_DELAY: lerobot's comment names 250 (500 us) as the factory's value.
-LONG_RETURN_DELAY = 250
-RETURN_DELAY_READS = 30
-RETURN_DELAY_SEEN_S = 0.0003
-
-# TORQUE_ENABLE 2, which one vendor's document calls damping.
-DAMPING = 2
-
-# Current below this is noise of the measurement [A].
-CURRENT_SEEN_A = 0.02
-
-# A servo that has just got power is given time to start.
-BOOT_S = 0.5
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """One question.
-
-    Attributes:
-        name: short name.
-        does: what will happen to the arm, for the person who is asked to agree.
-        switches_torque: whether a servo will be driven.
-        needs_hands: whether a person must do something meanwhile.
-        run: asks it; raises NoReply, StartupError or PortLost when the servo does not play along.
-    """
-
-    name: str
-    does: str
-    switches_torque: bool
-    needs_hands: bool
-    run: Callable[[Bench], Finding]
-
-
-def ask(experiment: Experiment, bench: Bench) -> Finding:
-    """Carry out an experiment; a servo that does not play along leaves its question open.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    try:
-        return experiment.run(bench)
-    except (NoReply, StartupError) as error:
-        return _open(experiment.name, str(error))
 
 
 def _behind_missing(bench: Bench) -> Finding:

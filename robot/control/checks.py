@@ -46,27 +46,6 @@ GUARD_RANGES: Ranges = {
     "settle_timeout_s": (0.1, 10.0),
 }
 
-
-def checked(config: ArmConfig) -> ArmConfig:
-    """The same configuration; a number outside its range, which the server should not have sent, is the default's."""
-    return replace(
-        config,
-        guard_limits=replace(config.guard_limits, **_corrections(config.guard_limits, GUARD_RANGES)),
-        **_corrections(config, CONFIG_RANGES),
-    )
-
-
-def _corrections(values: ArmConfig | GuardLimits, ranges: Ranges) -> dict[str, Any]:
-    """The defaults of the values out of their ranges; NaN is out of every one."""
-    found = {}
-    for field in fields(values):
-        least, most = ranges.get(field.name, (0.0, 0.0))
-        if field.name in ranges and not least <= getattr(values, field.name) <= most:
-            log.error("%s must be %g to %g; it is taken as %g", field.name, least, most, field.default)
-            found[field.name] = field.default
-    return found
-
-
 # A trajectory may start this far from where the arm holds [rad]; the step bound levels the difference.
 START_TOLERANCE_RAD = 0.05
 
@@ -78,6 +57,15 @@ VELOCITY_TOLERANCE = 1.05
 
 # 100 Hz for half an hour.
 MAX_SAMPLES = 180_000
+
+
+def checked(config: ArmConfig) -> ArmConfig:
+    """The same configuration; a number outside its range, which the server should not have sent, is the default's."""
+    return replace(
+        config,
+        guard_limits=replace(config.guard_limits, **_corrections(config.guard_limits, GUARD_RANGES)),
+        **_corrections(config, CONFIG_RANGES),
+    )
 
 
 def refusal(trajectory: Trajectory, names: tuple[str, ...], bounds: JointBounds, held_rad: Vector) -> str:
@@ -99,6 +87,29 @@ def refusal(trajectory: Trajectory, names: tuple[str, ...], bounds: JointBounds,
     return ""
 
 
+def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
+    """Why joints of these names cannot be moved together, or an empty text.
+
+    Args:
+        names: what is asked for.
+        known: the arm's joints.
+    """
+    if names and set(names) <= set(known) and len(set(names)) == len(names):
+        return ""
+    return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
+
+
+def _corrections(values: ArmConfig | GuardLimits, ranges: Ranges) -> dict[str, Any]:
+    """The defaults of the values out of their ranges; NaN is out of every one."""
+    found = {}
+    for field in fields(values):
+        least, most = ranges.get(field.name, (0.0, 0.0))
+        if field.name in ranges and not least <= getattr(values, field.name) <= most:
+            log.error("%s must be %g to %g; it is taken as %g", field.name, least, most, field.default)
+            found[field.name] = field.default
+    return found
+
+
 def _joint_refusal(trajectory: Trajectory, column: int, bounds: JointBounds, joint: int, held_rad: Vector) -> str:
     name, positions, held = trajectory.joint_names[column], trajectory.positions_rad[:, column], held_rad[joint]
     # An arm that was switched on outside its soft limits may be brought back inside.
@@ -117,18 +128,6 @@ def _joint_refusal(trajectory: Trajectory, column: int, bounds: JointBounds, joi
     if speeds.size and speeds.max() > limit:
         return f"joint {name} would move at {speeds.max():.2f} rad/s, above its limit of {limit:.2f} rad/s"
     return ""
-
-
-def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
-    """Why joints of these names cannot be moved together, or an empty text.
-
-    Args:
-        names: what is asked for.
-        known: the arm's joints.
-    """
-    if names and set(names) <= set(known) and len(set(names)) == len(names):
-        return ""
-    return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
 
 
 def _malformed(trajectory: Trajectory, known: tuple[str, ...]) -> str:

@@ -29,11 +29,18 @@ STEP_MARGIN = 1.5
 # Rate of motions while a servo is hot.
 SLOW_RATE = 0.5
 
-_DIRECTION = {Course.FORWARD: 1.0, Course.PAUSED: 0.0, Course.BACK: -1.0}
-
 # How a gripper goes on holding: its goal so far beyond the object, at a share of its torque that it can give for long.
 SQUEEZE_RAD = 0.05
 GRIP_TORQUE_SHARE = 0.5
+
+# A servo that goes on holding after one of these is damaged: torque is taken off, gently.
+RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCURRENT})
+
+# Pushing on against an obstacle heats the servo: after these the goal goes back to where the joint is.
+_YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
+
+# The actuators that are heard can be braked along the path; a silent one follows its goals unseen.
+_SILENCES = frozenset({FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT})
 
 # How motions end that a fault ended; any other code is Outcome.FAULT.
 _OUTCOMES = {
@@ -43,15 +50,7 @@ _OUTCOMES = {
     FaultCode.TRACKING_LOST: Outcome.TRACKING_LOST,
 }
 
-# Pushing on against an obstacle heats the servo: after these the goal goes back to where the joint is.
-_YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
-
-# A servo that goes on holding after one of these is damaged: torque is taken off, gently.
-RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCURRENT})
-
-
-# The actuators that are heard can be braked along the path; a silent one follows its goals unseen.
-_SILENCES = frozenset({FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT})
+_DIRECTION = {Course.FORWARD: 1.0, Course.PAUSED: 0.0, Course.BACK: -1.0}
 
 
 class ArmController:

@@ -25,121 +25,14 @@ BRAKING_SHARE = 0.5
 # Change of the rate [1/s] where nothing moves, at the ends of a motion: stops within one tick.
 STANDSTILL_BRAKING = 1e3
 
-# A motion that takes another's place is at the same point of the path to within these: far below a servo's tick.
-SAME_POSITION_RAD = 1e-6
-SAME_SPEED_RAD_S = 1e-4
-
 # Below this rate the rest of the stop is shorter than one tick.
 STOPPED_RATE = 1e-3
 
-
-class Playback:
-    """One trajectory being played.
-
-    The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
-    slower motion, below 0 to go back. With q(s) the path, the joints feel the velocity rate * q'(s) and the
-    acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
-
-    Attributes:
-        ceiling: the fastest rate allowed, in (0, 1].
-        pace: the rate that is wanted, -1 to 1: at 0 the arm waits on its path, below it goes back to the path's start.
-
-    Args:
-        trajectory: the motion.
-        max_acceleration: of each of its joints, shape (joints,) [rad/s^2].
-    """
-
-    def __init__(self, trajectory: Trajectory, max_acceleration: Vector) -> None:
-        self.trajectory = trajectory
-        self._max_acceleration = max_acceleration
-        self._path_time_s = 0.0
-        self._rate = 1.0
-        self._stopping = False
-        self.ceiling = 1.0
-        self.pace = 1.0
-
-    @property
-    def finished(self) -> bool:
-        """Whether the goal no longer moves: the end is reached, or the stop is complete."""
-        return self.completed or (self._stopping and self._rate == 0.0)
-
-    @property
-    def completed(self) -> bool:
-        """Whether the end of the trajectory was reached."""
-        return self._path_time_s >= self.trajectory.duration_s
-
-    @property
-    def fraction(self) -> float:
-        """Share of the duration that is done, 0..1."""
-        duration_s = self.trajectory.duration_s
-        return min(self._path_time_s / duration_s, 1.0) if duration_s > 0.0 else 1.0
-
-    @property
-    def remaining_s(self) -> float:
-        """Time to the end at the rate wanted now; while the arm waits or goes back, at the fastest one [s]."""
-        rate = min(self.pace, self.ceiling) if self.pace > 0.0 else self.ceiling
-        return max(self.trajectory.duration_s - self._path_time_s, 0.0) / rate
-
-    def leads_into(self, other: Trajectory, from_s: float) -> bool:
-        """Whether another trajectory can take this one's place now: it is at the same point with the same speed.
-
-        Args:
-            other: of the same joints.
-            from_s: the time on this one at which it begins [s].
-        """
-        there_s = self._path_time_s - from_s
-        if self._stopping or not 0.0 <= there_s < other.duration_s:
-            return False
-        position, velocity, _ = self.trajectory.sample(self._path_time_s)
-        other_position, other_velocity, _ = other.sample(there_s)
-        near = np.abs(position - other_position) <= SAME_POSITION_RAD
-        return bool((near & (np.abs(velocity - other_velocity) <= SAME_SPEED_RAD_S)).all())
-
-    def go_on_from(self, former: Playback, from_s: float) -> None:
-        """Be where another one is, on whose trajectory this one's begins at a time [s]."""
-        self._path_time_s = former._path_time_s - from_s
-        self._rate = former._rate
-
-    def stop(self) -> None:
-        """Begin to brake along the path."""
-        self._stopping = True
-
-    def advance(self, elapsed_s: float) -> Vector:
-        """Move on by a time and return the goal there, shape (joints,) [rad]."""
-        # At the end the joints settle: there is no way back from there.
-        if not self.completed:
-            self._change_rate(elapsed_s)
-            moved_s = self._path_time_s + self._rate * elapsed_s
-            self._path_time_s = min(max(moved_s, 0.0), self.trajectory.duration_s)
-        return self.trajectory.sample(self._path_time_s)[0]
-
-    def _change_rate(self, elapsed_s: float) -> None:
-        """Bring the rate nearer to the one that is wanted."""
-        wanted = 0.0 if self._stopping else max(min(self.pace, self.ceiling), -self.ceiling)
-        if self._rate == wanted and wanted >= 0.0:
-            return
-        fastest = self._largest_change()
-        change = fastest * elapsed_s
-        if wanted < 0.0:
-            # A path may begin in motion: the way back then ends in time for what is left of it, tick by tick.
-            wanted = max(wanted, 0.5 * change - math.sqrt(0.25 * change**2 + 2.0 * fastest * self._path_time_s))
-        self._rate = max(wanted, self._rate - change) if self._rate > wanted else min(wanted, self._rate + change)
-        if wanted == 0.0 and abs(self._rate) < STOPPED_RATE:
-            self._rate = 0.0
-
-    def _largest_change(self) -> float:
-        """Fastest allowed change of the rate [1/s]: what no joint's acceleration limit forbids."""
-        _, velocity, acceleration = self.trajectory.sample(self._path_time_s)
-        speed = np.abs(velocity)
-        in_use = self._rate**2 * np.abs(acceleration)
-        spare = np.maximum(self._max_acceleration - in_use, BRAKING_SHARE * self._max_acceleration)
-        moving = speed > 1e-6
-        if not moving.any():
-            return STANDSTILL_BRAKING
-        return float(np.min(spare[moving] / speed[moving]))
-
-
 SETTLED_TICKS = 3
+
+# A motion that takes another's place is at the same point of the path to within these: far below a servo's tick.
+SAME_POSITION_RAD = 1e-6
+SAME_SPEED_RAD_S = 1e-4
 
 
 class Motion:
@@ -250,6 +143,112 @@ class Motion:
             f"the end of the motion (tolerance {self._limits.goal_tolerance_rad:g} rad)"
         )
         return self.ended(Outcome.NOT_SETTLED, message)
+
+
+class Playback:
+    """One trajectory being played.
+
+    The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
+    slower motion, below 0 to go back. With q(s) the path, the joints feel the velocity rate * q'(s) and the
+    acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
+
+    Attributes:
+        ceiling: the fastest rate allowed, in (0, 1].
+        pace: the rate that is wanted, -1 to 1: at 0 the arm waits on its path, below it goes back to the path's start.
+
+    Args:
+        trajectory: the motion.
+        max_acceleration: of each of its joints, shape (joints,) [rad/s^2].
+    """
+
+    def __init__(self, trajectory: Trajectory, max_acceleration: Vector) -> None:
+        self.trajectory = trajectory
+        self._max_acceleration = max_acceleration
+        self._path_time_s = 0.0
+        self._rate = 1.0
+        self._stopping = False
+        self.ceiling = 1.0
+        self.pace = 1.0
+
+    @property
+    def finished(self) -> bool:
+        """Whether the goal no longer moves: the end is reached, or the stop is complete."""
+        return self.completed or (self._stopping and self._rate == 0.0)
+
+    @property
+    def completed(self) -> bool:
+        """Whether the end of the trajectory was reached."""
+        return self._path_time_s >= self.trajectory.duration_s
+
+    @property
+    def fraction(self) -> float:
+        """Share of the duration that is done, 0..1."""
+        duration_s = self.trajectory.duration_s
+        return min(self._path_time_s / duration_s, 1.0) if duration_s > 0.0 else 1.0
+
+    @property
+    def remaining_s(self) -> float:
+        """Time to the end at the rate wanted now; while the arm waits or goes back, at the fastest one [s]."""
+        rate = min(self.pace, self.ceiling) if self.pace > 0.0 else self.ceiling
+        return max(self.trajectory.duration_s - self._path_time_s, 0.0) / rate
+
+    def leads_into(self, other: Trajectory, from_s: float) -> bool:
+        """Whether another trajectory can take this one's place now: it is at the same point with the same speed.
+
+        Args:
+            other: of the same joints.
+            from_s: the time on this one at which it begins [s].
+        """
+        there_s = self._path_time_s - from_s
+        if self._stopping or not 0.0 <= there_s < other.duration_s:
+            return False
+        position, velocity, _ = self.trajectory.sample(self._path_time_s)
+        other_position, other_velocity, _ = other.sample(there_s)
+        near = np.abs(position - other_position) <= SAME_POSITION_RAD
+        return bool((near & (np.abs(velocity - other_velocity) <= SAME_SPEED_RAD_S)).all())
+
+    def go_on_from(self, former: Playback, from_s: float) -> None:
+        """Be where another one is, on whose trajectory this one's begins at a time [s]."""
+        self._path_time_s = former._path_time_s - from_s
+        self._rate = former._rate
+
+    def stop(self) -> None:
+        """Begin to brake along the path."""
+        self._stopping = True
+
+    def advance(self, elapsed_s: float) -> Vector:
+        """Move on by a time and return the goal there, shape (joints,) [rad]."""
+        # At the end the joints settle: there is no way back from there.
+        if not self.completed:
+            self._change_rate(elapsed_s)
+            moved_s = self._path_time_s + self._rate * elapsed_s
+            self._path_time_s = min(max(moved_s, 0.0), self.trajectory.duration_s)
+        return self.trajectory.sample(self._path_time_s)[0]
+
+    def _change_rate(self, elapsed_s: float) -> None:
+        """Bring the rate nearer to the one that is wanted."""
+        wanted = 0.0 if self._stopping else max(min(self.pace, self.ceiling), -self.ceiling)
+        if self._rate == wanted and wanted >= 0.0:
+            return
+        fastest = self._largest_change()
+        change = fastest * elapsed_s
+        if wanted < 0.0:
+            # A path may begin in motion: the way back then ends in time for what is left of it, tick by tick.
+            wanted = max(wanted, 0.5 * change - math.sqrt(0.25 * change**2 + 2.0 * fastest * self._path_time_s))
+        self._rate = max(wanted, self._rate - change) if self._rate > wanted else min(wanted, self._rate + change)
+        if wanted == 0.0 and abs(self._rate) < STOPPED_RATE:
+            self._rate = 0.0
+
+    def _largest_change(self) -> float:
+        """Fastest allowed change of the rate [1/s]: what no joint's acceleration limit forbids."""
+        _, velocity, acceleration = self.trajectory.sample(self._path_time_s)
+        speed = np.abs(velocity)
+        in_use = self._rate**2 * np.abs(acceleration)
+        spare = np.maximum(self._max_acceleration - in_use, BRAKING_SHARE * self._max_acceleration)
+        moving = speed > 1e-6
+        if not moving.any():
+            return STANDSTILL_BRAKING
+        return float(np.min(spare[moving] / speed[moving]))
 
 
 def succession_refusal(

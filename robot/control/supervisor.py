@@ -41,32 +41,6 @@ from robot.messages import (
     Stream,
 )
 
-
-class Watchdog:
-    """Time since the server was last heard; pure, time passed in.
-
-    Args:
-        timeout_s: silence that counts as its death [s].
-        now_s: monotonic time [s].
-    """
-
-    def __init__(self, timeout_s: float, now_s: float) -> None:
-        self._timeout_s = timeout_s
-        self._heard_s = now_s
-
-    def hear(self, now_s: float) -> None:
-        """Note a message, whatever it says."""
-        self._heard_s = now_s
-
-    def silence_s(self, now_s: float) -> float:
-        """Time since the last message [s]."""
-        return now_s - self._heard_s
-
-    def expired(self, now_s: float) -> bool:
-        """Tell whether the server has been silent for too long."""
-        return self.silence_s(now_s) > self._timeout_s
-
-
 log = logging.getLogger("armbridge.arm")
 
 # Between checks of an arm that was refused.
@@ -97,17 +71,6 @@ _NAMES = {
 }
 
 Send = Callable[[object, bool], None]
-
-
-@dataclass
-class _Task:
-    """A sequence in progress; ``number`` is that of the command to answer, if a command asked for it."""
-
-    name: str
-    steps: Steps[str]
-    number: int | None
-    ready_s: float
-    urgent: bool = False
 
 
 class Supervisor:
@@ -405,3 +368,39 @@ class Supervisor:
     def _state(self, arm: ControlCycle, pacer: Pacer) -> ArmState:
         lateness_s = pacer.latest(self._ticks_per_state)
         return health.arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
+
+
+class Watchdog:
+    """Time since the server was last heard; pure, time passed in.
+
+    Args:
+        timeout_s: silence that counts as its death [s].
+        now_s: monotonic time [s].
+    """
+
+    def __init__(self, timeout_s: float, now_s: float) -> None:
+        self._timeout_s = timeout_s
+        self._heard_s = now_s
+
+    def hear(self, now_s: float) -> None:
+        """Note a message, whatever it says."""
+        self._heard_s = now_s
+
+    def silence_s(self, now_s: float) -> float:
+        """Time since the last message [s]."""
+        return now_s - self._heard_s
+
+    def expired(self, now_s: float) -> bool:
+        """Tell whether the server has been silent for too long."""
+        return self.silence_s(now_s) > self._timeout_s
+
+
+@dataclass
+class _Task:
+    """A sequence in progress; ``number`` is that of the command to answer, if a command asked for it."""
+
+    name: str
+    steps: Steps[str]
+    number: int | None
+    ready_s: float
+    urgent: bool = False

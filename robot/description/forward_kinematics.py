@@ -16,18 +16,6 @@ from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
 
-@dataclass(frozen=True)
-class _Step:
-    """One joint: where it stands on its parent link, and how it moves its child."""
-
-    parent: str
-    child: str
-    joint: str | None
-    turns: bool
-    axis: Vector
-    transform_joint_to_parent: Vector
-
-
 class ForwardPlacements:
     """Places the links of one robot.
 
@@ -100,6 +88,18 @@ def rotation_about(axis: Vector, angle_rad: float) -> Vector:
             [x * z * rest - y * sin, y * z * rest + x * sin, cos + z * z * rest],
         ]
     )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One joint: where it stands on its parent link, and how it moves its child."""
+
+    parent: str
+    child: str
+    joint: str | None
+    turns: bool
+    axis: Vector
+    transform_joint_to_parent: Vector
 
 
 def _moved(step: _Step, position: float) -> Vector:

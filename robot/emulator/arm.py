@@ -26,25 +26,6 @@ UPPER_ARM_LEAN_RAD = 0.22
 DUTY_PERMILLE_PER_NM = 110.0
 
 
-def holding_duty_permille(position_rad: Mapping[str, float]) -> dict[str, float]:
-    """Compute the duty that carries the weight of each joint that has some to carry.
-
-    Args:
-        position_rad: joint name to position [rad], of shoulder_lift, elbow_flex and wrist_flex at least.
-
-    Returns:
-        Joint name to signed duty [0.1 %].
-    """
-    upper_arm = position_rad["shoulder_lift"]
-    forearm = upper_arm + position_rad["elbow_flex"]
-    hand = forearm + position_rad["wrist_flex"]
-    wrist_nm = -HAND_NM * math.cos(hand)
-    elbow_nm = wrist_nm - FOREARM_NM * math.cos(forearm)
-    shoulder_nm = elbow_nm - UPPER_ARM_NM * math.sin(upper_arm + UPPER_ARM_LEAN_RAD)
-    torque_nm = {"shoulder_lift": shoulder_nm, "elbow_flex": elbow_nm, "wrist_flex": wrist_nm}
-    return {joint: DUTY_PERMILLE_PER_NM * value for joint, value in torque_nm.items()}
-
-
 def build_servos(calibration: Calibration, start_rad: Sequence[float]) -> list[Servo]:
     """Build the arm's servos at a pose.
 
@@ -74,6 +55,25 @@ def weight_of(calibration: Calibration, servos: Sequence[Servo]) -> Callable[[],
             servo.plant.gravity_permille = duty_permille.get(joint.joint, 0.0)
 
     return weigh
+
+
+def holding_duty_permille(position_rad: Mapping[str, float]) -> dict[str, float]:
+    """Compute the duty that carries the weight of each joint that has some to carry.
+
+    Args:
+        position_rad: joint name to position [rad], of shoulder_lift, elbow_flex and wrist_flex at least.
+
+    Returns:
+        Joint name to signed duty [0.1 %].
+    """
+    upper_arm = position_rad["shoulder_lift"]
+    forearm = upper_arm + position_rad["elbow_flex"]
+    hand = forearm + position_rad["wrist_flex"]
+    wrist_nm = -HAND_NM * math.cos(hand)
+    elbow_nm = wrist_nm - FOREARM_NM * math.cos(forearm)
+    shoulder_nm = elbow_nm - UPPER_ARM_NM * math.sin(upper_arm + UPPER_ARM_LEAN_RAD)
+    torque_nm = {"shoulder_lift": shoulder_nm, "elbow_flex": elbow_nm, "wrist_flex": wrist_nm}
+    return {joint: DUTY_PERMILLE_PER_NM * value for joint, value in torque_nm.items()}
 
 
 def _servo(joint: JointCalibration, start_rad: float) -> Servo:

@@ -54,13 +54,6 @@ from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
 
-
-def _checked(name: str, value: object, lowest: float, highest: float, meaning: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not lowest <= value <= highest:
-        raise ValueError(f"{name} is {meaning} from {lowest:g} to {highest:g}, not {value!r}")
-    return float(value)
-
-
 MAX_TICKS = 4095
 
 # The motor's whole duty.
@@ -80,6 +73,8 @@ MAX_USB_FRAME_MS = 100
 
 # An hour of holding in a second.
 MAX_HEAT_RATE = 3600
+
+PLUGGED_RENAMED = "renamed"
 
 
 class Adapter(Protocol):
@@ -108,6 +103,46 @@ class Emulation:
 
     bus: ServoBus
     adapter: Adapter
+
+
+Change = Callable[[Emulation], None]
+
+
+def answer(line: bytes, emulation: Emulation) -> bytes:
+    """Carry out one line of commands and return the line that answers it."""
+    try:
+        command = json_object(line)
+        changes = check(command, emulation.bus)
+    except ValueError as error:
+        return _line({"error": str(error)})
+    for change in changes:
+        change(emulation)
+    emulation.bus.record_command(command)
+    return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in command else {"ok": True})
+
+
+def check(command: Mapping[str, object], bus: ServoBus) -> list[Change]:
+    """Check a command and return the changes that carry it out; nothing is changed yet.
+
+    Raises:
+        ValueError: there is no such command, or not with this value.
+    """
+    return [_change(name, value, bus) for name, value in command.items()]
+
+
+def json_object(line: bytes) -> dict[str, object]:
+    """Parse a line of JSON.
+
+    Raises:
+        ValueError: it is no JSON, or no object.
+    """
+    try:
+        command = json.loads(line)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"no JSON at column {error.colno}: {error.msg}") from error
+    if not isinstance(command, dict):
+        raise ValueError(f"a command is a JSON object, not {command!r}")  # noqa: TRY004 - refused input like the rest
+    return command
 
 
 @dataclass(frozen=True)
@@ -259,52 +294,6 @@ SWITCHES: Mapping[str, Callable[[Emulation, bool], None]] = MappingProxyType(
 )
 
 
-Change = Callable[[Emulation], None]
-
-PLUGGED_RENAMED = "renamed"
-
-
-def answer(line: bytes, emulation: Emulation) -> bytes:
-    """Carry out one line of commands and return the line that answers it."""
-    try:
-        command = json_object(line)
-        changes = check(command, emulation.bus)
-    except ValueError as error:
-        return _line({"error": str(error)})
-    for change in changes:
-        change(emulation)
-    emulation.bus.record_command(command)
-    return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in command else {"ok": True})
-
-
-def check(command: Mapping[str, object], bus: ServoBus) -> list[Change]:
-    """Check a command and return the changes that carry it out; nothing is changed yet.
-
-    Raises:
-        ValueError: there is no such command, or not with this value.
-    """
-    return [_change(name, value, bus) for name, value in command.items()]
-
-
-def json_object(line: bytes) -> dict[str, object]:
-    """Parse a line of JSON.
-
-    Raises:
-        ValueError: it is no JSON, or no object.
-    """
-    try:
-        command = json.loads(line)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"no JSON at column {error.colno}: {error.msg}") from error
-    if not isinstance(command, dict):
-        raise ValueError(f"a command is a JSON object, not {command!r}")  # noqa: TRY004 - refused input like the rest
-    return command
-
-
-def _line(reply: Mapping[str, object]) -> bytes:
-    return json.dumps(reply).encode() + b"\n"
-
-
 def _change(name: str, value: object, bus: ServoBus) -> Change:
     if name in NUMBERS:
         return _number(name, NUMBERS[name], value)
@@ -370,3 +359,13 @@ def _plugged(value: object) -> Change:
     if value is False:
         return lambda emulation: emulation.adapter.unplug()
     return lambda emulation: emulation.adapter.plug_in(renamed=value == PLUGGED_RENAMED)
+
+
+def _checked(name: str, value: object, lowest: float, highest: float, meaning: str) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not lowest <= value <= highest:
+        raise ValueError(f"{name} is {meaning} from {lowest:g} to {highest:g}, not {value!r}")
+    return float(value)
+
+
+def _line(reply: Mapping[str, object]) -> bytes:
+    return json.dumps(reply).encode() + b"\n"

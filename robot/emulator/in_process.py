@@ -40,6 +40,68 @@ READ_BYTES = 4096
 MAX_COMMAND_BYTES = 64 << 10
 
 
+class EmulatedServos:
+    """Emulated servos of an arm, as a source of hardware; they go on when the hardware is closed.
+
+    Args:
+        config: the servos, their faults, and where they start.
+        bounds: soft limits of the joints.
+        guard_limits: how hard the servos may push.
+        clock: time of the control loop [s].
+
+    Attributes:
+        bus: the servos' end of the wire.
+
+    Raises:
+        OSError: the log or the control socket cannot be made.
+    """
+
+    def __init__(
+        self, config: EmulatedConfig, bounds: JointBounds, guard_limits: GuardLimits, clock: Callable[[], float]
+    ) -> None:
+        self._config = config
+        self._bounds = bounds
+        self._guard_limits = guard_limits
+        self._clock = clock
+        joints = config.calibration.joints
+        start_rad = [
+            min(max(config.start_rad.get(joint.joint, 0.0), joint.lower_rad), joint.upper_rad) for joint in joints
+        ]
+        servos = build_servos(config.calibration, start_rad)
+        if config.driven:
+            # As an arm process leaves them: holding, at the torque that it allows.
+            full_torque = ServoMap(config.calibration, bounds, guard_limits).full_torque.tolist()
+            for servo, permille in zip(servos, full_torque, strict=True):
+                servo.power_up(holding=True)
+                servo.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, permille))
+        chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
+        faults = Faults(drop=config.drop, corrupt=config.corrupt, random=chance)
+        log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
+        weight = weight_of(config.calibration, servos)
+        self.bus = ServoBus(servos, faults, clock(), log, weight, wire_time=False)
+        self._port = (
+            CommandedPort(self.bus, clock, ControlSocket(config.control))
+            if config.control
+            else InProcessPort(self.bus, clock)
+        )
+
+    def open(self) -> HardwareInterface:
+        """Open the servos' port.
+
+        Raises:
+            PortError: it is unplugged.
+        """
+        self._port.check()
+        return FeetechHardware(
+            Bus(self._port, self._clock),
+            self._config.calibration,
+            self._bounds,
+            self._guard_limits,
+            self._clock,
+            simulated=True,
+        )
+
+
 class InProcessPort:
     """The port of a servo bus, as ``robot.hardware.feetech.port.BusPort``, and the adapter that commands pull.
 
@@ -134,6 +196,39 @@ class InProcessPort:
             raise PortLost(self.port_name, "a command to the emulator unplugged it")
 
 
+class CommandedPort(InProcessPort):
+    """A port whose servos take live commands, once each time that the clock moves on.
+
+    Args:
+        bus: the servos at its other end.
+        clock: time of bus and caller [s].
+        control: where the commands come in.
+    """
+
+    def __init__(self, bus: ServoBus, clock: Callable[[], float], control: ControlSocket) -> None:
+        super().__init__(bus, clock)
+        self._emulation = Emulation(bus, self)
+        self._control = control
+        self._polled_s = clock()
+
+    def check(self) -> None:
+        """Take the commands that have come; raise PortError while the port is unplugged."""
+        self._poll()
+        super().check()
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
+        """Take the commands that have come, then have the servos obey a packet."""
+        if self._clock() != self._polled_s:
+            self._poll()
+        return super().writePort(packet)
+
+    def _poll(self) -> None:
+        """Carry out the commands now: what they do begins now, and is on record with this time."""
+        self._polled_s = self._clock()
+        self._bus.advance(self._polled_s)
+        self._control.poll(self._emulation)
+
+
 class ControlSocket:
     """A Unix socket that takes live commands to the servos, one JSON object a line (:mod:`robot.emulator.control`).
 
@@ -192,98 +287,3 @@ class ControlSocket:
             self._selector.unregister(controller)
             del self._buffers[controller]
             controller.close()
-
-
-class CommandedPort(InProcessPort):
-    """A port whose servos take live commands, once each time that the clock moves on.
-
-    Args:
-        bus: the servos at its other end.
-        clock: time of bus and caller [s].
-        control: where the commands come in.
-    """
-
-    def __init__(self, bus: ServoBus, clock: Callable[[], float], control: ControlSocket) -> None:
-        super().__init__(bus, clock)
-        self._emulation = Emulation(bus, self)
-        self._control = control
-        self._polled_s = clock()
-
-    def check(self) -> None:
-        """Take the commands that have come; raise PortError while the port is unplugged."""
-        self._poll()
-        super().check()
-
-    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        """Take the commands that have come, then have the servos obey a packet."""
-        if self._clock() != self._polled_s:
-            self._poll()
-        return super().writePort(packet)
-
-    def _poll(self) -> None:
-        """Carry out the commands now: what they do begins now, and is on record with this time."""
-        self._polled_s = self._clock()
-        self._bus.advance(self._polled_s)
-        self._control.poll(self._emulation)
-
-
-class EmulatedServos:
-    """Emulated servos of an arm, as a source of hardware; they go on when the hardware is closed.
-
-    Args:
-        config: the servos, their faults, and where they start.
-        bounds: soft limits of the joints.
-        guard_limits: how hard the servos may push.
-        clock: time of the control loop [s].
-
-    Attributes:
-        bus: the servos' end of the wire.
-
-    Raises:
-        OSError: the log or the control socket cannot be made.
-    """
-
-    def __init__(
-        self, config: EmulatedConfig, bounds: JointBounds, guard_limits: GuardLimits, clock: Callable[[], float]
-    ) -> None:
-        self._config = config
-        self._bounds = bounds
-        self._guard_limits = guard_limits
-        self._clock = clock
-        joints = config.calibration.joints
-        start_rad = [
-            min(max(config.start_rad.get(joint.joint, 0.0), joint.lower_rad), joint.upper_rad) for joint in joints
-        ]
-        servos = build_servos(config.calibration, start_rad)
-        if config.driven:
-            # As an arm process leaves them: holding, at the torque that it allows.
-            full_torque = ServoMap(config.calibration, bounds, guard_limits).full_torque.tolist()
-            for servo, permille in zip(servos, full_torque, strict=True):
-                servo.power_up(holding=True)
-                servo.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, permille))
-        chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
-        faults = Faults(drop=config.drop, corrupt=config.corrupt, random=chance)
-        log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
-        weight = weight_of(config.calibration, servos)
-        self.bus = ServoBus(servos, faults, clock(), log, weight, wire_time=False)
-        self._port = (
-            CommandedPort(self.bus, clock, ControlSocket(config.control))
-            if config.control
-            else InProcessPort(self.bus, clock)
-        )
-
-    def open(self) -> HardwareInterface:
-        """Open the servos' port.
-
-        Raises:
-            PortError: it is unplugged.
-        """
-        self._port.check()
-        return FeetechHardware(
-            Bus(self._port, self._clock),
-            self._config.calibration,
-            self._bounds,
-            self._guard_limits,
-            self._clock,
-            simulated=True,
-        )

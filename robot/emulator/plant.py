@@ -8,45 +8,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-AMBIENT_C = 32.0
-
-# A held stretched arm (0.2 A) grows warm, a stalled motor (2.4 A) gains half a degree each second.
-KELVIN_PER_A2 = 60.0
-
-# A motor in its plastic housing takes ten minutes to most of its temperature.
-TIME_CONSTANT_S = 600.0
-
-
-@dataclass
-class Motor:
-    """The motor as a body that is warmed by its current and cooled by the air.
-
-    Attributes:
-        temperature_c: of the housing [degC].
-        rate: how much faster than life it warms and cools.
-    """
-
-    temperature_c: float = AMBIENT_C
-    rate: float = 1.0
-
-    def step(self, duration_s: float, current_a: float) -> None:
-        """Let time pass [s]."""
-        target_c = AMBIENT_C + KELVIN_PER_A2 * current_a * current_a
-        share = min(1.0, duration_s * self.rate / TIME_CONSTANT_S)
-        self.temperature_c += (target_c - self.temperature_c) * share
-
-
 # STS3215 C001 without load at 6 V: 0.238 s per 60 deg.
 NO_LOAD_TICKS_S = 2867.0
+
+STALL_CURRENT_A = 2.4
 
 # Fast enough for the stiffest position gain to stay stable.
 SUBSTEP_S = 0.002
 
-# A joint slower than this creeps by a tick in a quarter of an hour: it rests.
-REST_TICKS_S = 1e-3
-
 # After the process was suspended the arm goes on from where it was rather than catching up.
 MAX_STEP_S = 0.1
+
+# A joint slower than this creeps by a tick in a quarter of an hour: it rests.
+REST_TICKS_S = 1e-3
 
 # Duty that a position error of one tick calls for, per unit of the P gain: the factory's gain of 32 follows
 # with a lag of 20 ms and stalls at 5 deg, lerobot's 16 with twice that.
@@ -61,7 +35,13 @@ PUSH_TICKS_S_PER_PERMILLE = 2.0
 # A person moves a joint this fast, 130 deg/s.
 HAND_TICKS_S = 1500.0
 
-STALL_CURRENT_A = 2.4
+AMBIENT_C = 32.0
+
+# A held stretched arm (0.2 A) grows warm, a stalled motor (2.4 A) gains half a degree each second.
+KELVIN_PER_A2 = 60.0
+
+# A motor in its plastic housing takes ten minutes to most of its temperature.
+TIME_CONSTANT_S = 600.0
 
 
 @dataclass(frozen=True)
@@ -186,3 +166,22 @@ class Plant:
             return
         self._profile_ticks += velocity * dt_s
         self._profile_velocity_ticks_s = velocity
+
+
+@dataclass
+class Motor:
+    """The motor as a body that is warmed by its current and cooled by the air.
+
+    Attributes:
+        temperature_c: of the housing [degC].
+        rate: how much faster than life it warms and cools.
+    """
+
+    temperature_c: float = AMBIENT_C
+    rate: float = 1.0
+
+    def step(self, duration_s: float, current_a: float) -> None:
+        """Let time pass [s]."""
+        target_c = AMBIENT_C + KELVIN_PER_A2 * current_a * current_a
+        share = min(1.0, duration_s * self.rate / TIME_CONSTANT_S)
+        self.temperature_c += (target_c - self.temperature_c) * share

@@ -25,6 +25,31 @@ from robot.hardware.feetech.registers import (
 )
 from robot.hardware.interface import StatusFlag
 
+# The SO-101's usual supply [V].
+SUPPLY_V = 5.0
+
+# Acceleration 0 means the most the servo has; lerobot writes this to its limit register.
+MAX_ACCELERATION = 254
+
+# A joint slower than this stands still as far as register MOVING is concerned.
+STANDSTILL_TICKS_S = 3.0
+
+# TORQUE_ENABLE with this value makes the present position the middle, and drives nothing.
+TORQUE_ENABLE_MAKES_MIDDLE = 128
+MIDDLE_TICKS = 2048
+
+# Heat and protection change slowly: they are looked after once in a while, of a joint at rest less often.
+UPKEEP_S = 0.01
+RESTING_UPKEEP_S = 0.04
+
+PERMILLE_PER_PERCENT = 10
+PROTECTION_TIME_UNIT_S = 0.01
+
+# Register 38's factory value; what the register says is not followed.
+OVERCURRENT_TIME_S = 2.0
+
+FULL_DUTY_PERMILLE = 1000.0
+
 # The last documented address is 86; whatever is asked beyond reads as zero.
 MEMORY_BYTES = 87
 
@@ -67,209 +92,6 @@ _READ_ONLY_ADDRESSES = frozenset(
 _REGISTER_AT: Mapping[int, Register] = MappingProxyType(
     {register + offset: register for register, layout in LAYOUT.items() for offset in range(layout.size)}
 )
-
-
-class Memory:
-    """The registers of one servo, from power-up on.
-
-    Args:
-        eprom: what its EPROM holds; registers not named are 0.
-    """
-
-    def __init__(self, eprom: Mapping[Register, int]) -> None:
-        self._bytes = bytearray(MEMORY_BYTES)
-        self._values: dict[Register, int] = {}  # decoded once: the bus asks for them at every packet
-        self._bytes[0:2] = FIRMWARE_MAJOR_MINOR
-        for register, value in {Register.MODEL_NUMBER: MODEL_STS3215, **eprom}.items():
-            self.set(register, value)
-        self._backup = self._eprom = self._present_eprom()
-        self.power_up()
-
-    def power_up(self) -> None:
-        """Start as after a power cut: EPROM as last stored, torque off, goal 0, the torque limit as in EPROM."""
-        self._bytes[:] = self._eprom + bytes(MEMORY_BYTES - len(self._eprom))
-        self._values.clear()
-        self.set(Register.TORQUE_LIMIT, self.value(Register.MAX_TORQUE))
-        self.set(Register.LOCK, 1)
-
-    def value(self, register: Register) -> int:
-        """Value of a register."""
-        value = self._values.get(register)
-        if value is None:
-            value = decode(register, bytes(self._bytes[register : register + LAYOUT[register].size]))
-            self._values[register] = value
-        return value
-
-    def set(self, register: Register, value: int) -> None:
-        """Set a register, read-only or not."""
-        self._bytes[register : register + LAYOUT[register].size] = encode(register, value)
-        self._values[register] = value
-
-    def show(self, register: Register, value: int) -> None:
-        """Set a measured register, which shows its largest value when it cannot hold the true one."""
-        if self._values.get(register) == value:
-            return
-        lowest, highest = value_range(register)
-        self.set(register, max(lowest, min(highest, value)))
-
-    def read(self, address: int, length: int) -> bytes:
-        """Read bytes; what lies beyond the memory is zero."""
-        return bytes(self._bytes[address : address + length]).ljust(length, b"\0")
-
-    def write(self, address: int, data: bytes) -> bool:
-        """Write bytes as an instruction does; returns whether any register may hold another value now.
-
-        Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK is 0.
-        """
-        # A goal is told a hundred times a second, also while the arm rests.
-        if self._bytes[address : address + len(data)] == data:
-            return False
-        unlocked = self._bytes[Register.LOCK] == 0
-        for at, byte in enumerate(data, start=address):
-            if Register.ID <= at < MEMORY_BYTES and at not in _READ_ONLY_ADDRESSES:
-                self._bytes[at] = byte
-                if at in _REGISTER_AT:
-                    self._values.pop(_REGISTER_AT[at], None)
-        if unlocked:
-            self.store()
-        return True
-
-    def store(self) -> None:
-        """Let the EPROM as it is outlive a power cut, locked or not."""
-        self._eprom = self._present_eprom()
-
-    def back_up(self) -> None:
-        """Keep the EPROM as it is for :meth:`restore`."""
-        self._backup = self._present_eprom()
-
-    def restore(self) -> None:
-        """Bring back the EPROM last backed up, or what it held at first; the id stays."""
-        servo_id = self.value(Register.ID)
-        self._bytes[: len(self._backup)] = self._backup
-        self._values.clear()
-        self.set(Register.ID, servo_id)
-        self.store()
-
-    def _present_eprom(self) -> bytes:
-        return bytes(self._bytes[: _EPROM_ADDRESSES.stop])
-
-
-# Register 38's factory value; what the register says is not followed.
-OVERCURRENT_TIME_S = 2.0
-
-FULL_DUTY_PERMILLE = 1000.0
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """What the EPROM says of protection.
-
-    Attributes:
-        voltage_v: lowest and highest supply [V].
-        temperature_c: highest [degC].
-        overload_permille: duty from which the overload timer runs [0.1 %].
-        overload_s: how long it may [s].
-        protective_permille: duty left after an overload [0.1 %].
-        current_a: greatest [A].
-        unloading: complaints that take torque away.
-    """
-
-    voltage_v: tuple[float, float]
-    temperature_c: float
-    overload_permille: float
-    overload_s: float
-    protective_permille: float
-    current_a: float
-    unloading: StatusFlag
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What the servo measures of itself.
-
-    Attributes:
-        duty_permille: what the motor gives, signed [0.1 %].
-        current_a: signed [A].
-        temperature_c: [degC].
-        voltage_v: [V].
-    """
-
-    duty_permille: float
-    current_a: float
-    temperature_c: float
-    voltage_v: float
-
-
-class Protection:
-    """Timers and latches of one servo.
-
-    Overload and overcurrent stay until torque is switched off, or until power is if ``latches``; the rest last as
-    long as their cause.
-
-    Attributes:
-        latches: whether switching torque off does not clear an overload.
-        forced: complaints made from outside, in force until taken back.
-        status: the complaints, as in register STATUS.
-    """
-
-    def __init__(self) -> None:
-        self.latches = False
-        self.forced = self.status = self._latched = StatusFlag(0)
-        self._overload_s = self._overcurrent_s = 0.0
-
-    def step(self, duration_s: float, measured: Measured, limits: Thresholds) -> None:
-        """Let time pass [s] under what is measured at its end."""
-        overloaded = abs(measured.duty_permille) >= limits.overload_permille
-        self._overload_s = self._overload_s + duration_s if overloaded else 0.0
-        self._overcurrent_s = self._overcurrent_s + duration_s if abs(measured.current_a) > limits.current_a else 0.0
-        if self._overload_s > limits.overload_s:
-            self._latched |= StatusFlag.OVERLOAD
-        if self._overcurrent_s > OVERCURRENT_TIME_S:
-            self._latched |= StatusFlag.CURRENT
-        self.status = self._latched | self.forced
-        if not limits.voltage_v[0] <= measured.voltage_v <= limits.voltage_v[1]:
-            self.status |= StatusFlag.VOLTAGE
-        if measured.temperature_c > limits.temperature_c:
-            self.status |= StatusFlag.TEMPERATURE
-
-    def duty_left_permille(self, limits: Thresholds) -> float:
-        """Largest duty that the complaints leave [0.1 %]."""
-        effective = self.status & limits.unloading
-        if effective & ~StatusFlag.OVERLOAD:
-            return 0.0
-        return limits.protective_permille if effective else FULL_DUTY_PERMILLE
-
-    def torque_off(self) -> None:
-        """Torque was switched off: what that clears is cleared."""
-        if not self.latches:
-            self.power_up()
-
-    def power_up(self) -> None:
-        """Power came on: nothing is remembered."""
-        self._overload_s = self._overcurrent_s = 0.0
-        self.status &= ~self._latched | self.forced
-        self._latched = StatusFlag(0)
-
-
-# The SO-101's usual supply [V].
-SUPPLY_V = 5.0
-
-# Acceleration 0 means the most the servo has; lerobot writes this to its limit register.
-MAX_ACCELERATION = 254
-
-# A joint slower than this stands still as far as register MOVING is concerned.
-STANDSTILL_TICKS_S = 3.0
-
-# TORQUE_ENABLE with this value makes the present position the middle, and drives nothing.
-TORQUE_ENABLE_MAKES_MIDDLE = 128
-MIDDLE_TICKS = 2048
-
-# Heat and protection change slowly: they are looked after once in a while, of a joint at rest less often.
-UPKEEP_S = 0.01
-RESTING_UPKEEP_S = 0.04
-
-PERMILLE_PER_PERCENT = 10
-PROTECTION_TIME_UNIT_S = 0.01
 
 
 class Servo:
@@ -472,3 +294,179 @@ class Servo:
             torque_permille=torque_left if torque_on else 0,
             p_gain=self.value(Register.P_GAIN),
         )
+
+
+class Memory:
+    """The registers of one servo, from power-up on.
+
+    Args:
+        eprom: what its EPROM holds; registers not named are 0.
+    """
+
+    def __init__(self, eprom: Mapping[Register, int]) -> None:
+        self._bytes = bytearray(MEMORY_BYTES)
+        self._values: dict[Register, int] = {}  # decoded once: the bus asks for them at every packet
+        self._bytes[0:2] = FIRMWARE_MAJOR_MINOR
+        for register, value in {Register.MODEL_NUMBER: MODEL_STS3215, **eprom}.items():
+            self.set(register, value)
+        self._backup = self._eprom = self._present_eprom()
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Start as after a power cut: EPROM as last stored, torque off, goal 0, the torque limit as in EPROM."""
+        self._bytes[:] = self._eprom + bytes(MEMORY_BYTES - len(self._eprom))
+        self._values.clear()
+        self.set(Register.TORQUE_LIMIT, self.value(Register.MAX_TORQUE))
+        self.set(Register.LOCK, 1)
+
+    def value(self, register: Register) -> int:
+        """Value of a register."""
+        value = self._values.get(register)
+        if value is None:
+            value = decode(register, bytes(self._bytes[register : register + LAYOUT[register].size]))
+            self._values[register] = value
+        return value
+
+    def set(self, register: Register, value: int) -> None:
+        """Set a register, read-only or not."""
+        self._bytes[register : register + LAYOUT[register].size] = encode(register, value)
+        self._values[register] = value
+
+    def show(self, register: Register, value: int) -> None:
+        """Set a measured register, which shows its largest value when it cannot hold the true one."""
+        if self._values.get(register) == value:
+            return
+        lowest, highest = value_range(register)
+        self.set(register, max(lowest, min(highest, value)))
+
+    def read(self, address: int, length: int) -> bytes:
+        """Read bytes; what lies beyond the memory is zero."""
+        return bytes(self._bytes[address : address + length]).ljust(length, b"\0")
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Write bytes as an instruction does; returns whether any register may hold another value now.
+
+        Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK is 0.
+        """
+        # A goal is told a hundred times a second, also while the arm rests.
+        if self._bytes[address : address + len(data)] == data:
+            return False
+        unlocked = self._bytes[Register.LOCK] == 0
+        for at, byte in enumerate(data, start=address):
+            if Register.ID <= at < MEMORY_BYTES and at not in _READ_ONLY_ADDRESSES:
+                self._bytes[at] = byte
+                if at in _REGISTER_AT:
+                    self._values.pop(_REGISTER_AT[at], None)
+        if unlocked:
+            self.store()
+        return True
+
+    def store(self) -> None:
+        """Let the EPROM as it is outlive a power cut, locked or not."""
+        self._eprom = self._present_eprom()
+
+    def back_up(self) -> None:
+        """Keep the EPROM as it is for :meth:`restore`."""
+        self._backup = self._present_eprom()
+
+    def restore(self) -> None:
+        """Bring back the EPROM last backed up, or what it held at first; the id stays."""
+        servo_id = self.value(Register.ID)
+        self._bytes[: len(self._backup)] = self._backup
+        self._values.clear()
+        self.set(Register.ID, servo_id)
+        self.store()
+
+    def _present_eprom(self) -> bytes:
+        return bytes(self._bytes[: _EPROM_ADDRESSES.stop])
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What the EPROM says of protection.
+
+    Attributes:
+        voltage_v: lowest and highest supply [V].
+        temperature_c: highest [degC].
+        overload_permille: duty from which the overload timer runs [0.1 %].
+        overload_s: how long it may [s].
+        protective_permille: duty left after an overload [0.1 %].
+        current_a: greatest [A].
+        unloading: complaints that take torque away.
+    """
+
+    voltage_v: tuple[float, float]
+    temperature_c: float
+    overload_permille: float
+    overload_s: float
+    protective_permille: float
+    current_a: float
+    unloading: StatusFlag
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the servo measures of itself.
+
+    Attributes:
+        duty_permille: what the motor gives, signed [0.1 %].
+        current_a: signed [A].
+        temperature_c: [degC].
+        voltage_v: [V].
+    """
+
+    duty_permille: float
+    current_a: float
+    temperature_c: float
+    voltage_v: float
+
+
+class Protection:
+    """Timers and latches of one servo.
+
+    Overload and overcurrent stay until torque is switched off, or until power is if ``latches``; the rest last as
+    long as their cause.
+
+    Attributes:
+        latches: whether switching torque off does not clear an overload.
+        forced: complaints made from outside, in force until taken back.
+        status: the complaints, as in register STATUS.
+    """
+
+    def __init__(self) -> None:
+        self.latches = False
+        self.forced = self.status = self._latched = StatusFlag(0)
+        self._overload_s = self._overcurrent_s = 0.0
+
+    def step(self, duration_s: float, measured: Measured, limits: Thresholds) -> None:
+        """Let time pass [s] under what is measured at its end."""
+        overloaded = abs(measured.duty_permille) >= limits.overload_permille
+        self._overload_s = self._overload_s + duration_s if overloaded else 0.0
+        self._overcurrent_s = self._overcurrent_s + duration_s if abs(measured.current_a) > limits.current_a else 0.0
+        if self._overload_s > limits.overload_s:
+            self._latched |= StatusFlag.OVERLOAD
+        if self._overcurrent_s > OVERCURRENT_TIME_S:
+            self._latched |= StatusFlag.CURRENT
+        self.status = self._latched | self.forced
+        if not limits.voltage_v[0] <= measured.voltage_v <= limits.voltage_v[1]:
+            self.status |= StatusFlag.VOLTAGE
+        if measured.temperature_c > limits.temperature_c:
+            self.status |= StatusFlag.TEMPERATURE
+
+    def duty_left_permille(self, limits: Thresholds) -> float:
+        """Largest duty that the complaints leave [0.1 %]."""
+        effective = self.status & limits.unloading
+        if effective & ~StatusFlag.OVERLOAD:
+            return 0.0
+        return limits.protective_permille if effective else FULL_DUTY_PERMILLE
+
+    def torque_off(self) -> None:
+        """Torque was switched off: what that clears is cleared."""
+        if not self.latches:
+            self.power_up()
+
+    def power_up(self) -> None:
+        """Power came on: nothing is remembered."""
+        self._overload_s = self._overcurrent_s = 0.0
+        self.status &= ~self._latched | self.forced
+        self._latched = StatusFlag(0)

@@ -28,70 +28,12 @@ from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.packets import HEADER, LENGTH_OVERHEAD, checksum, wire_time_s
 from robot.hardware.feetech.registers import Register
 
-# A packet that stays unfinished this long was cut off, and does not swallow the next one.
-PARTIAL_PACKET_S = 0.005
+BAUDRATE = 1_000_000
 
-# Header, id, LEN and checksum.
-_FRAME_BYTES = 5
-
-
-@dataclass(frozen=True)
-class Instruction:
-    """A sound packet from the host."""
-
-    servo_id: int
-    code: int
-    parameters: bytes
-
-    @property
-    def byte_count(self) -> int:
-        """Bytes of the packet on the wire."""
-        return len(self.parameters) + LENGTH_OVERHEAD + _FRAME_BYTES - 1
-
-
-def status_packet(servo_id: int, error: int, data: bytes = b"") -> bytes:
-    """Build a servo's reply."""
-    body = bytes([servo_id, len(data) + LENGTH_OVERHEAD, error]) + data
-    return HEADER + body + bytes([checksum(body)])
-
-
-class InstructionParser:
-    """Cuts the host's bytes into instructions; what is not sound is skipped."""
-
-    def __init__(self) -> None:
-        self._buffer = b""
-        self._last_byte_s = 0.0
-
-    @property
-    def begun(self) -> bool:
-        """True while the bytes left over may be the beginning of an instruction."""
-        return self._buffer.startswith(HEADER[:1])
-
-    def feed(self, data: bytes, now_s: float) -> list[Instruction]:
-        """Return the instructions completed by ``data``."""
-        if now_s - self._last_byte_s > PARTIAL_PACKET_S:
-            self._buffer = b""
-        self._last_byte_s = now_s
-        self._buffer += data
-        instructions = []
-        at = self._buffer.find(HEADER)
-        while 0 <= at <= len(self._buffer) - _FRAME_BYTES:
-            end = at + self._buffer[at + 3] + _FRAME_BYTES - 1
-            if end > len(self._buffer) and self._buffer[at + 2] <= BROADCAST_ID:
-                break
-            instruction = self._instruction(at, end)
-            if instruction is not None:
-                instructions.append(instruction)
-            at = self._buffer.find(HEADER, at + 1 if instruction is None else end)
-        self._buffer = self._buffer[at:] if at >= 0 else self._buffer[-1:]
-        return instructions
-
-    def _instruction(self, at: int, end: int) -> Instruction | None:
-        body = self._buffer[at + 2 : end - 1]
-        if len(body) <= LENGTH_OVERHEAD or end > len(self._buffer) or self._buffer[end - 1] != checksum(body):
-            return None
-        return Instruction(servo_id=body[0], code=body[2], parameters=body[3:])
-
+# Register BAUD_RATE (Feetech's memory table V3.6).
+BAUDRATES: Mapping[int, int] = MappingProxyType(
+    dict(enumerate((1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)))
+)
 
 # Codes of Feetech's protocol manual that its SDK has no names for.
 INST_RESTORE = 0x06
@@ -100,165 +42,24 @@ INST_BACKUP = 0x09
 INST_RESET = 0x0A
 INST_CALIBRATE = 0x0B
 
+# Instructions that change nothing.
+READING = (INST_PING, INST_READ, INST_SYNC_READ)
 
-@dataclass(frozen=True)
-class Answer:
-    """What a servo has to say: the data of its status packet."""
+# A packet that stays unfinished this long was cut off, and does not swallow the next one.
+PARTIAL_PACKET_S = 0.005
 
-    servo: Servo
-    data: bytes = b""
-
-
-@dataclass
-class Effect:
-    """What an instruction did.
-
-    Attributes:
-        answers: in the order in which they are given.
-        address: where was written.
-        written: servo id to the bytes that it took there; several addresses need several effects.
-    """
-
-    answers: list[Answer] = field(default_factory=list)
-    address: int = 0
-    written: dict[int, bytes] = field(default_factory=dict)
-
-
-def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_missing: bool = False) -> list[Effect]:
-    """Do what the host says.
-
-    Args:
-        instruction: anything; what makes no sense does nothing.
-        servos: those that hear it.
-        stall_behind_missing: whether a sync read ends at the first servo that does not answer.
-    """
-    parameters = instruction.parameters
-    hearers = [servo for servo in servos if instruction.servo_id in (servo.servo_id, BROADCAST_ID)]
-    broadcast = instruction.servo_id == BROADCAST_ID
-    match instruction.code, len(parameters):
-        case (code, 0) if code == INST_PING:
-            return [Effect([Answer(servo) for servo in hearers])]
-        case (code, 2) if code == INST_READ and not broadcast:
-            return [Effect([Answer(servo, servo.read(*parameters)) for servo in hearers])]
-        case (code, count) if code == INST_SYNC_READ and count > 2:
-            return [Effect(_sync_read(servos, parameters, stall_behind_missing=stall_behind_missing))]
-        case (code, count) if code == INST_SYNC_WRITE and count > 2:
-            return [_sync_write(servos, parameters)]
-        case (code, count) if code in (INST_WRITE, INST_REG_WRITE) and count > 1:
-            return [_write(hearers, parameters, broadcast=broadcast, kept=code == INST_REG_WRITE)]
-        case (code, 0) if code == INST_ACTION:
-            return _action(hearers, broadcast=broadcast)
-        case (code, _) if code in _MAINTENANCE:
-            for servo in hearers:
-                _MAINTENANCE[code](servo)
-            return [Effect(_acknowledgements(hearers, broadcast=broadcast))]
-    return []
-
-
-# The arm's joints turn less than once: there is no count of turns for INST_RESET to forget.
-_MAINTENANCE: Mapping[int, Callable[[Servo], None]] = MappingProxyType(
-    {
-        INST_RESTORE: Servo.restore,
-        INST_REBOOT: Servo.power_up,
-        INST_BACKUP: Servo.back_up,
-        INST_RESET: lambda _servo: None,
-        INST_CALIBRATE: Servo.make_middle,
-    }
-)
-
-
-def _acknowledgements(hearers: Sequence[Servo], *, broadcast: bool) -> list[Answer]:
-    if broadcast:
-        return []
-    return [Answer(servo) for servo in hearers if servo.value(Register.RESPONSE_LEVEL) != 0]
-
-
-def _sync_read(servos: Sequence[Servo], parameters: bytes, *, stall_behind_missing: bool) -> list[Answer]:
-    present = {servo.servo_id: servo for servo in servos}
-    answers = []
-    for servo_id in parameters[2:]:
-        if servo_id in present:
-            answers.append(Answer(present[servo_id], present[servo_id].read(parameters[0], parameters[1])))
-        elif stall_behind_missing:
-            break
-    return answers
-
-
-def _write(hearers: Sequence[Servo], parameters: bytes, *, broadcast: bool, kept: bool) -> Effect:
-    address, data = parameters[0], parameters[1:]
-    for servo in hearers:
-        if kept:
-            servo.keep_write(address, data)
-        else:
-            servo.write(address, data)
-    written = {} if kept else {servo.servo_id: data for servo in hearers}
-    return Effect(_acknowledgements(hearers, broadcast=broadcast), address, written)
-
-
-def _action(hearers: Sequence[Servo], *, broadcast: bool) -> list[Effect]:
-    effects = [Effect(_acknowledgements(hearers, broadcast=broadcast))]
-    for servo in hearers:
-        taken = servo.take_kept_write()
-        if taken is not None:
-            effects.append(Effect([], taken[0], {servo.servo_id: taken[1]}))
-    return effects
-
-
-def _sync_write(servos: Sequence[Servo], parameters: bytes) -> Effect:
-    address, length, blocks = parameters[0], parameters[1], parameters[2:]
-    present = {servo.servo_id: servo for servo in servos}
-    effect = Effect([], address)
-    for at in range(0, len(blocks) - length, length + 1):
-        servo_id, data = blocks[at], blocks[at + 1 : at + 1 + length]
-        if servo_id in present:
-            present[servo_id].write(address, data)
-            effect.written[servo_id] = data
-    return effect
-
-
-BAUDRATE = 1_000_000
-
-# Register BAUD_RATE (Feetech's memory table V3.6).
-BAUDRATES: Mapping[int, int] = MappingProxyType(
-    dict(enumerate((1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)))
-)
+# Header, id, LEN and checksum.
+_FRAME_BYTES = 5
 
 # From the end of what a servo waits for to the start of its reply.
 TURNAROUND_S = 20e-6
 RETURN_DELAY_UNIT_S = 2e-6
-
-# Instructions that change nothing.
-READING = (INST_PING, INST_READ, INST_SYNC_READ)
 
 # A survey asks some dozens of different questions.
 MAX_ANSWERED = 64
 
 # Weight changes with the pose, and that slowly.
 WEIGHING_S = 0.01
-
-
-@dataclass
-class Reply:
-    """Bytes for the host.
-
-    Attributes:
-        start_s: when their first bit is on the wire (monotonic [s]).
-        byte_s: how long each takes [s].
-        end_s: when all have passed it.
-        due_s: when the host may have them; later than ``end_s`` if the adapter holds them up.
-        data: the bytes.
-    """
-
-    start_s: float
-    byte_s: float
-    end_s: float
-    due_s: float
-    data: bytes
-
-    def talk_over(self, now_s: float) -> None:
-        """Lose what has not yet passed the wire: with the host speaking as well, no byte is framed right."""
-        passed = int((now_s - self.start_s) / self.byte_s)
-        self.data = self.data[: max(0, passed)]
 
 
 class ServoBus:
@@ -385,3 +186,200 @@ class ServoBus:
 
     def _takes_s(self, byte_count: int, baudrate: int) -> float:
         return wire_time_s(byte_count, baudrate) if self._wire_time else 0.0
+
+
+@dataclass
+class Reply:
+    """Bytes for the host.
+
+    Attributes:
+        start_s: when their first bit is on the wire (monotonic [s]).
+        byte_s: how long each takes [s].
+        end_s: when all have passed it.
+        due_s: when the host may have them; later than ``end_s`` if the adapter holds them up.
+        data: the bytes.
+    """
+
+    start_s: float
+    byte_s: float
+    end_s: float
+    due_s: float
+    data: bytes
+
+    def talk_over(self, now_s: float) -> None:
+        """Lose what has not yet passed the wire: with the host speaking as well, no byte is framed right."""
+        passed = int((now_s - self.start_s) / self.byte_s)
+        self.data = self.data[: max(0, passed)]
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """A sound packet from the host."""
+
+    servo_id: int
+    code: int
+    parameters: bytes
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the packet on the wire."""
+        return len(self.parameters) + LENGTH_OVERHEAD + _FRAME_BYTES - 1
+
+
+class InstructionParser:
+    """Cuts the host's bytes into instructions; what is not sound is skipped."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self._last_byte_s = 0.0
+
+    @property
+    def begun(self) -> bool:
+        """True while the bytes left over may be the beginning of an instruction."""
+        return self._buffer.startswith(HEADER[:1])
+
+    def feed(self, data: bytes, now_s: float) -> list[Instruction]:
+        """Return the instructions completed by ``data``."""
+        if now_s - self._last_byte_s > PARTIAL_PACKET_S:
+            self._buffer = b""
+        self._last_byte_s = now_s
+        self._buffer += data
+        instructions = []
+        at = self._buffer.find(HEADER)
+        while 0 <= at <= len(self._buffer) - _FRAME_BYTES:
+            end = at + self._buffer[at + 3] + _FRAME_BYTES - 1
+            if end > len(self._buffer) and self._buffer[at + 2] <= BROADCAST_ID:
+                break
+            instruction = self._instruction(at, end)
+            if instruction is not None:
+                instructions.append(instruction)
+            at = self._buffer.find(HEADER, at + 1 if instruction is None else end)
+        self._buffer = self._buffer[at:] if at >= 0 else self._buffer[-1:]
+        return instructions
+
+    def _instruction(self, at: int, end: int) -> Instruction | None:
+        body = self._buffer[at + 2 : end - 1]
+        if len(body) <= LENGTH_OVERHEAD or end > len(self._buffer) or self._buffer[end - 1] != checksum(body):
+            return None
+        return Instruction(servo_id=body[0], code=body[2], parameters=body[3:])
+
+
+def status_packet(servo_id: int, error: int, data: bytes = b"") -> bytes:
+    """Build a servo's reply."""
+    body = bytes([servo_id, len(data) + LENGTH_OVERHEAD, error]) + data
+    return HEADER + body + bytes([checksum(body)])
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a servo has to say: the data of its status packet."""
+
+    servo: Servo
+    data: bytes = b""
+
+
+@dataclass
+class Effect:
+    """What an instruction did.
+
+    Attributes:
+        answers: in the order in which they are given.
+        address: where was written.
+        written: servo id to the bytes that it took there; several addresses need several effects.
+    """
+
+    answers: list[Answer] = field(default_factory=list)
+    address: int = 0
+    written: dict[int, bytes] = field(default_factory=dict)
+
+
+def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_missing: bool = False) -> list[Effect]:
+    """Do what the host says.
+
+    Args:
+        instruction: anything; what makes no sense does nothing.
+        servos: those that hear it.
+        stall_behind_missing: whether a sync read ends at the first servo that does not answer.
+    """
+    parameters = instruction.parameters
+    hearers = [servo for servo in servos if instruction.servo_id in (servo.servo_id, BROADCAST_ID)]
+    broadcast = instruction.servo_id == BROADCAST_ID
+    match instruction.code, len(parameters):
+        case (code, 0) if code == INST_PING:
+            return [Effect([Answer(servo) for servo in hearers])]
+        case (code, 2) if code == INST_READ and not broadcast:
+            return [Effect([Answer(servo, servo.read(*parameters)) for servo in hearers])]
+        case (code, count) if code == INST_SYNC_READ and count > 2:
+            return [Effect(_sync_read(servos, parameters, stall_behind_missing=stall_behind_missing))]
+        case (code, count) if code == INST_SYNC_WRITE and count > 2:
+            return [_sync_write(servos, parameters)]
+        case (code, count) if code in (INST_WRITE, INST_REG_WRITE) and count > 1:
+            return [_write(hearers, parameters, broadcast=broadcast, kept=code == INST_REG_WRITE)]
+        case (code, 0) if code == INST_ACTION:
+            return _action(hearers, broadcast=broadcast)
+        case (code, _) if code in _MAINTENANCE:
+            for servo in hearers:
+                _MAINTENANCE[code](servo)
+            return [Effect(_acknowledgements(hearers, broadcast=broadcast))]
+    return []
+
+
+# The arm's joints turn less than once: there is no count of turns for INST_RESET to forget.
+_MAINTENANCE: Mapping[int, Callable[[Servo], None]] = MappingProxyType(
+    {
+        INST_RESTORE: Servo.restore,
+        INST_REBOOT: Servo.power_up,
+        INST_BACKUP: Servo.back_up,
+        INST_RESET: lambda _servo: None,
+        INST_CALIBRATE: Servo.make_middle,
+    }
+)
+
+
+def _acknowledgements(hearers: Sequence[Servo], *, broadcast: bool) -> list[Answer]:
+    if broadcast:
+        return []
+    return [Answer(servo) for servo in hearers if servo.value(Register.RESPONSE_LEVEL) != 0]
+
+
+def _sync_read(servos: Sequence[Servo], parameters: bytes, *, stall_behind_missing: bool) -> list[Answer]:
+    present = {servo.servo_id: servo for servo in servos}
+    answers = []
+    for servo_id in parameters[2:]:
+        if servo_id in present:
+            answers.append(Answer(present[servo_id], present[servo_id].read(parameters[0], parameters[1])))
+        elif stall_behind_missing:
+            break
+    return answers
+
+
+def _write(hearers: Sequence[Servo], parameters: bytes, *, broadcast: bool, kept: bool) -> Effect:
+    address, data = parameters[0], parameters[1:]
+    for servo in hearers:
+        if kept:
+            servo.keep_write(address, data)
+        else:
+            servo.write(address, data)
+    written = {} if kept else {servo.servo_id: data for servo in hearers}
+    return Effect(_acknowledgements(hearers, broadcast=broadcast), address, written)
+
+
+def _action(hearers: Sequence[Servo], *, broadcast: bool) -> list[Effect]:
+    effects = [Effect(_acknowledgements(hearers, broadcast=broadcast))]
+    for servo in hearers:
+        taken = servo.take_kept_write()
+        if taken is not None:
+            effects.append(Effect([], taken[0], {servo.servo_id: taken[1]}))
+    return effects
+
+
+def _sync_write(servos: Sequence[Servo], parameters: bytes) -> Effect:
+    address, length, blocks = parameters[0], parameters[1], parameters[2:]
+    present = {servo.servo_id: servo for servo in servos}
+    effect = Effect([], address)
+    for at in range(0, len(blocks) - length, length + 1):
+        servo_id, data = blocks[at], blocks[at + 1 : at + 1 + length]
+        if servo_id in present:
+            present[servo_id].write(address, data)
+            effect.written[servo_id] = data
+    return effect

@@ -29,23 +29,6 @@ from robot.trajectory import Vector
 Result = TypeVar("Result")
 Steps: TypeAlias = Generator[float, None, Result]
 
-
-def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
-    """Carry out a sequence on hardware that nobody else uses, as the command line does; returns what it returns.
-
-    Args:
-        steps: the sequence; what it raises is raised.
-        wait: waits for so long [s].
-    """
-    while True:
-        try:
-            wait_s = next(steps)
-        except StopIteration as end:
-            result: Result = end.value
-            return result
-        wait(wait_s)
-
-
 Flags: TypeAlias = NDArray[np.bool_]
 
 # Round trips of the last second at 100 Hz.
@@ -284,3 +267,19 @@ class HardwareInterface(ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of the actuators; they keep doing what they were told."""
+
+
+def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
+    """Carry out a sequence on hardware that nobody else uses, as the command line does; returns what it returns.
+
+    Args:
+        steps: the sequence; what it raises is raised.
+        wait: waits for so long [s].
+    """
+    while True:
+        try:
+            wait_s = next(steps)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+        wait(wait_s)

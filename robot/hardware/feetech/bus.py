@@ -46,6 +46,9 @@ from robot.hardware.interface import BusCounters, Steps
 # How often one servo is asked before it counts as silent: single packets get lost while others draw current.
 ATTEMPTS = 3
 
+# Single packets get lost while other servos draw current; five in a row mean that nobody is there.
+STEP_ATTEMPTS = 5
+
 # A line that will not fall quiet is used all the same; the parser rejects what does not fit.
 QUIET_LIMIT_S = 0.03
 
@@ -323,10 +326,6 @@ class Bus:
             if self._last_byte_s > limit_s:
                 break
         self._disturbed = False
-
-
-# Single packets get lost while other servos draw current; five in a row mean that nobody is there.
-STEP_ATTEMPTS = 5
 
 
 def read(bus: Bus, servo_id: int, register: Register) -> Steps[int]:

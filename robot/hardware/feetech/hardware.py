@@ -58,110 +58,28 @@ ASK_SILENT_EVERY = 10
 ASK_ALL_EVERY = 3
 
 
-class _Seen(NamedTuple):
-    """One servo's last good reading."""
-
-    reading: Telemetry
-    status: int
-
-
-class ServoWatch:
-    """Keeps the servos' readings.
+class SerialServos:
+    """Servos of an arm, wherever their adapter is plugged in.
 
     Args:
-        servos: the arm's servos.
+        config: port and calibration.
+        bounds: soft limits of the joints.
+        guard_limits: how hard the servos may push.
+        clock: time of the control loop [s].
     """
 
-    def __init__(self, servos: ServoMap) -> None:
-        self._servos = servos
-        self._seen: dict[int, _Seen] = {}
-        self._read_at_s: dict[int, float] = {}
-        self._frames: Mapping[int, StatusFrame] = {}
-        self._measured: Measured | None = None
-        self._cycle = 0
-        self._misses_in_row = dict.fromkeys(servos.ids, 0)
-        self._doubted: set[int] = set()
-        self.silent_cycles = dict.fromkeys(servos.ids, 0)
+    def __init__(
+        self, config: FeetechConfig, bounds: JointBounds, guard_limits: GuardLimits, clock: Callable[[], float]
+    ) -> None:
+        self._config = config
+        self._bounds = bounds
+        self._guard_limits = guard_limits
+        self._clock = clock
 
-    @property
-    def complete(self) -> bool:
-        """Whether every servo has answered at least once."""
-        return len(self._seen) == len(self._servos.ids)
-
-    def ids_to_ask(self) -> list[int]:
-        """Servos to ask in this cycle: silent ones last, and only now and then."""
-        self._cycle += 1
-        silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
-        speaking = [servo for servo in self._servos.ids if servo not in silent]
-        every = ASK_SILENT_EVERY if speaking else ASK_ALL_EVERY
-        return speaking if self._cycle % every else speaking + silent
-
-    def is_silent(self, servo_id: int) -> bool:
-        """Whether a servo has missed so many reads in a row that it is asked less often."""
-        return self._misses_in_row[servo_id] >= MISSES_UNTIL_SILENT
-
-    def take(self, asked: list[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
-        """Keep what one block read brought.
-
-        A reply that tells of a jump no joint can make may be another servo's with a disturbed id: it counts as none
-        the first time. Told twice in a row, it is what the servo means.
-
-        Args:
-            asked: the servos that were asked.
-            frames: the replies that came, each with the telemetry block.
-            now_s: monotonic time at which they were asked: no reading is newer than it seems [s].
-        """
-        if frames is self._frames and len(frames) == len(self._servos.ids) and not self._doubted:
-            # The same bytes as in the last cycle, which were believed.
-            self._read_at_s = dict.fromkeys(self._servos.ids, now_s)
-            return
-        self._frames, self._measured = frames, None
-        readings = {servo: parse_telemetry(frame.data) for servo, frame in frames.items()}
-        jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
-        believed = readings.keys() - (jumped - self._doubted)
-        self._doubted = (self._doubted - frames.keys()) | (jumped - believed)
-        for servo in believed:
-            self._seen[servo] = _Seen(readings[servo], readings[servo].status | frames[servo].error)
-            self._read_at_s[servo] = now_s
-            self._misses_in_row[servo] = 0
-        for servo in self._servos.ids:
-            if servo not in believed:
-                self._misses_in_row[servo] += servo in asked
-                self.silent_cycles[servo] += 1
-
-    def _jumps(self, servo_id: int, reading: Telemetry, now_s: float) -> bool:
-        """Whether a servo cannot have turned from its last reading to this one."""
-        seen = self._seen.get(servo_id)
-        if seen is None:
-            return False
-        way_rad = abs(reading.position_ticks - seen.reading.position_ticks) * RAD_PER_TICK
-        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
-
-    def age_s(self, servo_id: int, now_s: float) -> float:
-        """Time since a servo's last good reply [s]; endless when there was none."""
-        read_at_s = self._read_at_s.get(servo_id)
-        return float("inf") if read_at_s is None else now_s - read_at_s
-
-    def measured(self, now_s: float, stamp_s: float) -> Measured:
-        """All readings as arrays; every servo must have answered once."""
-        age_s = np.array([now_s - self._read_at_s[servo] for servo in self._servos.ids])
-        if self._measured is not None:
-            return self._measured._replace(age_s=age_s, stamp_s=stamp_s)
-        seen = [self._seen[servo] for servo in self._servos.ids]
-        readings = [each.reading for each in seen]
-        # From plain numbers: each operation on arrays costs more than all the arithmetic for six joints.
-        self._measured = Measured(
-            position_rad=np.array(self._servos.positions_rad([reading.position_ticks for reading in readings])),
-            velocity_rad_s=np.array(self._servos.velocities_rad_s([reading.velocity_ticks_s for reading in readings])),
-            load=np.array([reading.load_permille / 1000.0 for reading in readings]),
-            current_a=np.array([reading.current_a for reading in readings]),
-            voltage_v=np.array([reading.voltage_v for reading in readings]),
-            temperature_c=np.array([float(reading.temperature_c) for reading in readings]),
-            status=np.array([each.status for each in seen]),
-            age_s=age_s,
-            stamp_s=stamp_s,
-        )
-        return self._measured
+    def open(self) -> HardwareInterface:
+        """Open the port; see :func:`robot.hardware.feetech.port.open_port` for the errors."""
+        bus = Bus.open(resolve_port(self._config.port))
+        return FeetechHardware(bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
 
 
 class FeetechHardware(HardwareInterface):
@@ -330,25 +248,107 @@ class FeetechHardware(HardwareInterface):
         return self._share_permille
 
 
-class SerialServos:
-    """Servos of an arm, wherever their adapter is plugged in.
+class ServoWatch:
+    """Keeps the servos' readings.
 
     Args:
-        config: port and calibration.
-        bounds: soft limits of the joints.
-        guard_limits: how hard the servos may push.
-        clock: time of the control loop [s].
+        servos: the arm's servos.
     """
 
-    def __init__(
-        self, config: FeetechConfig, bounds: JointBounds, guard_limits: GuardLimits, clock: Callable[[], float]
-    ) -> None:
-        self._config = config
-        self._bounds = bounds
-        self._guard_limits = guard_limits
-        self._clock = clock
+    def __init__(self, servos: ServoMap) -> None:
+        self._servos = servos
+        self._seen: dict[int, _Seen] = {}
+        self._read_at_s: dict[int, float] = {}
+        self._frames: Mapping[int, StatusFrame] = {}
+        self._measured: Measured | None = None
+        self._cycle = 0
+        self._misses_in_row = dict.fromkeys(servos.ids, 0)
+        self._doubted: set[int] = set()
+        self.silent_cycles = dict.fromkeys(servos.ids, 0)
 
-    def open(self) -> HardwareInterface:
-        """Open the port; see :func:`robot.hardware.feetech.port.open_port` for the errors."""
-        bus = Bus.open(resolve_port(self._config.port))
-        return FeetechHardware(bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
+    @property
+    def complete(self) -> bool:
+        """Whether every servo has answered at least once."""
+        return len(self._seen) == len(self._servos.ids)
+
+    def ids_to_ask(self) -> list[int]:
+        """Servos to ask in this cycle: silent ones last, and only now and then."""
+        self._cycle += 1
+        silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
+        speaking = [servo for servo in self._servos.ids if servo not in silent]
+        every = ASK_SILENT_EVERY if speaking else ASK_ALL_EVERY
+        return speaking if self._cycle % every else speaking + silent
+
+    def is_silent(self, servo_id: int) -> bool:
+        """Whether a servo has missed so many reads in a row that it is asked less often."""
+        return self._misses_in_row[servo_id] >= MISSES_UNTIL_SILENT
+
+    def take(self, asked: list[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
+        """Keep what one block read brought.
+
+        A reply that tells of a jump no joint can make may be another servo's with a disturbed id: it counts as none
+        the first time. Told twice in a row, it is what the servo means.
+
+        Args:
+            asked: the servos that were asked.
+            frames: the replies that came, each with the telemetry block.
+            now_s: monotonic time at which they were asked: no reading is newer than it seems [s].
+        """
+        if frames is self._frames and len(frames) == len(self._servos.ids) and not self._doubted:
+            # The same bytes as in the last cycle, which were believed.
+            self._read_at_s = dict.fromkeys(self._servos.ids, now_s)
+            return
+        self._frames, self._measured = frames, None
+        readings = {servo: parse_telemetry(frame.data) for servo, frame in frames.items()}
+        jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
+        believed = readings.keys() - (jumped - self._doubted)
+        self._doubted = (self._doubted - frames.keys()) | (jumped - believed)
+        for servo in believed:
+            self._seen[servo] = _Seen(readings[servo], readings[servo].status | frames[servo].error)
+            self._read_at_s[servo] = now_s
+            self._misses_in_row[servo] = 0
+        for servo in self._servos.ids:
+            if servo not in believed:
+                self._misses_in_row[servo] += servo in asked
+                self.silent_cycles[servo] += 1
+
+    def _jumps(self, servo_id: int, reading: Telemetry, now_s: float) -> bool:
+        """Whether a servo cannot have turned from its last reading to this one."""
+        seen = self._seen.get(servo_id)
+        if seen is None:
+            return False
+        way_rad = abs(reading.position_ticks - seen.reading.position_ticks) * RAD_PER_TICK
+        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
+
+    def age_s(self, servo_id: int, now_s: float) -> float:
+        """Time since a servo's last good reply [s]; endless when there was none."""
+        read_at_s = self._read_at_s.get(servo_id)
+        return float("inf") if read_at_s is None else now_s - read_at_s
+
+    def measured(self, now_s: float, stamp_s: float) -> Measured:
+        """All readings as arrays; every servo must have answered once."""
+        age_s = np.array([now_s - self._read_at_s[servo] for servo in self._servos.ids])
+        if self._measured is not None:
+            return self._measured._replace(age_s=age_s, stamp_s=stamp_s)
+        seen = [self._seen[servo] for servo in self._servos.ids]
+        readings = [each.reading for each in seen]
+        # From plain numbers: each operation on arrays costs more than all the arithmetic for six joints.
+        self._measured = Measured(
+            position_rad=np.array(self._servos.positions_rad([reading.position_ticks for reading in readings])),
+            velocity_rad_s=np.array(self._servos.velocities_rad_s([reading.velocity_ticks_s for reading in readings])),
+            load=np.array([reading.load_permille / 1000.0 for reading in readings]),
+            current_a=np.array([reading.current_a for reading in readings]),
+            voltage_v=np.array([reading.voltage_v for reading in readings]),
+            temperature_c=np.array([float(reading.temperature_c) for reading in readings]),
+            status=np.array([each.status for each in seen]),
+            age_s=age_s,
+            stamp_s=stamp_s,
+        )
+        return self._measured
+
+
+class _Seen(NamedTuple):
+    """One servo's last good reading."""
+
+    reading: Telemetry
+    status: int

@@ -41,6 +41,9 @@ MISSING_ADVICE = ": check the cable to the first one named and its id"
 # Angle limits that differ from the calibration by more than this many ticks (0.7 deg) were written by another one.
 LIMITS_AGREE_WITHIN_TICKS = 8
 
+# Every servo about once a second: six of them, one in every sixteenth cycle.
+CYCLES_BETWEEN = 16
+
 
 @dataclass(frozen=True)
 class ServoFound:
@@ -84,47 +87,6 @@ def survey(bus: Bus, servos: ServoMap, *, simulated: bool = False) -> Steps[dict
     return found
 
 
-def _check_present(bus: Bus, servos: ServoMap, *, simulated: bool) -> Steps[None]:
-    missing = []
-    for joint in servos.joints:
-        model = yield from _ping(bus, joint.servo_id)
-        if model is None:
-            missing.append(servos.label(joint.servo_id))
-        elif model != MODEL_STS3215:
-            raise StartupError(
-                f"servo {joint.servo_id} ({joint.joint}) is model {model}, not an STS3215 ({MODEL_STS3215})"
-            )
-    if len(missing) == len(servos.joints):
-        raise StartupError(f"no servo answers{'' if simulated else NOBODY_ADVICE}")
-    if missing:
-        raise StartupError(f"no answer from {', '.join(missing)}{'' if simulated else MISSING_ADVICE}")
-
-
-def _ping(bus: Bus, servo_id: int) -> Steps[int | None]:
-    for _ in range(STEP_ATTEMPTS):
-        yield 0.0
-        with contextlib.suppress(NoReply):
-            return bus.ping(servo_id, attempts=1)
-    return None
-
-
-def _look_at(bus: Bus, joint: JointCalibration) -> Steps[ServoFound]:
-    servo = joint.servo_id
-    mode = yield from read(bus, servo, Register.OPERATING_MODE)
-    if mode != POSITION_MODE:
-        raise StartupError(f"servo {servo} ({joint.joint}) is in operating mode {mode}, not position mode 0")
-    lowest = yield from read(bus, servo, Register.MIN_ANGLE_LIMIT)
-    highest = yield from read(bus, servo, Register.MAX_ANGLE_LIMIT)
-    phase = yield from read(bus, servo, Register.PHASE)
-    return ServoFound(
-        control=(yield from read_control(bus, servo)),
-        angle_limits_ticks=(lowest, highest),
-        max_voltage_v=(yield from read(bus, servo, Register.MAX_VOLTAGE)) * VOLT_PER_UNIT,
-        max_torque_permille=(yield from read(bus, servo, Register.MAX_TORQUE)),
-        warnings=_warnings(joint, (lowest, highest), phase),
-    )
-
-
 def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
     """Read back what a servo was told.
 
@@ -134,20 +96,6 @@ def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
     """
     frame = yield from read_block(bus, servo_id, CONTROL_ADDRESS, CONTROL_BYTES)
     return parse_control(frame.data)
-
-
-def _warnings(joint: JointCalibration, limits_ticks: tuple[int, int], phase: int) -> tuple[str, ...]:
-    said = []
-    calibrated = joint.range_min, joint.range_max
-    if max(abs(a - b) for a, b in zip(limits_ticks, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
-        said.append(f"the servo's angle limits {limits_ticks} differ from the calibrated range {calibrated} ticks")
-    if phase & PHASE_MULTI_TURN:
-        said.append("the servo counts several turns (register PHASE, bit 4), so that its position may overflow")
-    return tuple(said)
-
-
-# Every servo about once a second: six of them, one in every sixteenth cycle.
-CYCLES_BETWEEN = 16
 
 
 class RegisterChecks:
@@ -207,3 +155,54 @@ class RegisterChecks:
         if not control.torque_on:
             return Fault(FaultCode.TORQUE_LOST, f"the servo of joint {joint} was found relaxed", joint, stamp_s)
         return None
+
+
+def _check_present(bus: Bus, servos: ServoMap, *, simulated: bool) -> Steps[None]:
+    missing = []
+    for joint in servos.joints:
+        model = yield from _ping(bus, joint.servo_id)
+        if model is None:
+            missing.append(servos.label(joint.servo_id))
+        elif model != MODEL_STS3215:
+            raise StartupError(
+                f"servo {joint.servo_id} ({joint.joint}) is model {model}, not an STS3215 ({MODEL_STS3215})"
+            )
+    if len(missing) == len(servos.joints):
+        raise StartupError(f"no servo answers{'' if simulated else NOBODY_ADVICE}")
+    if missing:
+        raise StartupError(f"no answer from {', '.join(missing)}{'' if simulated else MISSING_ADVICE}")
+
+
+def _ping(bus: Bus, servo_id: int) -> Steps[int | None]:
+    for _ in range(STEP_ATTEMPTS):
+        yield 0.0
+        with contextlib.suppress(NoReply):
+            return bus.ping(servo_id, attempts=1)
+    return None
+
+
+def _look_at(bus: Bus, joint: JointCalibration) -> Steps[ServoFound]:
+    servo = joint.servo_id
+    mode = yield from read(bus, servo, Register.OPERATING_MODE)
+    if mode != POSITION_MODE:
+        raise StartupError(f"servo {servo} ({joint.joint}) is in operating mode {mode}, not position mode 0")
+    lowest = yield from read(bus, servo, Register.MIN_ANGLE_LIMIT)
+    highest = yield from read(bus, servo, Register.MAX_ANGLE_LIMIT)
+    phase = yield from read(bus, servo, Register.PHASE)
+    return ServoFound(
+        control=(yield from read_control(bus, servo)),
+        angle_limits_ticks=(lowest, highest),
+        max_voltage_v=(yield from read(bus, servo, Register.MAX_VOLTAGE)) * VOLT_PER_UNIT,
+        max_torque_permille=(yield from read(bus, servo, Register.MAX_TORQUE)),
+        warnings=_warnings(joint, (lowest, highest), phase),
+    )
+
+
+def _warnings(joint: JointCalibration, limits_ticks: tuple[int, int], phase: int) -> tuple[str, ...]:
+    said = []
+    calibrated = joint.range_min, joint.range_max
+    if max(abs(a - b) for a, b in zip(limits_ticks, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
+        said.append(f"the servo's angle limits {limits_ticks} differ from the calibrated range {calibrated} ticks")
+    if phase & PHASE_MULTI_TURN:
+        said.append("the servo counts several turns (register PHASE, bit 4), so that its position may overflow")
+    return tuple(said)

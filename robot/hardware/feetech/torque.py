@@ -123,6 +123,80 @@ def enable(bus: Bus, servos: ServoMap, limits: TickLimits, ids: Sequence[int]) -
     return goals
 
 
+def relax(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) -> Steps[list[int]]:
+    """Lower the torque limits, then switch torque off and see that it is.
+
+    Args:
+        bus: the open bus.
+        servos: the arm's servos.
+        start_permille: torque limits to begin with, by servo id [0.1 %].
+
+    Returns:
+        The servos that may still be driven: torque off could not be verified.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    for step in range(1, LOWER_STEPS + 1):
+        yield LOWER_S / LOWER_STEPS
+        left = LOWER_STEPS - step
+        _write_torque_limits(bus, {servo: limit * left // LOWER_STEPS for servo, limit in start_permille.items()})
+    driven = yield from switch_off(bus, list(servos.ids))
+    if not driven:
+        # Whoever switches torque on next, also another program, finds an arm that can hold itself.
+        _write_torque_limits(bus, full_torque(servos))
+    return driven
+
+
+def emergency_stop(bus: Bus, servos: ServoMap) -> Steps[list[int]]:
+    """Switch torque off everywhere at once, then servo by servo see that it is.
+
+    The first broadcast goes out with the first step, before which nothing is waited for.
+
+    Returns:
+        The servos that may still be driven.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    for _ in range(BROADCASTS):
+        bus.broadcast_torque_off()
+        yield BROADCAST_INTERVAL_S
+    return (yield from switch_off(bus, list(servos.ids)))
+
+
+def switch_off(bus: Bus, ids: list[int]) -> Steps[list[int]]:
+    """Switch torque off servo by servo; returns those that may still be driven.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    driven = yield from _switch_off_once(bus, ids)
+    for _ in range(OFF_ROUNDS - 1):
+        if not driven:
+            break
+        yield OFF_INTERVAL_S
+        driven = yield from _switch_off_once(bus, driven)
+    return driven
+
+
+def clear_overload(bus: Bus, servos: ServoMap, limits: TickLimits, servo_id: int) -> Steps[None]:
+    """Bring a servo whose overload protection has latched back to holding where it is.
+
+    Raises:
+        StartupError: it does not do as it is told.
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
+    yield from _switch_on(bus, servos, servo_id, limits)
+
+
+def full_torque(servos: ServoMap) -> dict[int, int]:
+    """Register TORQUE_LIMIT of each servo that holds [0.1 %]."""
+    return dict(zip(servos.ids, servos.full_torque.tolist(), strict=True))
+
+
 def _present_ticks(bus: Bus, servo_id: int) -> Steps[int]:
     frame = yield from read_block(bus, servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
     return parse_telemetry(frame.data).position_ticks
@@ -194,72 +268,10 @@ def _first_torque(servos: ServoMap, servo_id: int) -> int:
     return min(FIRST_TORQUE, full_torque(servos)[servo_id])
 
 
-def full_torque(servos: ServoMap) -> dict[int, int]:
-    """Register TORQUE_LIMIT of each servo that holds [0.1 %]."""
-    return dict(zip(servos.ids, servos.full_torque.tolist(), strict=True))
-
-
 def _write_torque_limits(bus: Bus, permille: dict[int, int]) -> None:
     bus.sync_write(
         Register.TORQUE_LIMIT, {servo: encode(Register.TORQUE_LIMIT, value) for servo, value in permille.items()}
     )
-
-
-def relax(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) -> Steps[list[int]]:
-    """Lower the torque limits, then switch torque off and see that it is.
-
-    Args:
-        bus: the open bus.
-        servos: the arm's servos.
-        start_permille: torque limits to begin with, by servo id [0.1 %].
-
-    Returns:
-        The servos that may still be driven: torque off could not be verified.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    for step in range(1, LOWER_STEPS + 1):
-        yield LOWER_S / LOWER_STEPS
-        left = LOWER_STEPS - step
-        _write_torque_limits(bus, {servo: limit * left // LOWER_STEPS for servo, limit in start_permille.items()})
-    driven = yield from switch_off(bus, list(servos.ids))
-    if not driven:
-        # Whoever switches torque on next, also another program, finds an arm that can hold itself.
-        _write_torque_limits(bus, full_torque(servos))
-    return driven
-
-
-def emergency_stop(bus: Bus, servos: ServoMap) -> Steps[list[int]]:
-    """Switch torque off everywhere at once, then servo by servo see that it is.
-
-    The first broadcast goes out with the first step, before which nothing is waited for.
-
-    Returns:
-        The servos that may still be driven.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    for _ in range(BROADCASTS):
-        bus.broadcast_torque_off()
-        yield BROADCAST_INTERVAL_S
-    return (yield from switch_off(bus, list(servos.ids)))
-
-
-def switch_off(bus: Bus, ids: list[int]) -> Steps[list[int]]:
-    """Switch torque off servo by servo; returns those that may still be driven.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    driven = yield from _switch_off_once(bus, ids)
-    for _ in range(OFF_ROUNDS - 1):
-        if not driven:
-            break
-        yield OFF_INTERVAL_S
-        driven = yield from _switch_off_once(bus, driven)
-    return driven
 
 
 def _switch_off_once(bus: Bus, ids: list[int]) -> Steps[list[int]]:
@@ -271,15 +283,3 @@ def _switch_off_once(bus: Bus, ids: list[int]) -> Steps[list[int]]:
         except (StartupError, NoReply):
             driven.append(servo)
     return driven
-
-
-def clear_overload(bus: Bus, servos: ServoMap, limits: TickLimits, servo_id: int) -> Steps[None]:
-    """Bring a servo whose overload protection has latched back to holding where it is.
-
-    Raises:
-        StartupError: it does not do as it is told.
-        NoReply: the servo gave no valid reply.
-        PortLost: the port is gone.
-    """
-    yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
-    yield from _switch_on(bus, servos, servo_id, limits)

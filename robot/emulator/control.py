@@ -36,8 +36,6 @@
 Ticks are those of register PRESENT_POSITION. Every line is answered by ``{"ok": true}``, of "plugged" with the
 port's name as ``port``, or by ``{"error": "..."}``. One object may hold several commands; none of them is carried out
 unless all of them make sense.
-
-What each live command does, and which values it takes; ``robot.emulator.control`` lists them for people.
 """
 
 from __future__ import annotations
@@ -56,10 +54,10 @@ from robot.hardware.interface import StatusFlag
 
 MAX_TICKS = 4095
 
-# The motor's whole duty.
+# Full duty of the motor.
 MAX_PUSH_PERMILLE = 1000
 
-# What a byte of register PRESENT_TEMPERATURE and one of PRESENT_VOLTAGE hold.
+# Greatest values of registers PRESENT_TEMPERATURE and PRESENT_VOLTAGE.
 MAX_TEMPERATURE_C = 255
 MAX_VOLTAGE_V = 25.5
 
@@ -68,22 +66,22 @@ MAX_STATUS = 255
 # Longer than anything waits for a reply.
 MAX_DELAY_S = 10.0
 
-# FTDI's adapters hold bytes back for 16 ms.
+# FTDI's adapters delay bytes by 16 ms.
 MAX_USB_FRAME_MS = 100
 
-# An hour of holding in a second.
+# An hour of heating in a second.
 MAX_HEAT_RATE = 3600
 
 PLUGGED_RENAMED = "renamed"
 
 
 class Adapter(Protocol):
-    """The USB adapter, as commands change it.
+    """USB adapter, as far as commands change it.
 
     Attributes:
-        port: the port's own name.
-        frozen: whether it neither takes nor gives bytes.
-        frame_s: replies are handed on at multiples of this time [s]; 0 hands them on at once.
+        port: name of the port.
+        frozen: True while it neither takes nor delivers bytes.
+        frame_s: interval at multiples of which replies are delivered [s]; 0 delivers them at once.
     """
 
     port: str
@@ -91,15 +89,15 @@ class Adapter(Protocol):
     frame_s: float
 
     def plug_in(self, *, renamed: bool = False) -> None:
-        """Offer the port, under another name if ``renamed``; one that is there already stays."""
+        """Create the port, under another name if ``renamed``, unless it is there."""
 
     def unplug(self) -> None:
-        """Take the port away."""
+        """Remove the port."""
 
 
 @dataclass(frozen=True)
 class Emulation:
-    """All that commands can change."""
+    """Servo bus and adapter, the targets of commands."""
 
     bus: ServoBus
     adapter: Adapter
@@ -134,7 +132,7 @@ def json_object(line: bytes) -> dict[str, object]:
     """Parse a line of JSON.
 
     Raises:
-        ValueError: it is no JSON, or no object.
+        ValueError: it is not a JSON object.
     """
     try:
         command = json.loads(line)
@@ -147,13 +145,13 @@ def json_object(line: bytes) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class Number:
-    """A number for the whole emulation.
+    """Command that takes a number for the whole emulation.
 
     Attributes:
-        lowest: least that makes sense.
-        highest: most.
-        put: what to do with it.
-        meaning: what it is.
+        lowest: least value.
+        highest: greatest value.
+        put: applies the value.
+        meaning: noun for the value in errors.
     """
 
     lowest: float
@@ -164,13 +162,13 @@ class Number:
 
 @dataclass(frozen=True)
 class Value:
-    """A number for one servo.
+    """Command that takes a number for single servos.
 
     Attributes:
-        lowest: least that makes sense.
-        highest: most.
-        put: what to do with it.
-        end: what null does, where that makes sense.
+        lowest: least value.
+        highest: greatest value.
+        put: applies the value.
+        end: applies null; None where null is no value.
     """
 
     lowest: float

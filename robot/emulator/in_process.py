@@ -1,7 +1,7 @@
-"""The emulated servo bus inside the process that drives it: a port whose requests are answered at once.
+"""Emulated servo bus inside the arm process: a port that answers within the call.
 
-Nothing between the two can be late: bytes written are answered within the call, and the servos' time is the caller's.
-The packets are the same, byte for byte, as those on a pseudo terminal (:mod:`robot.emulator.process`).
+No reply can be late, since the servos' time is the caller's. The packets are the same, byte for byte, as those on a
+pseudo terminal (:mod:`robot.emulator.process`).
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.interface import HardwareInterface
 from robot.messages import GuardLimits
 
-# One for whoever rehearses, some for those that did not close theirs.
+# One is in use at a time; the rest allows for connections that were not closed.
 MAX_CONTROLLERS = 8
 
 READ_BYTES = 4096
 
-# A command is short; who sends more without a line end is no controller.
+# A command is short; a client that sends more without a line end is disconnected.
 MAX_COMMAND_BYTES = 64 << 10
 
 
 class EmulatedServos:
-    """Emulated servos of an arm, as a source of hardware; they go on when the hardware is closed.
+    """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed.
 
     Args:
-        config: the servos, their faults, and where they start.
+        config: calibration, faults and start of the servos.
         bounds: soft limits of the joints.
-        guard_limits: how hard the servos may push.
+        guard_limits: torque limits.
         clock: time of the control loop [s].
 
     Attributes:
-        bus: the servos' end of the wire.
+        bus: the servo bus.
 
     Raises:
-        OSError: the log or the control socket cannot be made.
+        OSError: the log or the control socket cannot be created.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class EmulatedServos:
         ]
         servos = build_servos(config.calibration, start_rad)
         if config.driven:
-            # As an arm process leaves them: holding, at the torque that it allows.
+            # As an arm process leaves them: holding, at its torque limits.
             full_torque = ServoMap(config.calibration, bounds, guard_limits).full_torque.tolist()
             for servo, permille in zip(servos, full_torque, strict=True):
                 servo.power_up(holding=True)
@@ -103,25 +103,28 @@ class EmulatedServos:
 
 
 class InProcessPort:
-    """The port of a servo bus, as ``robot.hardware.feetech.port.BusPort``, and the adapter that commands pull.
+    """Port of an emulated bus, and its adapter.
+
+    Implements :class:`robot.hardware.feetech.port.BusPort` for the host and :class:`robot.emulator.control.Adapter` for
+    live commands.
 
     Args:
-        bus: the servos at its other end.
+        bus: the servo bus.
         clock: time of bus and caller [s].
-        wait: lets that time pass [s], for a bus whose bytes take their time on the wire; None where none does.
+        wait: lets that time pass [s], for a bus with wire time; None for one without.
 
     Attributes:
-        port: its name, for the emulator's commands.
-        frozen: whether it neither takes nor gives bytes; what comes meanwhile is lost.
-        frame_s: replies are handed on at multiples of this time [s], as USB does; 0 hands them on at once, and so does
-            a bus without time on the wire, whose caller does not wait for a frame's end.
+        port: its name.
+        frozen: True while it neither takes nor delivers bytes, which are lost meanwhile.
+        frame_s: interval at multiples of which replies are delivered [s], as USB does; 0 delivers them at once, and so
+            does a bus without wire time, whose caller does not wait for a frame's end.
     """
 
     def __init__(self, bus: ServoBus, clock: Callable[[], float], wait: Callable[[float], None] | None = None) -> None:
         self.port = self.port_name = EmulatedConfig.port
         self.baudrate = BAUDRATE
         self.is_using = False
-        # Where no time passes nothing is late but what a command delays, and that is not waited for.
+        # Without wire time only replies that a command delays are late, and those are not waited for.
         self.latency_s, self.quiet_s = (0.0, 0.0) if wait is None else (LOCAL_LATENCY_S, QUIET_S)
         self.discarded_bytes = 0
         self.frozen = False
@@ -132,12 +135,12 @@ class InProcessPort:
         self._plugged = True
         self._outbox: deque[tuple[float, Reply]] = deque()
 
-    def plug_in(self, *, renamed: bool = False) -> None:  # noqa: ARG002 - a name is all that a real one would change
-        """Have the port again."""
+    def plug_in(self, *, renamed: bool = False) -> None:  # noqa: ARG002 - only the name of a real port would change
+        """Make the port usable again."""
         self._plugged = True
 
     def unplug(self) -> None:
-        """Lose the port, and what it had still to give."""
+        """Make the port unusable, and drop the bytes not delivered yet."""
         self._plugged = False
         self._outbox.clear()
 
@@ -151,7 +154,7 @@ class InProcessPort:
         self.discarded_bytes += len(self._take())
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        """Have the servos obey a packet.
+        """Pass a packet to the servos.
 
         Raises:
             PortLost: the port is unplugged.
@@ -180,7 +183,7 @@ class InProcessPort:
         return self._take()
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
-        """Close the port; the servos go on."""
+        """Close the port; the servos keep running."""
         self._outbox.clear()
 
     def _take(self) -> bytes:
@@ -197,12 +200,12 @@ class InProcessPort:
 
 
 class CommandedPort(InProcessPort):
-    """A port whose servos take live commands, once each time that the clock moves on.
+    """Port that polls a socket for live commands, once at each time of the clock.
 
     Args:
-        bus: the servos at its other end.
+        bus: the servo bus.
         clock: time of bus and caller [s].
-        control: where the commands come in.
+        control: socket of the commands.
     """
 
     def __init__(self, bus: ServoBus, clock: Callable[[], float], control: ControlSocket) -> None:
@@ -212,31 +215,31 @@ class CommandedPort(InProcessPort):
         self._polled_s = clock()
 
     def check(self) -> None:
-        """Take the commands that have come; raise PortError while the port is unplugged."""
+        """Carry out the commands that have arrived; raise PortError while the port is unplugged."""
         self._poll()
         super().check()
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        """Take the commands that have come, then have the servos obey a packet."""
+        """Carry out the commands that have arrived, then pass a packet to the servos."""
         if self._clock() != self._polled_s:
             self._poll()
         return super().writePort(packet)
 
     def _poll(self) -> None:
-        """Carry out the commands now: what they do begins now, and is on record with this time."""
+        """Bring the servos up to the present, then carry out the commands, which the log records with this time."""
         self._polled_s = self._clock()
         self._bus.advance(self._polled_s)
         self._control.poll(self._emulation)
 
 
 class ControlSocket:
-    """A Unix socket that takes live commands to the servos, one JSON object a line (:mod:`robot.emulator.control`).
+    """Unix socket for live commands, one JSON object a line (:mod:`robot.emulator.control`).
 
     Args:
-        path: where it is; a socket that an ended process has left there is replaced.
+        path: path of the socket; one left by an ended process is replaced.
 
     Raises:
-        OSError: there is something else, or it cannot be made.
+        OSError: something else is there, or the socket cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -256,12 +259,12 @@ class ControlSocket:
         self._buffers: dict[socket.socket, bytes] = {}
 
     def poll(self, emulation: Emulation) -> None:
-        """Carry out and answer the commands that have come; never waits."""
+        """Carry out and answer the commands that have arrived; never waits."""
         for key, _ in self._selector.select(0.0):
             if key.fileobj is self._listener:
                 self._accept()
             elif isinstance(key.fileobj, socket.socket):
-                self._obey(key.fileobj, emulation)
+                self._answer(key.fileobj, emulation)
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
@@ -273,7 +276,7 @@ class ControlSocket:
             self._buffers[controller] = b""
             self._selector.register(controller, selectors.EVENT_READ)
 
-    def _obey(self, controller: socket.socket, emulation: Emulation) -> None:
+    def _answer(self, controller: socket.socket, emulation: Emulation) -> None:
         try:
             data = controller.recv(READ_BYTES)
             *lines, rest = (self._buffers[controller] + data).split(b"\n")

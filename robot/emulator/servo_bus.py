@@ -1,8 +1,7 @@
-"""The servos' side of the wire format: instructions cut out of the host's bytes, status packets built.
+"""Emulated servo bus: timing and losses on the half-duplex wire, instruction packets parsed, status packets built.
 
-What each instruction of the protocol does to the servos that hear it.
-
-The wire of the emulated bus: who speaks when, what is lost on it, and the servos at its end.
+:class:`ServoBus` takes the host's bytes and returns the replies; :func:`execute` carries out one instruction on the
+servos that receive it.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ BAUDRATES: Mapping[int, int] = MappingProxyType(
     dict(enumerate((1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)))
 )
 
-# Codes of Feetech's protocol manual that its SDK has no names for.
+# Instructions of Feetech's protocol manual without a name in its SDK.
 INST_RESTORE = 0x06
 INST_REBOOT = 0x08
 INST_BACKUP = 0x09
@@ -45,34 +44,38 @@ INST_CALIBRATE = 0x0B
 # Instructions that change nothing.
 READING = (INST_PING, INST_READ, INST_SYNC_READ)
 
-# A packet that stays unfinished this long was cut off, and does not swallow the next one.
+# A packet that is incomplete for so long was cut off, and is dropped so that it does not swallow the next one.
 PARTIAL_PACKET_S = 0.005
 
 # Header, id, LEN and checksum.
 _FRAME_BYTES = 5
 
-# From the end of what a servo waits for to the start of its reply.
+# Time from the end of the packet before to the start of a reply.
 TURNAROUND_S = 20e-6
 RETURN_DELAY_UNIT_S = 2e-6
 
-# A survey asks some dozens of different questions.
+# A survey sends some dozens of different requests.
 MAX_ANSWERED = 64
 
-# Weight changes with the pose, and that slowly.
+# Interval of updating the weight, which changes slowly with the pose.
 WEIGHING_S = 0.01
 
 
 class ServoBus:
-    """All servos of the arm on one wire.
+    """Servos of an arm on one wire.
 
     Args:
         servos: in the order of their ids.
-        faults: may be changed while the bus runs.
+        faults: faults of the bus, which may be changed while it runs.
         now_s: monotonic time [s].
-        log: where writes are recorded, if anywhere.
-        weigh: sets the servos' loads by the pose; without it the arm weighs nothing.
-        wire_time: whether bytes take their time on the wire; else replies are there as soon as they are asked for, and
-            nobody can talk over them.
+        log: record of the writes; None for no record.
+        weigh: loads the servos with the links' weight at the present pose; None for an arm without weight.
+        wire_time: True to emulate the time of bytes on the wire; otherwise replies are complete at once, and cannot
+            collide.
+
+    Attributes:
+        servos: as given.
+        faults: as given.
     """
 
     def __init__(
@@ -96,12 +99,12 @@ class ServoBus:
         self._now_s = now_s
         self._wire_free_s = self._given_s = now_s
         self._on_wire: list[Reply] = []
-        # Of an arm at rest every tick asks and tells the same: requests since the last change, and their replies.
+        # Every tick of an arm at rest repeats a request: requests since the last change, and their replies.
         self._answered: dict[tuple[bytes, int], bytes] = {}
         self._visible: list[tuple[object, ...]] = []
 
     def advance(self, now_s: float) -> None:
-        """Let the servos move until ``now_s``."""
+        """Advance the servos to the monotonic time ``now_s`` [s]."""
         if now_s <= self._now_s:
             return
         for servo in self.servos:
@@ -116,19 +119,23 @@ class ServoBus:
             self._answered.clear()
 
     def receive(self, data: bytes, now_s: float, baudrate: int = BAUDRATE) -> list[Reply]:
-        """Take bytes from the host.
+        """Receive bytes from the host.
 
-        What comes while servos still answer what came before is lost on the wire, and spoils their replies. Of
-        instructions that come together each waits for the replies to the one before: how far apart the host sent
-        them cannot be seen here.
+        Bytes that collide with replies still on the wire are lost, and so is the rest of those replies. Instructions
+        that arrive together wait for the replies to the one before: the gaps between them are not known here.
+
+        Args:
+            data: bytes from the host.
+            now_s: monotonic time [s].
+            baudrate: baud rate of the host; 0 for one that no servo has.
 
         Returns:
-            The replies. They may yet be spoilt until they have passed the wire.
+            Replies; they may be cut by a collision until they have passed the wire.
         """
         self.advance(now_s)
         if self._on_wire and now_s < self._on_wire[-1].end_s:
             for reply in self._on_wire:
-                reply.talk_over(now_s)
+                reply.collide(now_s)
             return []
         self._on_wire = []
         if baudrate == 0:
@@ -142,8 +149,8 @@ class ServoBus:
         for instruction in instructions:
             self._wire_free_s = max(now_s, self._wire_free_s) + self._takes_s(instruction.byte_count, baudrate)
             if not self.faults.loses_instruction():
-                self._obey(instruction, baudrate)
-        # What changes a register may be answered otherwise the next time: a new id or baud rate is not heard again.
+                self._execute(instruction, baudrate)
+        # A request that changed a register may have another reply the next time, or none after a change of the id.
         unchanged = changes == sum(servo.changes for servo in self.servos)
         whole = [instruction.byte_count for instruction in instructions] == [len(data)]
         if whole and unchanged and not (self._wire_time or self._log is not None or self.faults.by_chance):
@@ -153,14 +160,15 @@ class ServoBus:
         return self._on_wire
 
     def record_command(self, command: Mapping[str, object]) -> None:
-        """Note a live command, which may have changed anything, and put it on record among the writes."""
+        """Record a live command among the writes, and bring everything up to date that it may have changed."""
         self._answered.clear()
         for servo in self.servos:
-            servo.keep_up()
+            servo.update_protection()
         if self._log is not None:
             self._log.record_command(self._now_s, command, self.servos)
 
-    def _obey(self, instruction: Instruction, baudrate: int) -> None:
+    def _execute(self, instruction: Instruction, baudrate: int) -> None:
+        """Carry out an instruction on the servos that receive it, and put their replies on the wire."""
         hearers = [servo for servo in self.servos if self._hears(servo, baudrate)]
         effects = execute(instruction, hearers, stall_behind_missing=self.faults.stall_behind_missing)
         if instruction.code not in READING:
@@ -179,7 +187,7 @@ class ServoBus:
         delay_s = TURNAROUND_S + servo.value(Register.RETURN_DELAY) * RETURN_DELAY_UNIT_S if self._wire_time else 0.0
         start_s = self._wire_free_s + delay_s
         packet = status_packet(servo.servo_id, servo.error, answer.data)
-        arriving = self.faults.strike(packet)
+        arriving = self.faults.apply(packet)
         self._wire_free_s = start_s + self._takes_s(max(len(packet), len(arriving)), baudrate)
         self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
         self._on_wire.append(Reply(start_s, wire_time_s(1, baudrate), self._wire_free_s, self._given_s, arriving))
@@ -190,14 +198,14 @@ class ServoBus:
 
 @dataclass
 class Reply:
-    """Bytes for the host.
+    """Reply on its way to the host; times are monotonic [s].
 
     Attributes:
-        start_s: when their first bit is on the wire (monotonic [s]).
-        byte_s: how long each takes [s].
-        end_s: when all have passed it.
-        due_s: when the host may have them; later than ``end_s`` if the adapter holds them up.
-        data: the bytes.
+        start_s: time of its first bit on the wire.
+        byte_s: wire time of each byte.
+        end_s: time of its last bit.
+        due_s: time from which the host may have it; later than ``end_s`` if it is delayed.
+        data: bytes of the packet.
     """
 
     start_s: float
@@ -206,15 +214,15 @@ class Reply:
     due_s: float
     data: bytes
 
-    def talk_over(self, now_s: float) -> None:
-        """Lose what has not yet passed the wire: with the host speaking as well, no byte is framed right."""
+    def collide(self, now_s: float) -> None:
+        """Drop the bytes that have not passed the wire: the host sends as well, so that their frames are broken."""
         passed = int((now_s - self.start_s) / self.byte_s)
         self.data = self.data[: max(0, passed)]
 
 
 @dataclass(frozen=True)
 class Instruction:
-    """A sound packet from the host."""
+    """Valid instruction packet."""
 
     servo_id: int
     code: int
@@ -222,12 +230,12 @@ class Instruction:
 
     @property
     def byte_count(self) -> int:
-        """Bytes of the packet on the wire."""
+        """Number of bytes of the packet on the wire."""
         return len(self.parameters) + LENGTH_OVERHEAD + _FRAME_BYTES - 1
 
 
 class InstructionParser:
-    """Cuts the host's bytes into instructions; what is not sound is skipped."""
+    """Parser of the host's bytes; invalid packets are skipped."""
 
     def __init__(self) -> None:
         self._buffer = b""
@@ -235,7 +243,7 @@ class InstructionParser:
 
     @property
     def begun(self) -> bool:
-        """True while the bytes left over may be the beginning of an instruction."""
+        """True while the remaining bytes may be the beginning of an instruction."""
         return self._buffer.startswith(HEADER[:1])
 
     def feed(self, data: bytes, now_s: float) -> list[Instruction]:
@@ -272,7 +280,7 @@ def status_packet(servo_id: int, error: int, data: bytes = b"") -> bytes:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a servo has to say: the data of its status packet."""
+    """Data of a servo's status packet."""
 
     servo: Servo
     data: bytes = b""
@@ -280,12 +288,12 @@ class Answer:
 
 @dataclass
 class Effect:
-    """What an instruction did.
+    """Effect of an instruction.
 
     Attributes:
-        answers: in the order in which they are given.
-        address: where was written.
-        written: servo id to the bytes that it took there; several addresses need several effects.
+        answers: status packets, in the order of sending.
+        address: first register written.
+        written: servo id to the bytes written there; several addresses need several effects.
     """
 
     answers: list[Answer] = field(default_factory=list)
@@ -294,7 +302,7 @@ class Effect:
 
 
 def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_missing: bool = False) -> list[Effect]:
-    """Do what the host says.
+    """Carry out an instruction.
 
     Args:
         instruction: anything; what makes no sense does nothing.
@@ -324,7 +332,7 @@ def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_m
     return []
 
 
-# The arm's joints turn less than once: there is no count of turns for INST_RESET to forget.
+# The arm's joints turn less than once: there is no count of turns for INST_RESET to clear.
 _MAINTENANCE: Mapping[int, Callable[[Servo], None]] = MappingProxyType(
     {
         INST_RESTORE: Servo.restore,

@@ -45,7 +45,7 @@ async def desk() -> AsyncIterator[Desk]:
 
 async def test_an_order_that_comes_before_the_configuration_is_kept_for_it(desk: Desk) -> None:
     assert desk.process.order(Command(1, Order.EMERGENCY_STOP))
-    assert not desk.process.drives
+    assert not desk.process.configured
     desk.process.configure(CONFIG)
     answer = await desk.until_told(CommandDone)
     assert (answer.number, answer.done) == (1, False)
@@ -81,10 +81,10 @@ async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first(
 async def test_a_process_that_has_died_takes_no_orders(desk: Desk) -> None:
     desk.process.configure(CONFIG)
     await desk.process.kill()
-    assert (desk.exits, desk.process.drives) == (1, False)
+    assert (desk.exits, desk.process.configured) == (1, False)
     assert not desk.process.order(Command(1, Order.ENABLE))
     desk.process.configure(CONFIG)
-    assert not desk.process.drives
+    assert not desk.process.configured
 
 
 async def test_a_process_that_was_never_configured_ends_at_once(desk: Desk) -> None:

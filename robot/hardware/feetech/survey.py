@@ -1,11 +1,10 @@
-"""Finding out what is on the bus before anything is written to it: the right servos, and what they are doing.
+"""Survey of the servos before anything is written to them, and register checks while they are driven.
 
-Nothing here assumes what a servo's registers hold: torque may be on or off at power-up, and the goal may be anything.
+The survey assumes nothing about the registers: torque may be on or off at power-up, and the goal may have any value.
 
-Checks that the servos still are as they were told: torque on, and limited as it should be.
-
-A servo whose supply dips starts anew, with torque off and its torque limit at the most; nothing in its telemetry says
-so. One servo's control block is read back at a time, so that the bus has room for it.
+A servo whose supply dips reboots, with torque off and its torque limit at the maximum, which its telemetry does not
+show. So the control block of one servo at a time is read back and compared with what was written
+(:class:`RegisterChecks`).
 """
 
 from __future__ import annotations
@@ -35,26 +34,26 @@ POSITION_MODE = 0
 # Register PHASE, bit 4: positions count on beyond one turn, and overflow.
 PHASE_MULTI_TURN = 0x10
 
-NOBODY_ADVICE = ": is the arm powered, and the adapter's jumper on B?"
+NONE_ANSWERS_ADVICE = ": is the arm powered, and the adapter's jumper on B?"
 MISSING_ADVICE = ": check the cable to the first one named and its id"
 
-# Angle limits that differ from the calibration by more than this many ticks (0.7 deg) were written by another one.
+# Angle limits that differ from the calibration by more than this many ticks (0.7 deg) are of another calibration.
 LIMITS_AGREE_WITHIN_TICKS = 8
 
-# Every servo about once a second: six of them, one in every sixteenth cycle.
+# Cycles between register checks: each of six servos is checked about once a second.
 CYCLES_BETWEEN = 16
 
 
 @dataclass(frozen=True)
 class ServoFound:
-    """One servo as it was found.
+    """Servo as surveyed.
 
     Attributes:
-        control: what it was told before.
+        control: commands that it holds.
         angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT.
         max_voltage_v: register MAX_VOLTAGE [V].
-        max_torque_permille: register MAX_TORQUE, which TORQUE_LIMIT has after power-up.
-        warnings: what a person should look after, a sentence each.
+        max_torque_permille: register MAX_TORQUE, the value of TORQUE_LIMIT after power-up.
+        warnings: warnings, a sentence each.
     """
 
     control: Control
@@ -65,19 +64,19 @@ class ServoFound:
 
 
 def survey(bus: Bus, servos: ServoMap, *, simulated: bool = False) -> Steps[dict[int, ServoFound]]:
-    """Find every servo of the arm; writes nothing.
+    """Survey every servo of the arm, without writing.
 
     Args:
-        bus: the open bus.
-        servos: the arm's servos.
-        simulated: whether there is no cable or supply to look after.
+        bus: an open bus.
+        servos: servos of the arm.
+        simulated: True for emulated servos, without cable and supply to check.
 
     Returns:
-        The servos by id.
+        Servos by id.
 
     Raises:
         StartupError: a servo is missing, or is not an STS3215 in position mode.
-        NoReply: a servo fell silent on the way.
+        NoReply: a servo stopped answering.
         PortLost: the port is gone.
     """
     yield from _check_present(bus, servos, simulated=simulated)
@@ -88,7 +87,7 @@ def survey(bus: Bus, servos: ServoMap, *, simulated: bool = False) -> Steps[dict
 
 
 def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
-    """Read back what a servo was told.
+    """Read the control block of a servo, as a sequence.
 
     Raises:
         NoReply: the servo gave no valid reply.
@@ -99,11 +98,11 @@ def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
 
 
 class RegisterChecks:
-    """Torque limits that the servos were told, beside those that they hold.
+    """Comparison of the servos' control blocks with what was written to them.
 
     Args:
-        servos: the arm's servos.
-        found: servos as the survey found them, by id; may be filled later.
+        servos: servos of the arm.
+        found: servos as surveyed, by id; may be filled later.
 
     Attributes:
         torque_on: register TORQUE_ENABLE of each servo when it was last read back, by id.
@@ -114,39 +113,42 @@ class RegisterChecks:
         self._found = found
         self._turn = cycle(servos.ids)
         self._cycle = 0
-        self._wanted: dict[int, int] = {}
+        self._expected: dict[int, int] = {}
         self.torque_on: dict[int, bool] = {}
 
     def due(self) -> int | None:
-        """Choose the servo to read back in this cycle, if any."""
+        """Return the servo to read back in this cycle, if any."""
         self._cycle += 1
         return None if self._cycle % CYCLES_BETWEEN else next(self._turn)
 
-    def told(self, permille: dict[int, int]) -> None:
-        """Note that the servos have been given torque limits [0.1 %]; what they were before is forgotten."""
-        self._wanted = dict(permille)
+    def expect(self, permille: dict[int, int]) -> None:
+        """Expect these torque limits, which were written to the servos, by id [0.1 %]."""
+        self._expected = dict(permille)
         self.torque_on.clear()
 
     def limits_to_write(self, permille: dict[int, int]) -> dict[int, int]:
-        """Choose those of the wanted torque limits that the servos were not told yet [0.1 %]."""
-        if permille == self._wanted:
+        """Return the torque limits that differ from the expected ones, and expect them, by id [0.1 %]."""
+        if permille == self._expected:
             return {}
-        changed = {servo: limit for servo, limit in permille.items() if self._wanted.get(servo) != limit}
-        self._wanted.update(changed)
+        changed = {servo: limit for servo, limit in permille.items() if self._expected.get(servo) != limit}
+        self._expected.update(changed)
         return changed
 
-    def judge(self, servo_id: int, control: Control, stamp_s: float) -> Fault | None:
-        """Compare what a driven servo holds with what it was told.
+    def check(self, servo_id: int, control: Control, stamp_s: float) -> Fault | None:
+        """Compare the control block of a driven servo with what was written to it.
 
         Args:
-            servo_id: the servo.
+            servo_id: id of the servo.
             control: its control block.
             stamp_s: wall-clock time [s since the epoch].
+
+        Returns:
+            Fault of a servo that has rebooted or was relaxed, None otherwise.
         """
         self.torque_on[servo_id] = control.torque_on
-        wanted = self._wanted.get(servo_id)
+        wanted = self._expected.get(servo_id)
         if wanted != control.torque_limit_permille:
-            self._wanted.pop(servo_id, None)
+            self._expected.pop(servo_id, None)
         fresh = self._found[servo_id].max_torque_permille
         rebooted = control.torque_limit_permille == fresh != wanted
         joint = self._servos.by_id[servo_id].joint
@@ -168,7 +170,7 @@ def _check_present(bus: Bus, servos: ServoMap, *, simulated: bool) -> Steps[None
                 f"servo {joint.servo_id} ({joint.joint}) is model {model}, not an STS3215 ({MODEL_STS3215})"
             )
     if len(missing) == len(servos.joints):
-        raise StartupError(f"no servo answers{'' if simulated else NOBODY_ADVICE}")
+        raise StartupError(f"no servo answers{'' if simulated else NONE_ANSWERS_ADVICE}")
     if missing:
         raise StartupError(f"no answer from {', '.join(missing)}{'' if simulated else MISSING_ADVICE}")
 

@@ -179,23 +179,23 @@ def rest_of(playback: Playback, from_s: float) -> Trajectory:
 def test_another_trajectory_takes_its_place_without_a_jump() -> None:
     former = halfway()
     other = rest_of(former, 0.9)
-    assert former.leads_into(other, 0.9)
+    assert former.can_splice(other, 0.9)
     successor = Playback(other, MAX_ACCELERATION)
-    successor.go_on_from(former, 0.9)
+    successor.continue_from(former, 0.9)
     np.testing.assert_allclose(successor.advance(PERIOD_S), former.advance(PERIOD_S), atol=1e-9)
 
 
 def test_a_trajectory_that_is_elsewhere_now_cannot_take_its_place() -> None:
     former = halfway()
-    assert not former.leads_into(rest_of(former, 0.9), 0.8)
-    assert not former.leads_into(rest_of(former, 1.2), 1.2)
-    assert not former.leads_into(smooth_move({**MOVES, "elbow_flex": (0.5, 0.6)}, 2.0), 0.0)
+    assert not former.can_splice(rest_of(former, 0.9), 0.8)
+    assert not former.can_splice(rest_of(former, 1.2), 1.2)
+    assert not former.can_splice(smooth_move({**MOVES, "elbow_flex": (0.5, 0.6)}, 2.0), 0.0)
 
 
 def test_a_motion_that_brakes_leads_into_no_other() -> None:
     former = halfway()
     former.stop()
-    assert not former.leads_into(rest_of(former, 0.9), 0.9)
+    assert not former.can_splice(rest_of(former, 0.9), 0.9)
 
 
 NAMES = ("shoulder_pan", "gripper")

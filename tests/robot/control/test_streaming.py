@@ -28,7 +28,7 @@ def follow(steps: list[tuple[tuple[float, float], int]], start: tuple[float, flo
     tracking = VelocityTracking(BOUNDS, np.array(start))
     positions = [tracking.position_rad]
     for velocity, ticks in [*steps, ((0.0, 0.0), 150)]:
-        tracking.wish(np.array(velocity))
+        tracking.set_target(np.array(velocity))
         positions += [tracking.advance(PERIOD_S) for _ in range(ticks)]
     assert tracking.at_rest
     return np.array(positions)
@@ -54,7 +54,7 @@ def test_whatever_is_wished_no_joint_leaves_its_limits(steps) -> None:
 
 def test_a_wish_is_met_and_kept() -> None:
     tracking = VelocityTracking(BOUNDS, np.zeros(2))
-    tracking.wish(np.array([0.5, -0.3]))
+    tracking.set_target(np.array([0.5, -0.3]))
     for _ in range(40):
         tracking.advance(PERIOD_S)
     assert tracking.velocity_rad_s == pytest.approx([0.5, -0.3])
@@ -62,7 +62,7 @@ def test_a_wish_is_met_and_kept() -> None:
 
 def test_a_joint_at_its_limit_waits_there_while_the_other_goes_on() -> None:
     tracking = VelocityTracking(BOUNDS, np.zeros(2))
-    tracking.wish(np.array([0.3, 1.2]))
+    tracking.set_target(np.array([0.3, 1.2]))
     for _ in range(200):
         tracking.advance(PERIOD_S)
     assert tracking.position_rad[1] == pytest.approx(0.8)

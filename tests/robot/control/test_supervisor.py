@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from robot.control.pacing import PERIOD_S
-from robot.control.supervisor import Watchdog
+from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, Watchdog
 from robot.faults import FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.registers import Register
@@ -24,7 +24,7 @@ def test_silence_is_borne_up_to_its_limit() -> None:
 
 def test_any_message_ends_the_silence() -> None:
     watchdog = Watchdog(0.5, 10.0)
-    watchdog.hear(11.0)
+    watchdog.feed(11.0)
     assert not watchdog.expired(11.4)
 
 
@@ -261,13 +261,13 @@ def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) ->
     return [record.getMessage() for record in caplog.records if "nothing heard" in record.getMessage()]
 
 
-def test_silences_of_the_server_are_counted_rather_than_told_one_by_one(
-    rig: ArmRig, caplog: pytest.LogCaptureFixture
-) -> None:
-    first, second, fourth = silent_servers(rig, caplog, 5)
-    assert first.endswith("nothing moves")
-    assert second.endswith("nothing moves (2 times so far)")
-    assert fourth.endswith("nothing moves (4 times so far)")
+def test_log_lines_about_silences_of_the_server_are_limited(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    lines = silent_servers(rig, caplog, SILENCE_BURST + 2)
+    assert len(lines) == SILENCE_BURST
+    assert all(line.endswith("nothing moves") for line in lines)
+    rig.run(1.0 / SILENCE_LINES_PER_S)
+    (later,) = silent_servers(rig, caplog, 1)
+    assert later.endswith("nothing moves (2 more lines like this were left out before)")
 
 
 def test_a_silence_during_a_motion_is_told_to_stop_it(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
@@ -390,7 +390,7 @@ def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndStat
     rig.until_mode(Mode.HOLDING)
     rig.execute(PAN)
     rig.run(0.3)
-    rig.supervisor.obey(Shutdown())
+    rig.supervisor.handle(Shutdown())
     rig.until(lambda: rig.supervisor.finished())
     assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
     assert rig.torque() == torque

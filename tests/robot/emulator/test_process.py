@@ -118,7 +118,7 @@ def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
     assert control.wanted
     assert control.descriptors == [reader]
     os.close(writer)
-    control.obey(None)
+    control.handle(None)
     os.close(reader)
     assert control.wanted is not essential
     assert control.descriptors == []

@@ -96,7 +96,7 @@ WELL = Control(True, 254, 2048, 800)
 @pytest.fixture
 def checks() -> RegisterChecks:
     made = RegisterChecks(SERVOS, {servo: ServoFound(WELL, (0, 4095), 8.0, 1000) for servo in SERVOS.ids})
-    made.told(full_torque(SERVOS))
+    made.expect(full_torque(SERVOS))
     return made
 
 
@@ -107,7 +107,7 @@ def test_every_servo_has_its_turn_within_a_second(checks: RegisterChecks) -> Non
 
 
 def test_a_servo_that_is_as_it_was_told_is_well(checks: RegisterChecks) -> None:
-    assert checks.judge(1, WELL, 0.0) is None
+    assert checks.check(1, WELL, 0.0) is None
     assert checks.torque_on[1]
 
 
@@ -123,7 +123,7 @@ def test_a_servo_that_is_as_it_was_told_is_well(checks: RegisterChecks) -> None:
 def test_a_servo_that_is_not_as_it_was_told_is_a_fault(
     checks: RegisterChecks, control: Control, code: FaultCode
 ) -> None:
-    fault = checks.judge(2, control, 5.0)
+    fault = checks.check(2, control, 5.0)
     assert fault is not None
     assert (fault.code, fault.joint, fault.stamp_s) == (code, "shoulder_lift", 5.0)
 
@@ -132,5 +132,5 @@ def test_torque_limits_are_written_once_and_again_when_they_were_lost(checks: Re
     wanted = {**full_torque(SERVOS), 6: 250}
     assert checks.limits_to_write(wanted) == {6: 250}
     assert checks.limits_to_write(wanted) == {}
-    assert checks.judge(6, Control(True, 254, 2048, 500), 0.0) is None
+    assert checks.check(6, Control(True, 254, 2048, 500), 0.0) is None
     assert checks.limits_to_write(wanted) == {6: 250}

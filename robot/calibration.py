@@ -321,6 +321,7 @@ def _joint(file: str, name: str, entry: object) -> JointCalibration:
         raise CalibrationError(file, name, "must be an object with id, drive_mode, homing_offset and the range")
 
     def number(key: str, lowest: int, highest: int) -> int:
+        """Return a whole number of the entry, checked against its range."""
         value = entry.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
             raise CalibrationError(

@@ -71,7 +71,7 @@ class Decoder:
 
 
 class Channel:
-    """A child's end of the socket pair; sending never waits for the server.
+    """Child's end of the socket pair; sending never waits for the server.
 
     Attributes:
         closed: True when the server has closed its end, or has died.

@@ -10,8 +10,8 @@
         - NoReply (servo_id), also a TimeoutError
     - CalibrationError (file, field)
     - DescriptionError (source): a URDF or SRDF that does not describe an arm
-    - StartupError: servos that cannot be taken over as they are
-    - OrderRefused: an order that cannot be carried out as things are
+    - StartupError: servos that cannot be taken over in their present state
+    - OrderRefused: an order that the arm cannot carry out in its present state
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class RobotError(Exception):
 
 
 class PortError(RobotError):
-    """A serial port that cannot be used.
+    """Serial port that cannot be used.
 
     Attributes:
         port: path or URL of the port.
@@ -84,7 +84,7 @@ class NoReply(BusError, TimeoutError):  # noqa: N818 - named by the fact
 
 
 class CalibrationError(RobotError):
-    """A calibration file that cannot be used.
+    """Calibration file that cannot be used.
 
     Attributes:
         file: path of the file.
@@ -99,7 +99,7 @@ class CalibrationError(RobotError):
 
 
 class DescriptionError(RobotError):
-    """A URDF or SRDF that does not describe an arm.
+    """URDF or SRDF that does not describe an arm.
 
     Attributes:
         source: file, or element in it.

@@ -163,9 +163,11 @@ class _Link(asyncio.Protocol):
         self._ended = asyncio.Event()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keep the transport."""
         self._transport = cast(asyncio.Transport, transport)
 
     def data_received(self, data: bytes) -> None:
+        """Deliver the messages completed by ``data``; kill a child that sends anything else."""
         try:
             messages = self._decoder.feed(data)
         except Exception:  # unpickling may raise anything; the end must be reported all the same
@@ -177,6 +179,7 @@ class _Link(asyncio.Protocol):
             self._on_message(message)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the base class's signature
+        """Report the end of the channel."""
         self._ended.set()
         self._on_end()
 

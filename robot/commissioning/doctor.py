@@ -113,9 +113,9 @@ def judge_long_reads(address: int, length: int, silent_ids: Sequence[int]) -> Fi
 
 
 def _servos(result: ScanResult) -> Finding:
-    complaints = explain_missing(result, SO101_JOINTS)
-    if complaints:
-        return Finding("servos", Verdict.PROBLEM, "; ".join(complaints), "See docs/hardware.md, By symptom.")
+    problems = explain_missing(result, SO101_JOINTS)
+    if problems:
+        return Finding("servos", Verdict.PROBLEM, "; ".join(problems), "See docs/hardware.md, By symptom.")
     return Finding("servos", Verdict.GOOD, f"servos {_list(sorted(result.ids))} answer")
 
 
@@ -166,14 +166,14 @@ def _temperature(servos: Sequence[ServoReport]) -> Finding:
 
 
 def _status(servos: Sequence[ServoReport]) -> Finding:
-    complaints = [
+    problems = [
         f"servo {servo.servo_id}: {', '.join(status_names(servo.telemetry.status))}"
         for servo in servos
         if servo.telemetry.status
     ]
-    if complaints:
+    if problems:
         remedy = "Relieve the joint and reset the fault; if it stays, switch the servos' supply off and on."
-        return Finding("error bits", Verdict.PROBLEM, "; ".join(complaints), remedy)
+        return Finding("error bits", Verdict.PROBLEM, "; ".join(problems), remedy)
     return Finding("error bits", Verdict.GOOD, "no servo complains")
 
 

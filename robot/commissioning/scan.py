@@ -111,6 +111,7 @@ def examine(bus: Bus, servo_id: int) -> ServoReport:
     """
 
     def value(register: Register) -> int:
+        """Read a register of the servo."""
         return bus.read(servo_id, register)
 
     return ServoReport(

@@ -125,7 +125,7 @@ class Guards:
         """Restart all timers."""
         joints = len(self._names)
         self._behind, self._pushing = Persistence(joints), Persistence(joints)
-        self._low, self._complaining = Persistence(joints), Persistence(joints)
+        self._low, self._flagged = Persistence(joints), Persistence(joints)
         self.stalled = self._none
         self.lost = self._none
         self._fresh = True
@@ -156,9 +156,9 @@ class Guards:
         jumped = self._none if last is None else _jumped(measured, now_s, *last)
         self._check_errors(goal_rad, measured, torque_limit, now_s)
         resisting = self._none if yielding is None else yielding
-        complaints = _STATUS_FAULTS if measured.status.any() else ()
+        status_faults = _STATUS_FAULTS if measured.status.any() else ()
         findings = (
-            *((measured.status & bit != 0, code) for bit, code in complaints),
+            *((measured.status & bit != 0, code) for bit, code in status_faults),
             (measured.temperature_c >= self._temperatures.stop_c, FaultCode.OVERHEATED),
             (jumped, FaultCode.POSITION_JUMP),
             (_silent(measured), FaultCode.SERVO_SILENT),
@@ -224,9 +224,9 @@ class Guards:
         return np.asarray(lasting_s >= self.limits.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
-        low, complaining = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0
-        low_s, complaining_s = self._low.lasting(low, now_s), self._complaining.lasting(complaining, now_s)
-        return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (complaining_s >= VOLTAGE_BIT_TIME_S))
+        low, flagged = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0
+        low_s, flagged_s = self._low.lasting(low, now_s), self._flagged.lasting(flagged, now_s)
+        return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (flagged_s >= VOLTAGE_BIT_TIME_S))
 
     def _fault(self, code: FaultCode, flags: Flags, goal_rad: Vector, measured: Measured) -> Fault:
         """Build the fault of the flagged joint that is farthest from its goal."""

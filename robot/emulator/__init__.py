@@ -4,7 +4,7 @@ It speaks the servos' protocol byte by byte, so that a host cannot tell it from 
 ``python -m robot.emulator`` runs it; ``--help`` lists the random faults, ``robot.emulator.control``
 the commands that change it while it runs.
 
-What is modelled:
+Modelled:
 
 * Registers: EPROM that outlives a power cut only when written unlocked, signs, homing offset, goals cut at the angle
   limits, read-only registers, the id and the baud rate of each servo.
@@ -19,7 +19,7 @@ What is modelled:
 * Faults: replies lost, damaged, of a wrong id, cut, doubled, noisy, late; instructions lost; servos cut off, rebooted,
   relaxed without an instruction; a frozen adapter; an unplugged one that comes back, also under another name.
 
-What is not modelled: collisions of links with each other or the table (obstacles stop one joint), inertia, backlash,
+Not modelled: collisions of links with each other or the table (obstacles stop one joint), inertia, backlash,
 payload, D and I gain, dead zone and least force; operating modes other than position; a supply that sags under load
 or reboots servos by itself; the damping of TORQUE_ENABLE 2 (the joint is free); more than one turn; the garbage heard
 at a wrong baud rate (there is silence); the host's bytes each at its own time (instructions that arrive together are

@@ -43,6 +43,7 @@ def weight_of(calibration: Calibration, servos: Sequence[Servo]) -> Callable[[],
     joints = list(zip(calibration.joints, servos, strict=True))
 
     def weigh() -> None:
+        """Load the servos with the weight at the present pose."""
         position_rad = {
             joint.joint: joint.rad_from_ticks(servo.plant.position_ticks - joint.homing_offset)
             for joint, servo in joints

@@ -318,6 +318,7 @@ def _for_servos(name: str, value: object, bus: ServoBus) -> Change:
         raise ValueError(f"{name} takes a list of servo ids out of {list(servos)}, not {value!r}")
 
     def carry_out(emulation: Emulation) -> None:
+        """Apply the checked command."""
         for servo_id in value:
             FOR_SERVOS[name](emulation, servos[servo_id])
 
@@ -331,6 +332,7 @@ def _values(name: str, kind: Value, value: object, bus: ServoBus) -> Change:
     changes = [_value(name, kind, servos[servo_id], one) for servo_id, one in value.items()]
 
     def carry_out(emulation: Emulation) -> None:
+        """Apply the checked command."""
         for change in changes:
             change(emulation)
 

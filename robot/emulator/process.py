@@ -250,6 +250,7 @@ def _end_on_signals(*, controlled: bool) -> None:
     """Exit cleanly on SIGTERM and Ctrl-C; a controlled emulator leaves all but SIGTERM to its controller."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
+        """Exit."""
         sys.exit(0)
 
     signal.signal(signal.SIGTERM, end)
@@ -292,6 +293,7 @@ def _probability(text: str) -> float:
 
 def _number(highest: float) -> Callable[[str], float]:
     def number(text: str) -> float:
+        """Parse a number from 0 to the highest value."""
         value = float(text)
         if not 0.0 <= value <= highest:
             raise argparse.ArgumentTypeError(f"{text} is not a number from 0 to {highest:g}")

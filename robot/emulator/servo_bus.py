@@ -307,7 +307,7 @@ def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_m
     Args:
         instruction: anything; what makes no sense does nothing.
         servos: those that hear it.
-        stall_behind_missing: whether a sync read ends at the first servo that does not answer.
+        stall_behind_missing: True if a sync read ends at the first servo that does not reply.
     """
     parameters = instruction.parameters
     hearers = [servo for servo in servos if instruction.servo_id in (servo.servo_id, BROADCAST_ID)]

@@ -16,7 +16,7 @@ def test_a_flood_from_one_place_is_cut_and_others_are_told() -> None:
     assert flood.filter(record(line=8))
 
 
-def test_how_many_were_left_out_is_told_with_the_next_line() -> None:
+def test_the_next_line_has_the_number_of_suppressed_ones() -> None:
     now_s = [0.0]
     flood = FloodFilter(lambda: now_s[0])
     for _ in range(BURST + 3):

@@ -29,7 +29,7 @@ def as_json(made: logging.LogRecord) -> dict[str, Any]:
     return fields
 
 
-def test_a_json_line_tells_when_who_and_what() -> None:
+def test_a_json_line_has_time_process_and_message() -> None:
     made = record("%s is hot", "elbow_flex")
     fields = as_json(made)
     time = datetime.fromisoformat(fields.pop("time"))
@@ -62,7 +62,7 @@ SECRETS = {
 
 
 @pytest.mark.parametrize("text", SECRETS.values(), ids=SECRETS.keys())
-def test_a_token_is_blotted_out_whoever_logs_it(text: str) -> None:
+def test_a_token_is_blotted_out_in_every_format(text: str) -> None:
     made = record("%s", text, error=ValueError(text))
     for line in (PlainFormatter().format(made), JsonFormatter("server").format(made)):
         assert "s3cret" not in line
@@ -107,11 +107,11 @@ def test_a_traceback_stays_below_its_plain_line() -> None:
     assert below == ["ValueError: two"]
 
 
-def test_what_a_client_has_made_very_long_is_cut_and_its_length_told() -> None:
+def test_a_very_long_message_is_cut_and_its_length_noted() -> None:
     made = record("no group %s", "x" * 5_000_000)
-    for told in (PlainFormatter().format(made), as_json(made)["message"]):
-        assert len(told) < logs.MAX_MESSAGE_CHARACTERS + 100
-        assert told.endswith("... (5000009 characters)")
+    for line in (PlainFormatter().format(made), as_json(made)["message"]):
+        assert len(line) < logs.MAX_MESSAGE_CHARACTERS + 100
+        assert line.endswith("... (5000009 characters)")
 
 
 NAME = "armbridge.test_log_levels"
@@ -143,7 +143,7 @@ def test_a_change_holds_here_and_in_children_from_before_and_after() -> None:
     assert (before.heard, after.heard) == (changes, changes[1:])
 
 
-def test_a_child_that_nobody_keeps_is_forgotten() -> None:
+def test_an_unreferenced_child_is_forgotten() -> None:
     count = len(logs._followers)
     child = Child()
     logs.follow(child)

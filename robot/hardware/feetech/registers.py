@@ -277,6 +277,7 @@ def parse_control(data: bytes) -> Control:
         raise ValueError(f"the control block has {CONTROL_BYTES} bytes, not {len(data)}")
 
     def value(register: Register) -> int:
+        """Decode a register of the block."""
         offset = register - CONTROL_ADDRESS
         return decode(register, data[offset : offset + LAYOUT[register].size])
 

@@ -95,7 +95,7 @@ def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(terminal, line):
     assert line.ping(1) == 777
 
 
-def test_nobody_answers_at_a_wrong_baud_rate(terminal):
+def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
     with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
         bus.ping(1)
 
@@ -141,7 +141,7 @@ def test_without_a_controller_live_commands_come_on_standard_input():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_without_a_controller_it_prints_the_port_and_runs_until_told_to_end(tmp_path, number):
+def test_without_a_controller_it_prints_the_port_and_runs_until_a_signal(tmp_path, number):
     link = tmp_path / "arm"
     with standalone("--link", str(link)) as process:
         port = process.stdout.readline().strip()

@@ -226,10 +226,6 @@ class Arm:
         ended.add_done_callback(lambda _: self._streams.pop(motion_id, None))
         return stream
 
-    def _number(self, motion: asyncio.Future[MotionEnded]) -> int:
-        """Return the number of a motion, :data:`NO_MOTION` when it has ended."""
-        return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
-
     async def end_streams(self, timeout_s: float) -> bool:
         """Bring every stream to rest; return True when all have ended within ``timeout_s``."""
         ends = [stream.ended for stream in self._streams.values()]
@@ -314,6 +310,10 @@ class Arm:
         self._process.send(ChangePace(speed_factor=self._speed_factor))
         self._process.send(command)
         return ended
+
+    def _number(self, motion: asyncio.Future[MotionEnded]) -> int:
+        """Return the number of a motion, :data:`NO_MOTION` when it has ended."""
+        return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
 
     def _received(self, message: Any) -> None:
         if isinstance(message, ArmState):

@@ -10,7 +10,8 @@ from robot.calibration import SO101_JOINTS, Calibration
 from robot.commissioning.calibrate import differences
 from robot.commissioning.scan import ScanResult, ServoReport, explain_missing
 from robot.commissioning.timing import CycleTimes
-from robot.hardware.feetech.survey import MODEL_STS3215, PHASE_MULTI_TURN, POSITION_MODE
+from robot.hardware.feetech.registers import MODEL_STS3215
+from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.interface import status_names
 
 # Temperatures of the motor's housing [degC] at which the arm process, by default, stops the arm and warns.

@@ -13,15 +13,11 @@ from typing import Any
 from robot.channel import Channel, channel_of_child
 from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
-from robot.control.supervisor import Supervisor
+from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.errors import RobotError
 from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
 from robot.hardware.opening import hardware_source
 from robot.messages import ArmConfig, Command, Order
-
-# Interval between attempts to open the hardware: the first, and the longest.
-FIRST_RETRY_S = 0.2
-LONGEST_RETRY_S = 2.0
 
 # A step of a sequence is a transaction of 1 to 2 ms; none is begun when less time is left until the tick.
 STEP_ROOM_S = 0.002

@@ -41,7 +41,7 @@ from robot.messages import (
 
 log = logging.getLogger("armbridge.arm")
 
-# Interval between attempts to check the servos: the first, and the longest.
+# Interval between attempts to open the hardware, and to check the servos: the first, and the longest.
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
 

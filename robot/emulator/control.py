@@ -46,13 +46,15 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
+from robot.calibration import MAX_TICK
 from robot.emulator.faults import PROBABILITIES
 from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
 
-MAX_TICKS = 4095
+# A controller that sends more bytes than this without a line end is disconnected; a command is short.
+MAX_COMMAND_BYTES = 64 << 10
 
 # Full duty of the motor.
 MAX_PUSH_PERMILLE = 1000
@@ -268,10 +270,10 @@ def _status(servo: Servo, status: float) -> None:
 
 VALUES: Mapping[str, Value] = MappingProxyType(
     {
-        "obstacle": Value(0, MAX_TICKS, _obstacle, lambda servo: servo.plant.block(None)),
+        "obstacle": Value(0, MAX_TICK, _obstacle, lambda servo: servo.plant.block(None)),
         "push": Value(-MAX_PUSH_PERMILLE, MAX_PUSH_PERMILLE, _push),
-        "hand": Value(0, MAX_TICKS, _hand, _let_go),
-        "jump": Value(-MAX_TICKS, MAX_TICKS, _jump),
+        "hand": Value(0, MAX_TICK, _hand, _let_go),
+        "jump": Value(-MAX_TICK, MAX_TICK, _jump),
         "temperature": Value(0, MAX_TEMPERATURE_C, _temperature),
         "voltage": Value(0, MAX_VOLTAGE_V, _voltage),
         "status": Value(0, MAX_STATUS, _status),

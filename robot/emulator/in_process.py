@@ -17,7 +17,7 @@ from pathlib import Path
 
 from robot.description.limits import JointBounds
 from robot.emulator.arm import build_servos, weight_of
-from robot.emulator.control import Emulation, answer
+from robot.emulator.control import MAX_COMMAND_BYTES, Emulation, answer
 from robot.emulator.faults import Faults
 from robot.emulator.servo_bus import BAUDRATE, Reply, ServoBus
 from robot.emulator.write_log import WriteLog
@@ -35,9 +35,6 @@ from robot.messages import GuardLimits
 MAX_CONTROLLERS = 8
 
 READ_BYTES = 4096
-
-# A command is short; a client that sends more without a line end is disconnected.
-MAX_COMMAND_BYTES = 64 << 10
 
 
 class EmulatedServos:

@@ -23,7 +23,15 @@ from robot.calibration import Calibration
 from robot.control.pacing import take_priority
 from robot.emulator.adapter import UsbAdapter
 from robot.emulator.arm import build_servos, weight_of
-from robot.emulator.control import MAX_DELAY_S, MAX_HEAT_RATE, MAX_USB_FRAME_MS, MAX_VOLTAGE_V, Emulation, answer
+from robot.emulator.control import (
+    MAX_COMMAND_BYTES,
+    MAX_DELAY_S,
+    MAX_HEAT_RATE,
+    MAX_USB_FRAME_MS,
+    MAX_VOLTAGE_V,
+    Emulation,
+    answer,
+)
 from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
 from robot.emulator.rehearsal import REHEARSALS, Rehearsal, TimedCommand, read_script
 from robot.emulator.servo import SUPPLY_V, Servo
@@ -37,9 +45,6 @@ TICK_S = 0.02
 LINGER_S = 1.0
 
 READ_BYTES = 4096
-
-# A command is short; a controller that sends more without a line end is disconnected.
-MAX_COMMAND_BYTES = 64 << 10
 
 # Positions of option --start.
 JOINTS = 6

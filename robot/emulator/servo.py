@@ -10,6 +10,7 @@ from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Motor, Plant
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     LAYOUT,
+    MODEL_STS3215,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,
     Area,
@@ -48,7 +49,6 @@ FULL_DUTY_PERMILLE = 1000.0
 # The last documented address is 86; addresses beyond it read as zero.
 MEMORY_BYTES = 87
 
-MODEL_STS3215 = 777
 FIRMWARE_MAJOR_MINOR = bytes([3, 10])
 
 # Values of a new servo, from Feetech's memory table V3.6; angle limits and id are the arm's.

@@ -137,6 +137,9 @@ LAYOUT: Mapping[Register, Layout] = MappingProxyType(
     }
 )
 
+# Register MODEL_NUMBER of an STS3215.
+MODEL_STS3215 = 777
+
 TELEMETRY_ADDRESS = Register.PRESENT_POSITION
 TELEMETRY_BYTES = 15
 

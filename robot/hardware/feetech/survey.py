@@ -20,6 +20,7 @@ from robot.hardware.feetech.bus import STEP_ATTEMPTS, Bus, read, read_block
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
+    MODEL_STS3215,
     VOLT_PER_UNIT,
     Control,
     Register,
@@ -28,7 +29,7 @@ from robot.hardware.feetech.registers import (
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.interface import Steps
 
-MODEL_STS3215 = 777
+# Register OPERATING_MODE of a servo that follows position goals.
 POSITION_MODE = 0
 
 # Register PHASE, bit 4: positions count on beyond one turn, and overflow.

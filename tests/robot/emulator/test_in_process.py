@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.in_process import MAX_COMMAND_BYTES, MAX_CONTROLLERS, CommandedPort, ControlSocket, EmulatedServos
+from robot.emulator.control import MAX_COMMAND_BYTES
+from robot.emulator.in_process import MAX_CONTROLLERS, CommandedPort, ControlSocket, EmulatedServos
 from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus

@@ -11,8 +11,9 @@ import time
 
 import pytest
 
+from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.faults import PROBABILITIES
-from robot.emulator.process import LINGER_S, MAX_COMMAND_BYTES, Control, add_options, build_bus
+from robot.emulator.process import LINGER_S, Control, add_options, build_bus
 from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register

@@ -1,1 +1,1 @@
-"""The arm: what it is, the bus to its servos, and the loop that drives them."""
+"""The arm: description, hardware interface, controller, and the arm process that runs them."""

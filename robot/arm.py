@@ -1,11 +1,10 @@
-"""The process that drives the arm, as :class:`robot.arm.Arm` sees it: it must hear of its arm before anything else.
+"""Handle on the arm process: the server's side of motions, streams and orders.
 
-A stream of velocities to the arm, as the server steers it.
+:class:`Arm` is the interface to the server. It numbers motions and orders, resolves a future for each, and restarts the
+process (:class:`ArmProcess`) when it has died.
 
-The arm, as the server sees it: a handle on the arm process.
-
-Time limits of motions and orders are counted on the arm's own clock, as its states tell it. A simulated arm that a busy
-machine slows down so has all its time; a process that says nothing is ended after :data:`SILENT_S`.
+Time limits of motions and orders count on the arm's own clock, reported with its states, so that a simulated arm on a
+busy machine has all its time. A process that sends no state for :data:`SILENT_S` is killed and restarted.
 """
 
 from __future__ import annotations
@@ -42,145 +41,6 @@ from robot.messages import (
 from robot.processes import Child, StartedChild
 from robot.trajectory import Trajectory, Vector
 
-# Orders that come before the process knows its arm are kept for it; it takes a fraction of a second.
-MAX_EARLY_ORDERS = 16
-
-
-def start_arm_process() -> StartedChild:
-    """Start a process that can drive an arm; it loads, and waits to be told which."""
-    return StartedChild("robot.control.loop")
-
-
-class ArmProcess:
-    """One process after the other.
-
-    Args:
-        on_message: called in the event loop with every message of the process.
-        on_exit: called in the event loop when a process is gone.
-        started: the first process, if it was started ahead.
-    """
-
-    def __init__(
-        self,
-        on_message: Callable[[Any], None],
-        on_exit: Callable[[], None],
-        started: StartedChild | None = None,
-    ) -> None:
-        self._started = started
-        self._on_message = on_message
-        self._on_exit = on_exit
-        self._child: Child | None = None
-        self._configured = False
-        self._early: list[Command] = []
-
-    @property
-    def pid(self) -> int | None:
-        """Process id."""
-        return None if self._child is None else self._child.pid
-
-    @property
-    def launched(self) -> bool:
-        """Whether there has been a process."""
-        return self._child is not None
-
-    @property
-    def drives(self) -> bool:
-        """Whether a process runs that knows its arm."""
-        return self._configured and self._runs()
-
-    async def launch(self) -> None:
-        """Start a process, which does nothing before it is configured."""
-        started, self._started = self._started or start_arm_process(), None
-        self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
-        await self._child.connect()
-
-    def configure(self, config: ArmConfig) -> None:
-        """Tell the process of its arm, and of the orders that came before; nothing happens when it has ended."""
-        if self._child is None or not self._runs():
-            return
-        self._configured = True
-        self._child.send(config)
-        early, self._early = self._early, []
-        for command in early:
-            self._child.send(command)
-
-    def send(self, message: object) -> None:
-        """Send a message; lost when no process knows its arm."""
-        if self._child is not None and self._configured:
-            self._child.send(message)
-
-    def order(self, command: Command) -> bool:
-        """Send an order, or keep it for a process that is not configured yet; says whether somebody sees to it."""
-        if not self._runs() or (not self._configured and len(self._early) >= MAX_EARLY_ORDERS):
-            return False
-        if self._configured:
-            self.send(command)
-        else:
-            self._early.append(command)
-        return True
-
-    async def end(self, timeout_s: float) -> None:
-        """Have the process bring the arm to its end state and end; by force after ``timeout_s``."""
-        if self._child is None:
-            return
-        if self._configured:
-            self._child.send(Shutdown())
-            await self._child.wait(timeout_s)
-        else:
-            await self._child.kill()
-
-    async def kill(self) -> None:
-        """End the process at once."""
-        if self._child is not None:
-            await self._child.kill()
-
-    def _runs(self) -> bool:
-        return self._child is not None and self._child.running
-
-    def _exited(self) -> None:
-        self._configured = False
-        self._early.clear()
-        self._on_exit()
-
-
-class ArmStream:
-    """One stream, from its beginning to its one end.
-
-    Args:
-        motion_id: its number.
-        joint_names: the joints that follow.
-        ended: its one end.
-        send: takes setpoints.
-
-    Attributes:
-        joint_names: as given.
-        ended: as given.
-        commanded: where the joints are told to be now; None until the arm has begun.
-    """
-
-    def __init__(
-        self,
-        motion_id: int,
-        joint_names: tuple[str, ...],
-        ended: asyncio.Future[MotionEnded],
-        send: Callable[[Setpoint], None],
-    ) -> None:
-        self._motion_id = motion_id
-        self._send = send
-        self.joint_names = joint_names
-        self.ended = ended
-        self.commanded: Commanded | None = None
-
-    def steer(self, velocity_rad_s: Vector) -> None:
-        """Have the joints move so until the next setpoint, which must come soon.
-
-        Args:
-            velocity_rad_s: in the order of ``joint_names`` [rad/s].
-        """
-        if not self.ended.done():
-            self._send(Setpoint(self._motion_id, velocity_rad_s))
-
-
 log = logging.getLogger("armbridge.arm")
 
 Answer = TypeVar("Answer", MotionEnded, CommandDone)
@@ -188,14 +48,17 @@ Answer = TypeVar("Answer", MotionEnded, CommandDone)
 # Ends of motions that come with a latched fault.
 FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)
 
-# Longer than the arm process itself takes to brake, relax and end.
-CLOSE_TIMEOUT_S = 5.5
+# Motions are numbered from 1 on.
+NO_MOTION = 0
 
-# A fifth of the shortest silence that the arm process takes for the server's death.
+# Orders sent before the process is configured are queued; configuring takes a fraction of a second.
+MAX_EARLY_ORDERS = 16
+
+# A fifth of the shortest watchdog timeout of the arm process.
 HEARTBEAT_S = 0.1
 
-# States come once a second at least; a process that says nothing for so long hangs, however busy the machine is.
-# Counted in heartbeats, for a server that was stopped itself must not blame its child.
+# States come once a second at least; a process that is silent for so long hangs, however busy the machine is.
+# Counted in heartbeats: the silence is not the child's fault when the server itself was stopped.
 SILENT_S = 5.0
 SILENT_HEARTBEATS = round(SILENT_S / HEARTBEAT_S)
 
@@ -205,26 +68,31 @@ STATE_MAX_AGE_S = 1.0
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
 
-# Motions are numbered from 1 on.
-NO_MOTION = 0
-
 # A process that dies at once must not be restarted in a tight loop.
 RESTART_DELAY_S = 0.5
 
+# Longer than the arm process itself takes to brake, relax and end.
+CLOSE_TIMEOUT_S = 5.5
+
+
+def start_arm_process() -> StartedChild:
+    """Start an arm process; it loads its modules, then waits for its configuration."""
+    return StartedChild("robot.control.loop")
+
 
 class Arm:
-    """The running arm process; restarted when it dies, with motions and orders in progress answered.
+    """Arm driven by the arm process, which is restarted when it dies; motions and orders in progress then end.
 
     Args:
-        config: the arm.
+        config: hardware, limits and policies of the arm.
         on_state: called in the event loop with every state of the arm.
-        on_health: called in the event loop with its condition, once a second.
+        on_health: called in the event loop with the arm's condition, once a second.
         started: its process, if it was started ahead.
 
     Attributes:
-        state: the latest state.
-        state_max_age_s: age from which on the latest state says nothing of the arm any more [s].
-        stops: how often all motion was stopped; a motion that was asked for before must not begin after it.
+        state: latest state.
+        state_max_age_s: age above which the latest state counts as stale [s].
+        stops: number of calls that stopped all motion; a motion requested before such a call must not begin after it.
     """
 
     def __init__(
@@ -241,7 +109,7 @@ class Arm:
         self._motions: dict[int, asyncio.Future[MotionEnded]] = {}
         self._streams: dict[int, ArmStream] = {}
         self._orders: dict[int, asyncio.Future[CommandDone]] = {}
-        self._bounds: set[asyncio.Task[None]] = set()
+        self._timeouts: set[asyncio.Task[None]] = set()
         self._held: list[MotionEnded | CommandDone] = []
         self._ids = itertools.count(1)
         self._closing = False
@@ -258,19 +126,19 @@ class Arm:
         reason = "the arm process is starting"
         self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
         self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
-        # Of an arm process that has ended: where simulated joints go on from.
+        # Simulated joints of a restarted process continue from here.
         self._last_connected = self.state
 
     async def launch(self) -> None:
-        """Start the process, which looks for no arm before :meth:`start`; orders that come until then are kept."""
+        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued."""
         self._starting = True
         await self._process.launch()
 
     async def start(self, timeout_s: float) -> None:
-        """Have the process take the arm over, and wait for its first state, connected or not.
+        """Configure the process, and wait for the arm's first state, connected or not.
 
         Args:
-            timeout_s: bound of the wait [s].
+            timeout_s: longest wait [s].
 
         Raises:
             TimeoutError: no state came within ``timeout_s``.
@@ -286,33 +154,35 @@ class Arm:
             self._starting = False
 
     async def until_started(self, timeout_s: float) -> None:
-        """Wait while the arm is being started, for ``timeout_s`` at most; not at all when nobody is starting it."""
+        """Wait while :meth:`start` is in progress, for ``timeout_s`` at most; return at once when it is not."""
         if self._starting:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._first_state.wait(), timeout_s)
 
     @property
     def pid(self) -> int | None:
-        """Process id."""
+        """Process id; None before the first launch."""
         return self._process.pid
 
     @property
     def state_age_s(self) -> float:
-        """Time since the last state came [s]."""
+        """Age of the latest state [s]."""
         return time.monotonic() - self._state_at_s
 
     @property
     def clock_s(self) -> float:
-        """Time of the arm's control loop, as its latest state tells it [s]."""
+        """Clock of the arm's control loop, from the latest state [s]."""
         return self.state.clock_s
 
     async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-        """Wait until all of some futures are done; returns whether they are.
+        """Wait until all of some futures are done.
 
         Args:
-            ends: of motions or orders.
-            timeout_s: bound of the wait on the arm's clock [s]; an arm that says nothing is waited for no longer than
-                :data:`SILENT_S`.
+            ends: futures of motions or orders.
+            timeout_s: longest wait on the arm's clock [s]; a silent arm is waited for :data:`SILENT_S` at most.
+
+        Returns:
+            True when all are done.
         """
         until_s = self.clock_s + timeout_s
         while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
@@ -331,21 +201,24 @@ class Arm:
         torque_share: float = 1.0,
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
     ) -> asyncio.Future[MotionEnded]:
-        """Send a trajectory to the arm, at once and in order with :meth:`stop`; the future is its one end.
+        """Send a trajectory to the arm, at once and in order with :meth:`stop`.
 
         Args:
-            trajectory: of some joints, the others hold.
-            gripping: whether to stall means to have gripped something.
+            trajectory: of some joints; the others hold.
+            gripping: True to end well, with a grip, when a joint stalls; otherwise a stall is a fault.
             torque_share: share of its torque limit that each joint may use, in (0, 1].
-            continues: a motion in progress whose place it takes without a stop, and the time on it at which the
-                trajectory begins [s]; for some time from now on both are the same.
+            continues: motion in progress to splice into without a stop, and the time on it at which the trajectory
+                begins [s]; both must coincide for some time from now on. None to begin at rest.
+
+        Returns:
+            Future of the motion's end; it never raises.
         """
         motion_id = next(self._ids)
         continuation = None if continues is None else Continuation(self._number(continues[0]), continues[1])
         return self._begin(Execute(motion_id, trajectory, gripping, torque_share, continuation))
 
     def stream(self, joint_names: tuple[str, ...]) -> ArmStream:
-        """Begin to steer joints by their velocities; they stay at rest until the first."""
+        """Begin a stream of velocity setpoints; the joints stay at rest until the first."""
         motion_id = next(self._ids)
         ended = self._begin(Stream(motion_id, joint_names))
         stream = ArmStream(motion_id, joint_names, ended, self._process.send)
@@ -353,38 +226,37 @@ class Arm:
         ended.add_done_callback(lambda _: self._streams.pop(motion_id, None))
         return stream
 
-    def _number(self, motion: asyncio.Future[MotionEnded]) -> int:
-        """The number of a motion; one that no motion has when it has ended."""
-        return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
-
     async def end_streams(self, timeout_s: float) -> bool:
-        """Bring every stream to rest; returns whether all have ended within ``timeout_s``."""
+        """Bring every stream to rest; return True when all have ended within ``timeout_s``."""
         ends = [stream.ended for stream in self._streams.values()]
         for ended in ends:
             self.stop(ended)
         return await self.wait(ends, timeout_s)
 
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
-        """Brake along the path: one motion in progress, or all of them."""
-        numbers: list[int | None] = [number for number, each in self._motions.items() if each is motion]
+        """Brake one motion in progress along its path; all of them for None."""
         if motion is None:
             self.stops += 1
-            numbers = [None]
-        for number in numbers:
+            self._process.send(Stop())
+        elif (number := self._number(motion)) != NO_MOTION:
             self._process.send(Stop(number))
 
     def change_pace(self, change: ChangePace) -> None:
-        """Have motions played otherwise from now on."""
+        """Change speed factor or course of motions, from now on."""
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
         self._process.send(change)
 
     async def rest(self, timeout_s: float) -> bool:
-        """Wait until every motion in progress has ended; returns whether they have within ``timeout_s``."""
+        """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
         return await self.wait(list(self._motions.values()), timeout_s)
 
     def order(self, order: Order) -> asyncio.Future[CommandDone]:
-        """Send an order to the arm, before this returns; the future is its one answer, in time."""
+        """Send an order to the arm before returning.
+
+        Returns:
+            Future of the answer; it is resolved within :data:`ORDER_TIMEOUT_S` on the arm's clock and never raises.
+        """
         number = next(self._ids)
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[CommandDone] = loop.create_future()
@@ -393,13 +265,13 @@ class Arm:
             return answered
         self._orders[number] = answered
         answered.add_done_callback(lambda _: self._orders.pop(number, None))
-        bound = asyncio.create_task(self._bound(number, answered), name="bound of an order to the arm")
-        self._bounds.add(bound)
-        bound.add_done_callback(self._bounds.discard)
+        timeout = asyncio.create_task(self._time_out(number, answered), name="timeout of an order to the arm")
+        self._timeouts.add(timeout)
+        timeout.add_done_callback(self._timeouts.discard)
         return answered
 
-    async def _bound(self, number: int, answered: asyncio.Future[CommandDone]) -> None:
-        """Answer an order that the process does not answer in time."""
+    async def _time_out(self, number: int, answered: asyncio.Future[CommandDone]) -> None:
+        """Answer an order in the process's place when its time is over."""
         if not await self.wait((answered,), ORDER_TIMEOUT_S):
             message = f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s"
             _settle(answered, CommandDone(number, done=False, message=message))
@@ -426,18 +298,22 @@ class Arm:
                 await self._process.kill()
 
     def _begin(self, command: Execute | Stream) -> asyncio.Future[MotionEnded]:
-        """Send a motion's command; the future is its one end."""
+        """Send a motion's command and return the future of its end."""
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
         motion_id = command.motion_id
-        if not self._process.drives:
+        if not self._process.configured:
             ended.set_result(MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process is not running"))
             return ended
         self._motions[motion_id] = ended
         ended.add_done_callback(lambda _: self._motions.pop(motion_id, None))
-        # Told each time: the arm process may be another than the last.
+        # Sent each time: the arm process may have been restarted since the last motion.
         self._process.send(ChangePace(speed_factor=self._speed_factor))
         self._process.send(command)
         return ended
+
+    def _number(self, motion: asyncio.Future[MotionEnded]) -> int:
+        """Return the number of a motion, :data:`NO_MOTION` when it has ended."""
+        return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
 
     def _received(self, message: Any) -> None:
         if isinstance(message, ArmState):
@@ -449,14 +325,14 @@ class Arm:
             if message.motion_id in self._streams:
                 self._streams[message.motion_id].commanded = message
         elif isinstance(message, MotionEnded | CommandDone):
-            # Told with the next state: who hears of a fault, or that the arm is enabled, must find it so.
-            if self._shows_in_state(message):
+            # Held back until the next state: when a future reports a fault or an enabled arm, the state must show it.
+            if self._awaits_state(message):
                 self._held.append(message)
             else:
                 self._answer(message)
 
-    def _shows_in_state(self, message: MotionEnded | CommandDone) -> bool:
-        """Whether a state that tells of the message is still to come."""
+    def _awaits_state(self, message: MotionEnded | CommandDone) -> bool:
+        """Return True when a state that reflects the message is still to come."""
         if isinstance(message, CommandDone):
             return message.done
         return message.outcome in FAULTS and self.state.mode is not Mode.DISCONNECTED
@@ -477,7 +353,7 @@ class Arm:
         self._state_at_s = time.monotonic()
         if state.position_rad is not None:
             self._last_connected = state
-        # An arm that is still being checked or switched on is not worth being told of yet.
+        # While it is still being checked or switched on, the arm's first real state is yet to come.
         if state.mode is not Mode.CONNECTED or state.reason:
             self._first_state.set()
         self._answer_held()
@@ -516,8 +392,142 @@ class Arm:
             self._process.configure(self._config)
 
 
+class ArmStream:
+    """Stream of velocity setpoints to some joints.
+
+    Args:
+        motion_id: number of the stream.
+        joint_names: joints that follow, order of the setpoints.
+        ended: future of the stream's end.
+        send: sends a setpoint to the arm process.
+
+    Attributes:
+        joint_names: as given.
+        ended: as given.
+        commanded: latest position and velocity goals of the joints; None until the arm has begun.
+    """
+
+    def __init__(
+        self,
+        motion_id: int,
+        joint_names: tuple[str, ...],
+        ended: asyncio.Future[MotionEnded],
+        send: Callable[[Setpoint], None],
+    ) -> None:
+        self._motion_id = motion_id
+        self._send = send
+        self.joint_names = joint_names
+        self.ended = ended
+        self.commanded: Commanded | None = None
+
+    def steer(self, velocity_rad_s: Vector) -> None:
+        """Set the joints' velocities until the next setpoint; without one the stream ends soon.
+
+        Args:
+            velocity_rad_s: in the order of ``joint_names``, shape (joints,) [rad/s].
+        """
+        if not self.ended.done():
+            self._send(Setpoint(self._motion_id, velocity_rad_s))
+
+
+class ArmProcess:
+    """Arm process, configured before it takes anything but orders, and launched again after its end.
+
+    Args:
+        on_message: called in the event loop with every message of the process.
+        on_exit: called in the event loop when a process has ended.
+        started: first process, if it was started ahead.
+    """
+
+    def __init__(
+        self,
+        on_message: Callable[[Any], None],
+        on_exit: Callable[[], None],
+        started: StartedChild | None = None,
+    ) -> None:
+        self._started = started
+        self._on_message = on_message
+        self._on_exit = on_exit
+        self._child: Child | None = None
+        self._configured = False
+        self._early: list[Command] = []
+
+    @property
+    def pid(self) -> int | None:
+        """Process id; None before the first launch."""
+        return None if self._child is None else self._child.pid
+
+    @property
+    def launched(self) -> bool:
+        """True after the first launch."""
+        return self._child is not None
+
+    @property
+    def configured(self) -> bool:
+        """True while a process runs that has its configuration."""
+        return self._configured and self._runs()
+
+    async def launch(self) -> None:
+        """Start a process; it does nothing before :meth:`configure`."""
+        started, self._started = self._started or start_arm_process(), None
+        self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
+        await self._child.connect()
+
+    def configure(self, config: ArmConfig) -> None:
+        """Send the process its configuration, then the queued orders; without effect when it has ended."""
+        if self._child is None or not self._runs():
+            return
+        self._configured = True
+        self._child.send(config)
+        early, self._early = self._early, []
+        for command in early:
+            self._child.send(command)
+
+    def send(self, message: object) -> None:
+        """Send a message; dropped while no configured process runs."""
+        if self._child is not None and self._configured:
+            self._child.send(message)
+
+    def order(self, command: Command) -> bool:
+        """Send an order, or queue it for a process that is not configured yet.
+
+        Returns:
+            False when no process runs or the queue is full.
+        """
+        if not self._runs() or (not self._configured and len(self._early) >= MAX_EARLY_ORDERS):
+            return False
+        if self._configured:
+            self.send(command)
+        else:
+            self._early.append(command)
+        return True
+
+    async def end(self, timeout_s: float) -> None:
+        """Bring the arm to its end state and end the process; kill it after ``timeout_s``."""
+        if self._child is None:
+            return
+        if self._configured:
+            self._child.send(Shutdown())
+            await self._child.wait(timeout_s)
+        else:
+            await self._child.kill()
+
+    async def kill(self) -> None:
+        """Kill the process."""
+        if self._child is not None:
+            await self._child.kill()
+
+    def _runs(self) -> bool:
+        return self._child is not None and self._child.running
+
+    def _exited(self) -> None:
+        self._configured = False
+        self._early.clear()
+        self._on_exit()
+
+
 def _position_rad(state: ArmState) -> dict[str, float]:
-    """Where an arm is, or is told to be, by joint; empty for one that was never read [rad]."""
+    """Return goals of a driven arm, else positions, by joint [rad]; empty for an arm that was never read."""
     held_rad = state.goal_rad if state.driven else state.position_rad
     return {} if held_rad is None else dict(zip(state.joint_names, held_rad.tolist(), strict=True))
 

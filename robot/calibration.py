@@ -1,13 +1,12 @@
-"""Between servo ticks and the radians of the URDF, by lerobot's calibration of the arm.
+"""Calibration of the arm as lerobot writes it: conversion between servo ticks and the URDF's radians.
 
 lerobot records for each joint the ticks of its two ends. The middle of that range is the URDF's zero: on four
 measured arms the elbow's range agrees with the URDF's within 0.8 deg, while its middle lies up to 13.5 deg
 from tick 2048.
 
-Where lerobot keeps calibration files, so that an arm may be named by its id, and writing one.
-
-``$HF_LEROBOT_CALIBRATION/robots/<robot>/<id>.json``; without that variable ``$HF_LEROBOT_HOME/calibration/...``, and
-without both ``~/.cache/huggingface/lerobot/calibration/...`` (lerobot's constants.py and robot.py).
+An arm may be named by its lerobot id. Its file is ``$HF_LEROBOT_CALIBRATION/robots/<robot>/<id>.json``; without that
+variable ``$HF_LEROBOT_HOME/calibration/...``, and without both ``~/.cache/huggingface/lerobot/calibration/...``
+(lerobot's constants.py and robot.py).
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ RAD_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN
 # Register HOMING_OFFSET has 11 bits and a sign.
 MAX_HOMING_OFFSET = 2047
 
-# By so much the end stops of an ideal arm lie beyond the URDF's limits, which it so can reach. The gripper's range is
-# the URDF's by definition.
+# Distance of an ideal arm's end stops beyond the URDF's limits, which it can thus reach. The gripper's range is the
+# URDF's by definition.
 NOMINAL_OVERTRAVEL_RAD = 0.05
 
 # A zero trim corrects an arm whose range is a little off the URDF's (20 deg at most on measured arms); a larger one
@@ -48,10 +47,13 @@ GRIPPER_JOINT = "gripper"
 # lerobot turns this joint freely while it records the others, and writes 0..4095 for it.
 FREE_TURNING_JOINT = "wrist_roll"
 
+# lerobot's names of the SO-101 follower: since January 2026, and before.
+ROBOT_NAMES = ("so_follower", "so101_follower")
+
 
 @dataclass(frozen=True)
 class JointSpec:
-    """A joint of the SO-101 as its URDF (so101_new_calib) describes it; limits in rad."""
+    """Joint of the SO-101 as in its URDF (so101_new_calib); limits in rad."""
 
     name: str
     servo_id: int
@@ -72,12 +74,12 @@ _GRIPPER = SO101_JOINTS[-1]
 
 @dataclass(frozen=True)
 class JointCalibration:
-    """One joint's ticks and radians.
+    """Calibration of one joint: conversion between ticks and radians.
 
     An arm joint turns by its ticks: ``q = (ticks - middle) * 2 pi / 4096 + zero_offset_rad``. The gripper's
     range spans the URDF's, closed to open: ``q = lower + (ticks - range_min) / (range_max - range_min) *
     (upper - lower)``, and ``drive_mode`` 1 swaps its ends. lerobot ignores ``drive_mode`` of arm joints in
-    degrees, and so does this.
+    degrees, and so does this class.
 
     Attributes:
         joint: name in the URDF.
@@ -99,7 +101,7 @@ class JointCalibration:
 
     @property
     def is_gripper(self) -> bool:
-        """Whether the joint opens and closes the jaw."""
+        """True for the joint that opens and closes the jaw."""
         return self.joint == GRIPPER_JOINT
 
     @property
@@ -113,11 +115,11 @@ class JointCalibration:
         return max(self.rad_from_ticks(self.range_min), self.rad_from_ticks(self.range_max))
 
     def rad_from_ticks(self, ticks: float) -> float:
-        """Turn a present position [ticks] into a joint position [rad]."""
+        """Convert a present position [ticks] to a joint position [rad]."""
         return self._zero_rad + (ticks - self._zero_ticks) * self._rad_per_tick
 
     def ticks_from_rad(self, position_rad: float) -> int:
-        """Turn a joint position [rad] into the nearest tick, inside the range or not.
+        """Convert a joint position [rad] to the nearest tick, inside the range or not.
 
         Raises:
             ValueError: the position is not a number.
@@ -126,16 +128,16 @@ class JointCalibration:
         return round(self._zero_ticks + (position_rad - self._zero_rad) / self._rad_per_tick)
 
     def rad_s_from_ticks_s(self, velocity_ticks_s: float) -> float:
-        """Turn a servo velocity [ticks/s] into a joint velocity [rad/s]."""
+        """Convert a servo velocity [ticks/s] to a joint velocity [rad/s]."""
         return velocity_ticks_s * self._rad_per_tick
 
     def ticks_s_from_rad_s(self, velocity_rad_s: float) -> float:
-        """Turn a joint velocity [rad/s] into a servo velocity [ticks/s]."""
+        """Convert a joint velocity [rad/s] to a servo velocity [ticks/s]."""
         return velocity_rad_s / self._rad_per_tick
 
     @property
     def _zero_ticks(self) -> float:
-        """Tick that is ``_zero_rad``: the closed end of the gripper, the middle of an arm joint."""
+        """Tick at ``_zero_rad``: the closed end of the gripper, the middle of an arm joint."""
         if self.is_gripper:
             return self.range_max if self.drive_mode else self.range_min
         return (self.range_min + self.range_max) / 2.0
@@ -154,7 +156,7 @@ class JointCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """The calibration of an arm: its joints from base to gripper."""
+    """Calibration of an arm: its joints from base to gripper."""
 
     joints: tuple[JointCalibration, ...]
 
@@ -181,10 +183,10 @@ class Calibration:
         return cls(joints)
 
     def with_zero_offsets(self, zero_offset_rad: Mapping[str, float]) -> Calibration:
-        """The calibration with a trim of some joints' zero.
+        """Return the calibration with a trim of some joints' zero.
 
         Args:
-            zero_offset_rad: by joint, what is added to its position [rad]; joints not named keep theirs.
+            zero_offset_rad: offset to add to a joint's position, by joint [rad]; joints not named keep theirs.
 
         Raises:
             CalibrationError: there is no such joint, it is the gripper, or the trim is too large.
@@ -205,13 +207,87 @@ class Calibration:
         )
 
     def warnings(self) -> tuple[str, ...]:
-        """What looks wrong in it, a sentence each, though it can be used."""
+        """Return warnings about a calibration that is usable but looks wrong, a sentence each."""
         return tuple(
             f"{joint.joint} has a range of {joint.range_max - joint.range_min} ticks, more than {WIDEST_RANGE_TICKS}: "
             "its sweep went across the seam between 4095 and 0; calibrate anew from the middle of the joint's range"
             for joint in self.joints
             if joint.joint != FREE_TURNING_JOINT and joint.range_max - joint.range_min > WIDEST_RANGE_TICKS
         )
+
+
+def find_calibration(name_or_path: str, environment: Mapping[str, str]) -> Path:
+    """Find a calibration file.
+
+    Args:
+        name_or_path: path of the file, or the arm's lerobot id.
+        environment: the process's environment variables.
+
+    Raises:
+        CalibrationError: lerobot has no calibration of that id, or one under each of its names that differ.
+    """
+    if _is_path(name_or_path):
+        return Path(name_or_path)
+    candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(environment)]
+    found = [path for path in candidates if path.is_file()]
+    if not found:
+        places = " or ".join(str(path) for path in candidates)
+        raise CalibrationError(name_or_path, "", f"is no file, and lerobot has none of that id: {places}")
+    if len({path.read_bytes() for path in found}) > 1:
+        raise CalibrationError(name_or_path, "", f"is ambiguous, name one: {' or '.join(str(path) for path in found)}")
+    return found[0]
+
+
+def new_calibration_path(name_or_path: str, environment: Mapping[str, str]) -> Path:
+    """Return the file of a new calibration: the path, or the file in which lerobot looks for that id.
+
+    Args:
+        name_or_path: path of the file, or the arm's lerobot id.
+        environment: the process's environment variables.
+    """
+    if _is_path(name_or_path):
+        return Path(name_or_path)
+    return lerobot_directories(environment)[0] / f"{name_or_path}.json"
+
+
+def lerobot_directories(environment: Mapping[str, str]) -> tuple[Path, ...]:
+    """Return the directories in which lerobot keeps calibrations of this arm, the newer one first.
+
+    Args:
+        environment: the process's environment variables.
+    """
+    cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
+    huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
+    home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"
+    directory = Path(environment.get("HF_LEROBOT_CALIBRATION") or f"{home}/calibration").expanduser()
+    return tuple(directory / "robots" / name for name in ROBOT_NAMES)
+
+
+def save(calibration: Calibration, path: Path) -> None:
+    """Write a calibration as lerobot does, atomically.
+
+    Raises:
+        CalibrationError: the file cannot be written.
+    """
+    table = {
+        joint.joint: {
+            "id": joint.servo_id,
+            "drive_mode": joint.drive_mode,
+            "homing_offset": joint.homing_offset,
+            "range_min": joint.range_min,
+            "range_max": joint.range_max,
+        }
+        for joint in calibration.joints
+    }
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_text(json.dumps(table, indent=4) + "\n")
+        unfinished.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise CalibrationError(str(path), "", f"cannot be written: {error}") from error
 
 
 def _nominal(spec: JointSpec) -> JointCalibration:
@@ -245,6 +321,7 @@ def _joint(file: str, name: str, entry: object) -> JointCalibration:
         raise CalibrationError(file, name, "must be an object with id, drive_mode, homing_offset and the range")
 
     def number(key: str, lowest: int, highest: int) -> int:
+        """Return a whole number of the entry, checked against its range."""
         value = entry.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
             raise CalibrationError(
@@ -275,75 +352,6 @@ def _check_ids(file: str, joints: tuple[JointCalibration, ...]) -> None:
         other = owners.setdefault(joint.servo_id, joint.joint)
         if other != joint.joint:
             raise CalibrationError(file, f"{joint.joint}.id", f"{joint.servo_id} is the id of {other} as well")
-
-
-# lerobot's names of the SO-101 follower: since January 2026, and before.
-ROBOT_NAMES = ("so_follower", "so101_follower")
-
-
-def lerobot_directories(environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Directories in which lerobot keeps calibrations of this arm, the newer one first.
-
-    Args:
-        environment: the process's environment variables.
-    """
-    cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
-    huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
-    home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"
-    directory = Path(environment.get("HF_LEROBOT_CALIBRATION") or f"{home}/calibration").expanduser()
-    return tuple(directory / "robots" / name for name in ROBOT_NAMES)
-
-
-def find_calibration(name_or_path: str, environment: Mapping[str, str]) -> Path:
-    """The file that is meant: a path, or an arm's id as lerobot knows it.
-
-    Raises:
-        CalibrationError: lerobot has no calibration of that id, or one under each of its names that differ.
-    """
-    if _is_path(name_or_path):
-        return Path(name_or_path)
-    candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(environment)]
-    found = [path for path in candidates if path.is_file()]
-    if not found:
-        places = " or ".join(str(path) for path in candidates)
-        raise CalibrationError(name_or_path, "", f"is no file, and lerobot has none of that id: {places}")
-    if len({path.read_bytes() for path in found}) > 1:
-        raise CalibrationError(name_or_path, "", f"is ambiguous, name one: {' or '.join(str(path) for path in found)}")
-    return found[0]
-
-
-def new_calibration_path(name_or_path: str, environment: Mapping[str, str]) -> Path:
-    """Where a new calibration goes: to the path, or to where lerobot looks for that id."""
-    if _is_path(name_or_path):
-        return Path(name_or_path)
-    return lerobot_directories(environment)[0] / f"{name_or_path}.json"
-
-
-def save(calibration: Calibration, path: Path) -> None:
-    """Write a calibration as lerobot does; the file is there wholly or not at all.
-
-    Raises:
-        CalibrationError: the file cannot be written.
-    """
-    table = {
-        joint.joint: {
-            "id": joint.servo_id,
-            "drive_mode": joint.drive_mode,
-            "homing_offset": joint.homing_offset,
-            "range_min": joint.range_min,
-            "range_max": joint.range_max,
-        }
-        for joint in calibration.joints
-    }
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_text(json.dumps(table, indent=4) + "\n")
-        unfinished.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
-        raise CalibrationError(str(path), "", f"cannot be written: {error}") from error
 
 
 def _is_path(name_or_path: str) -> bool:

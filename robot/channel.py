@@ -1,7 +1,7 @@
-"""The socket pair that joins a child process to the server: its messages, and the child's end of it.
+"""Socket pair between the server and a child process: encoding of its messages, and the child's end.
 
-Both ends exchange pickled dataclasses behind a four-byte length; both ends are this program's own, nothing from a
-client is ever unpickled. A child whose socket closes has lost its server.
+Messages are pickled dataclasses behind a four-byte length. Both ends are this program's own; nothing from a client is
+ever unpickled. A child whose socket closes has lost its server.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ LENGTH = struct.Struct("<I")
 # The largest message is a robot with its hulls (250 kB); anything near this bound is a bug.
 MAX_MESSAGE_BYTES = 64 << 20
 
-# What a child keeps for a server that does not read: 100 arm states of 1 kB, a second of motion.
+# Queue of a child for a server that does not read: 100 arm states of 1 kB, a second of motion.
 MAX_PENDING_BYTES = 128 << 10
 
 READ_BYTES = 64 << 10
 
-# They may be sent to all processes of a service, and would end those that do not know them.
+# A service manager may send these to all processes of the service; by default they end a process.
 SIGNALS_OF_SERVER = (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
 
 
@@ -36,7 +36,7 @@ def encode(message: object) -> bytes:
     """Frame one message for the other end.
 
     Raises:
-        ValueError: it is larger than the other end takes.
+        ValueError: it is larger than :data:`MAX_MESSAGE_BYTES`.
     """
     payload = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     if len(payload) > MAX_MESSAGE_BYTES:
@@ -45,13 +45,17 @@ def encode(message: object) -> bytes:
 
 
 class Decoder:
-    """Takes bytes as they come and gives whole messages."""
+    """Decoder of a byte stream into messages."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Any]:
-        """Return the messages completed by ``data``."""
+        """Return the messages completed by ``data``.
+
+        Raises:
+            ValueError: a message is larger than :data:`MAX_MESSAGE_BYTES`.
+        """
         self._buffer += data
         messages = []
         while len(self._buffer) >= LENGTH.size:
@@ -67,7 +71,11 @@ class Decoder:
 
 
 class Channel:
-    """A child's end of the pair: never waits for the server, and notices its death."""
+    """Child's end of the socket pair; sending never waits for the server.
+
+    Attributes:
+        closed: True when the server has closed its end, or has died.
+    """
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
@@ -82,7 +90,11 @@ class Channel:
         return self._socket.fileno()
 
     def receive(self, timeout_s: float | None) -> list[Any]:
-        """Messages that arrive within ``timeout_s`` (None: wait); empty when none came or the server is gone."""
+        """Return the messages that arrive within ``timeout_s``; none when the server is gone.
+
+        Args:
+            timeout_s: longest wait for the first one [s]; None for no bound.
+        """
         if self._kept:
             kept, self._kept = self._kept, []
             return kept
@@ -97,7 +109,7 @@ class Channel:
         return []
 
     def receive_first(self) -> Any:
-        """Wait for the server's first message; None when the server went away before it."""
+        """Wait for the server's first message; return None when the server went away before it."""
         while not self.closed:
             messages = self.receive(timeout_s=None)
             if messages:
@@ -122,7 +134,12 @@ class Channel:
         return [message for message in messages if not isinstance(message, LoggerLevel)]
 
     def send(self, message: object, *, droppable: bool = False) -> None:
-        """Send without waiting; a droppable message is dropped while the server does not read."""
+        """Send without waiting.
+
+        Args:
+            message: dataclass to send.
+            droppable: True to drop it while :data:`MAX_PENDING_BYTES` wait for the server to read.
+        """
         self._flush()
         if droppable and len(self._pending) > MAX_PENDING_BYTES:
             return
@@ -142,9 +159,12 @@ class Channel:
 
 
 def channel_of_child(arguments: list[str] | None = None) -> Channel:
-    """Open the channel a child was started with, and log as its server does.
+    """Open the channel that a child was started with, and log as its server does.
 
-    Ctrl-C is the server's to handle, never the child's, and so are the signals of whoever manages the server.
+    Ctrl-C and the service manager's signals are ignored here: the server handles them.
+
+    Args:
+        arguments: command line; None for that of the process.
     """
     for number in SIGNALS_OF_SERVER:
         signal.signal(number, signal.SIG_IGN)

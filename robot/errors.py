@@ -1,4 +1,4 @@
-"""What can go wrong in the room ``robot``: one class per fact, with the facts as attributes.
+"""Exceptions of ``robot``: one class per fact, with the facts as attributes.
 
 - RobotError
     - PortError: the serial port (port)
@@ -9,20 +9,20 @@
     - BusError: the servos on it
         - NoReply (servo_id), also a TimeoutError
     - CalibrationError (file, field)
-    - DescriptionError (source): a URDF or SRDF
-    - StartupError: servos that cannot be taken over as they are
-    - OrderRefused: an order that cannot be carried out as things are
+    - DescriptionError (source): a URDF or SRDF that does not describe an arm
+    - StartupError: servos that cannot be taken over in their present state
+    - OrderRefused: an order that the arm cannot carry out in its present state
 """
 
 from __future__ import annotations
 
 
 class RobotError(Exception):
-    """Anything the arm, its bus or its files refuse or fail at."""
+    """Base class: something that the arm, its bus or its files refuse or fail at."""
 
 
 class PortError(RobotError):
-    """A serial port that cannot be used.
+    """Serial port that cannot be used.
 
     Attributes:
         port: path or URL of the port.
@@ -41,7 +41,7 @@ class PortNotFound(PortError):  # noqa: N818 - named by the fact, as its sibling
 
 
 class PortPermission(PortError):  # noqa: N818 - named by the fact, as its siblings
-    """The user may not open the device."""
+    """Missing permission to open the device."""
 
     def __init__(self, port: str) -> None:
         super().__init__(
@@ -52,29 +52,29 @@ class PortPermission(PortError):  # noqa: N818 - named by the fact, as its sibli
 
 
 class PortBusy(PortError):  # noqa: N818 - named by the fact, as its siblings
-    """Another process holds the device."""
+    """Device in use by another process."""
 
     def __init__(self, port: str) -> None:
         super().__init__(port, "is in use by another process: one program at a time can drive the servos")
 
 
 class PortLost(PortError):  # noqa: N818 - named by the fact, as its siblings
-    """The device went away, or stopped taking bytes, while it was open."""
+    """Loss of an open device: it went away, or stopped taking bytes."""
 
     def __init__(self, port: str, reason: str) -> None:
         super().__init__(port, f"was lost: {reason}")
 
 
 class BusError(RobotError):
-    """The servos on the bus do not do what was asked."""
+    """Failure of the servos to do as asked."""
 
 
 class NoReply(BusError, TimeoutError):  # noqa: N818 - named by the fact
-    """A servo gave no valid reply in time, however often it was asked.
+    """Servo without a valid reply in time, after all attempts.
 
     Attributes:
-        servo_id: the servo that was asked.
-        attempts: how often it was asked.
+        servo_id: id of the servo.
+        attempts: number of instructions sent.
     """
 
     def __init__(self, servo_id: int, attempts: int) -> None:
@@ -84,11 +84,11 @@ class NoReply(BusError, TimeoutError):  # noqa: N818 - named by the fact
 
 
 class CalibrationError(RobotError):
-    """A calibration file that cannot be used.
+    """Calibration file that cannot be used.
 
     Attributes:
         file: path of the file.
-        field: where in it, as ``joint.key``; empty when it is the whole file.
+        field: place in it, as ``joint.key``; empty for the whole file.
     """
 
     def __init__(self, file: str, field: str, problem: str) -> None:
@@ -99,10 +99,10 @@ class CalibrationError(RobotError):
 
 
 class DescriptionError(RobotError):
-    """A URDF or SRDF that does not describe an arm.
+    """URDF or SRDF that does not describe an arm.
 
     Attributes:
-        source: the file, or the element in it.
+        source: file, or element in it.
     """
 
     def __init__(self, source: str, problem: str) -> None:
@@ -111,8 +111,8 @@ class DescriptionError(RobotError):
 
 
 class StartupError(RobotError):
-    """Servos that cannot be taken over as they are; the text says what to do."""
+    """Servos that cannot be taken over in their present state; the text says what to do."""
 
 
 class OrderRefused(RobotError):  # noqa: N818 - named by the fact
-    """An order to the arm that cannot be carried out as things are; the text says why."""
+    """Order that the arm cannot carry out in its present state; the text says why."""

@@ -1,4 +1,4 @@
-"""Faults of a running arm: a code, a sentence and a remedy for each."""
+"""Faults of a running arm: code, message and remedy of each."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ REMEDIES: Mapping[FaultCode, str] = {
 }
 
 
-# The same for a simulated arm, which has no cable, supply or gear; faults of its servos come from live commands.
+# For a simulated arm, which has no cable, supply or gear; faults of its servos come from live commands.
 SIMULATED_REMEDIES: Mapping[FaultCode, str] = {
     FaultCode.BUS_LOST: "The emulated adapter is unplugged; the server reconnects as soon as it is plugged in again.",
     FaultCode.SERVO_SILENT: "The emulated servo is offline: bring it online, then reset the fault.",
@@ -75,14 +75,14 @@ SIMULATED_REMEDIES: Mapping[FaultCode, str] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault, latched until somebody resets it.
+    """Fault, latched until it is reset.
 
     Attributes:
-        code: its kind.
+        code: kind of fault.
         message: one sentence with joint and figures.
-        joint: the joint it is about, empty for the whole arm.
-        stamp_s: wall-clock time at which it was found [s since the epoch].
-        simulated: whether the arm is a simulated one, which needs other advice.
+        joint: joint concerned; empty for the whole arm.
+        stamp_s: wall-clock time at which it was detected [s since the epoch].
+        simulated: True for a simulated arm, whose remedies differ.
     """
 
     code: FaultCode
@@ -93,7 +93,7 @@ class Fault:
 
     @property
     def remedy(self) -> str:
-        """Advice on it, one sentence."""
+        """Advice to the person at the arm, one sentence."""
         remedy = REMEDIES[self.code]
         return SIMULATED_REMEDIES.get(self.code, remedy) if self.simulated else remedy
 

@@ -1,12 +1,8 @@
-"""The log of the server and of its children, who share one terminal: plain lines or JSON, and nothing secret in it.
+"""Logging of the server and of its child processes, which share one terminal.
 
-A bound on the log: what one place in the program says again and again is left out beyond a rate.
-
-Clients and machines decide how often something goes wrong, and a log must not fill the disk with it.
-
-Levels of loggers that are changed while the server runs: in the server and in every child, now or later.
-
-A bound on lines of the log that say the same again and again: the first, second, fourth, eighth, … are written.
+Lines are plain text or JSON. Tokens are blotted out, control characters escaped, and long messages cut, since clients
+choose what is quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter applies it to
+every place in the program that logs. Levels of loggers can be changed while the server runs, in every process at once.
 """
 
 from __future__ import annotations
@@ -17,7 +13,7 @@ import re
 import sys
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import TracebackType
@@ -27,59 +23,72 @@ LogFormat: TypeAlias = Literal["plain", "json"]
 
 PLAIN = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 
-# All of ours are below it; libraries have theirs beside it.
+# Parent of all loggers of this program; libraries have theirs beside it.
 OUR_LOGGER = "armbridge"
 
-# What clients send is quoted in messages, and may be as long as a message of theirs.
+# Messages quote what clients send, which may be as long as a WebSocket message.
 MAX_MESSAGE_CHARACTERS = 4000
 
 # Tokens stand in URLs and headers, which libraries quote in their own messages.
 _SECRET = re.compile(r"((?:[?&]|\b)(?:access_)?token=|\bBearer\s+)[^\s&\"'<>]+", re.IGNORECASE)
 
+# Lines of one place in the program: at once, and in the long run [1/s]. A day of that is 200 MB.
+BURST = 500
+LINES_PER_S = 10.0
 
-@dataclass(frozen=True)
-class LoggerLevel:
-    """A logger's least level, numbered as Python does; 0 leaves the level to the logger above it."""
-
-    name: str
-    level: int
-
-
-def without_secrets(text: str) -> str:
-    """A text in which tokens are blotted out."""
-    return _SECRET.sub(r"\1***", text)
+# Loggers whose levels can be changed; the program has some thirty.
+MAX_CHANGED_LOGGERS = 100
 
 
-def message_of(record: logging.LogRecord) -> str:
-    """What a record says: no longer than anybody reads, and with tokens blotted out."""
-    text = record.getMessage()
-    if len(text) > MAX_MESSAGE_CHARACTERS:
-        text = f"{text[:MAX_MESSAGE_CHARACTERS]}... ({len(text)} characters)"
-    return without_secrets(text) + left_out_note(record)
+def configure(level: int | str, log_format: LogFormat, process: str = "server") -> None:
+    """Log to standard error; to be called once in each process.
+
+    Args:
+        level: least level, by number or name.
+        log_format: plain lines or JSON.
+        process: name of the process in JSON lines.
+    """
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(JsonFormatter(process) if log_format == "json" else PlainFormatter())
+    handler.addFilter(FloodFilter())
+    logging.basicConfig(level=level, handlers=[handler])
+    if log_format == "json":
+        sys.excepthook = _log_exception
+
+
+def format_in_use() -> LogFormat:
+    """Return the format in which this process logs."""
+    found = any(isinstance(handler.formatter, JsonFormatter) for handler in logging.getLogger().handlers)
+    return "json" if found else "plain"
+
+
+def _log_exception(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
+    """Log the exception that ends the process, in the format of all other lines."""
+    logging.getLogger(OUR_LOGGER).critical("ended by an exception", exc_info=(kind, error, traceback))
 
 
 class PlainFormatter(logging.Formatter):
-    """A line for people."""
+    """Formatter of lines for people."""
 
     def __init__(self) -> None:
         super().__init__(PLAIN)
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - as logging calls it
-        """The line alone, without a line break or anything else that a terminal obeys."""
+        """Format the line without its traceback; line breaks and terminal control characters are escaped."""
         message = message_of(record)
         record.message = message if message.isprintable() else repr(message)[1:-1]
         return super().formatMessage(record)
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line, and the traceback below it."""
+        """Format the line, and the traceback below it."""
         return without_secrets(super().format(record))
 
 
 class JsonFormatter(logging.Formatter):
-    """One JSON object a line, for programs that gather logs.
+    """Formatter of one JSON object a line, for programs that collect logs.
 
     Args:
-        process: what the process is, as ``server``.
+        process: name of the process, as ``server``.
     """
 
     def __init__(self, process: str) -> None:
@@ -87,7 +96,7 @@ class JsonFormatter(logging.Formatter):
         self._process = process
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line."""
+        """Format the line; a traceback is the field ``exception``."""
         fields = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -101,47 +110,74 @@ class JsonFormatter(logging.Formatter):
         return json.dumps(fields, default=str)
 
 
-def configure(level: int | str, log_format: LogFormat, process: str = "server") -> None:
-    """Log to standard error; to be called once in each process.
+def message_of(record: logging.LogRecord) -> str:
+    """Return the message of a record, cut to :data:`MAX_MESSAGE_CHARACTERS` and with tokens blotted out."""
+    text = record.getMessage()
+    if len(text) > MAX_MESSAGE_CHARACTERS:
+        text = f"{text[:MAX_MESSAGE_CHARACTERS]}... ({len(text)} characters)"
+    return without_secrets(text) + suppressed_note(getattr(record, "suppressed", 0))
+
+
+def without_secrets(text: str) -> str:
+    """Blot out the tokens in a text."""
+    return _SECRET.sub(r"\1***", text)
+
+
+class LogLimiter:
+    """Limiter of log lines that repeat: a token bucket for each key.
+
+    Keys are remembered for ever, so callers bound how many there are.
 
     Args:
-        level: the least level, by number or name.
-        log_format: how a line looks.
-        process: what the process is.
+        burst: lines of one key at once.
+        lines_per_s: lines of one key in the long run [1/s]; 0 for no more than the burst, ever.
     """
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(JsonFormatter(process) if log_format == "json" else PlainFormatter())
-    handler.addFilter(FloodFilter())
-    logging.basicConfig(level=level, handlers=[handler])
-    if log_format == "json":
-        sys.excepthook = _log_exception
+
+    def __init__(self, burst: int, lines_per_s: float) -> None:
+        self._burst = float(burst)
+        self._lines_per_s = lines_per_s
+        self._buckets: dict[Hashable, _Bucket] = {}
+
+    def due(self, key: Hashable, now_s: float) -> bool:
+        """Count a line, and return True when it is to be written.
+
+        Args:
+            key: subject of the line.
+            now_s: monotonic time [s].
+        """
+        bucket = self._buckets.setdefault(key, _Bucket(self._burst, now_s))
+        bucket.left = min(self._burst, bucket.left + (now_s - bucket.counted_s) * self._lines_per_s)
+        bucket.counted_s = now_s
+        if bucket.left < 1.0:
+            bucket.suppressed += 1
+            return False
+        bucket.left -= 1.0
+        bucket.reported, bucket.suppressed = bucket.suppressed, 0
+        return True
+
+    def suppressed(self, key: Hashable) -> int:
+        """Return the number of lines of a key that were suppressed before its latest due one."""
+        bucket = self._buckets.get(key)
+        return 0 if bucket is None else bucket.reported
 
 
-def format_in_use() -> LogFormat:
-    """How this process logs."""
-    found = any(isinstance(handler.formatter, JsonFormatter) for handler in logging.getLogger().handlers)
-    return "json" if found else "plain"
+@dataclass(slots=True)
+class _Bucket:
+    """Lines of one key: those left now, and those suppressed since and before the latest due one."""
+
+    left: float
+    counted_s: float
+    suppressed: int = 0
+    reported: int = 0
 
 
-def apply(change: LoggerLevel) -> None:
-    """Change a logger's level in this process."""
-    logging.getLogger(change.name).setLevel(change.level)
-
-
-def _log_exception(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
-    """Have the end of a process by an exception told as all else is."""
-    logging.getLogger(OUR_LOGGER).critical("ended by an exception", exc_info=(kind, error, traceback))
-
-
-# Of one place: lines at once, and in the long run [1/s]. A day of that is 200 MB.
-BURST = 500
-LINES_PER_S = 10.0
-
-Place: TypeAlias = tuple[str, int]
+def suppressed_note(count: int) -> str:
+    """Return the text to append to a line before which similar ones were suppressed; empty for none."""
+    return f" ({count} more lines like this were left out before)" if count else ""
 
 
 class FloodFilter(logging.Filter):
-    """Lets records through that are not too many; how many were left out is told with the next that is not.
+    """Filter that limits the lines of each place in the program.
 
     Args:
         clock: monotonic time [s].
@@ -150,35 +186,28 @@ class FloodFilter(logging.Filter):
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        # Lines that are left and when they were counted, and how many were left out; no more of them than the program
-        # has calls of the log.
-        self._shares: dict[Place, tuple[float, float, int]] = {}
+        # As many keys as the program has calls of the log.
+        self._limiter = LogLimiter(BURST, LINES_PER_S)
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a record is told."""
-        place, now_s = (record.pathname, record.lineno), self._clock()
-        left, counted_s, left_out = self._shares.get(place, (float(BURST), now_s, 0))
-        left = min(float(BURST), left + (now_s - counted_s) * LINES_PER_S)
-        if left < 1.0:
-            self._shares[place] = left, now_s, left_out + 1
+        """Return True for a record to write; it is marked with the number of those suppressed before it."""
+        place = record.pathname, record.lineno
+        if not self._limiter.due(place, self._clock()):
             return False
-        self._shares[place] = left - 1.0, now_s, 0
-        record.left_out = left_out
+        record.suppressed = self._limiter.suppressed(place)
         return True
 
 
-def left_out_note(record: logging.LogRecord) -> str:
-    """How many records like this one were left out before it; empty for none."""
-    count = getattr(record, "left_out", 0)
-    return f" ({count} more lines like this were left out before)" if count else ""
+@dataclass(frozen=True)
+class LoggerLevel:
+    """Least level of a logger, numbered as Python does; 0 leaves the level to the parent logger."""
 
-
-# Loggers whose levels can be changed; there are some thirty.
-MAX_CHANGED_LOGGERS = 100
+    name: str
+    level: int
 
 
 class Follower(Protocol):
-    """A child, which applies what it is sent."""
+    """Child process that applies the levels it is sent."""
 
     def send(self, message: object) -> None:
         """Send it a message."""
@@ -189,10 +218,10 @@ _changed: dict[str, LoggerLevel] = {}
 
 
 def change(level: LoggerLevel) -> bool:
-    """Change a logger's level.
+    """Change a logger's level in this process and in all children.
 
     Returns:
-        False when so many other loggers have been changed that no further one is.
+        False when :data:`MAX_CHANGED_LOGGERS` other loggers have been changed already.
     """
     if level.name not in _changed and len(_changed) >= MAX_CHANGED_LOGGERS:
         return False
@@ -204,40 +233,12 @@ def change(level: LoggerLevel) -> bool:
 
 
 def follow(child: Follower) -> None:
-    """Have a child follow, as long as somebody keeps it; it is told what has been changed already."""
+    """Send a child all changes of levels, from before and from now on, for as long as it is referenced."""
     _followers.add(child)
     for level in _changed.values():
         child.send(level)
 
 
-# What has not happened for so long is told as the first time.
-CALM_S = 600.0
-
-
-class Repeats:
-    """Count of one event.
-
-    Attributes:
-        count: how often it has happened since it was calm.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._last_s = float("-inf")
-
-    def due(self, now_s: float) -> bool:
-        """Count the event once more; returns whether it is to be told.
-
-        Args:
-            now_s: monotonic time [s].
-        """
-        if now_s - self._last_s > CALM_S:
-            self.count = 0
-        self._last_s = now_s
-        self.count += 1
-        return self.count & (self.count - 1) == 0
-
-    @property
-    def note(self) -> str:
-        """Text to append to the line; empty the first time."""
-        return f" ({self.count} times so far)" if self.count > 1 else ""
+def apply(change: LoggerLevel) -> None:
+    """Change a logger's level in this process alone."""
+    logging.getLogger(change.name).setLevel(change.level)

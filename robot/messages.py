@@ -1,6 +1,7 @@
-"""How hard the servos may push, and what is borne before a motion has failed.
+"""Messages between the server and the arm process: plain data in SI units and radians.
 
-What the server and the arm process say to each other: plain data, SI units, radians.
+First the server's (configuration, motions, streams, pace, orders), then the arm's (ends of motions, answers to orders,
+states, health).
 """
 
 from __future__ import annotations
@@ -18,25 +19,37 @@ from robot.hardware.interface import BusCounters
 from robot.trajectory import Trajectory, Vector
 
 
+class Frequent:
+    """Base of messages sent many times a second: arrays are pickled as lists, which costs a third."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes, arrays as lists."""
+        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the attributes, lists as arrays."""
+        vars(self).update((name, np.array(value) if type(value) is list else value) for name, value in state.items())
+
+
 @dataclass(frozen=True)
 class GuardLimits:
-    """How far, how much and how long.
+    """Torque limits, thresholds of the guards, and tolerances of a motion's end.
 
     Attributes:
         torque_limit: share of full duty that the servos may use, register TORQUE_LIMIT.
-        gripper_torque_limit: the same for that of the gripper.
-        tracking_error_rad: a joint this far behind its goal is lost [rad].
-        tracking_time_s: for so long it may be [s].
-        stall_current_a: a servo that draws more and all but stands still is stalled [A].
-        stall_time_s: for so long it may be [s].
-        min_voltage_v: less is a fault [V].
-        goal_tolerance_rad: how near its joints must come to the end of a motion [rad].
-        settle_timeout_s: time for that, from the end of the motion on [s].
+        gripper_torque_limit: the same for the gripper's servo.
+        tracking_error_rad: distance to its goal beyond which a joint has lost track [rad].
+        tracking_time_s: time for which that must last to be a fault [s].
+        stall_current_a: current above which a servo that all but stands still is stalled [A].
+        stall_time_s: time for which that must last to be a fault [s].
+        min_voltage_v: voltage below which the supply is a fault [V].
+        goal_tolerance_rad: greatest distance of a settled joint from the end of a motion [rad].
+        settle_timeout_s: time to settle, from the end of the motion on [s].
     """
 
-    # Less than all, so that a servo's own overload protection stays the last resort.
+    # Below 1, so that a servo's own overload protection stays the last resort.
     torque_limit: float = 0.8
-    # So that it does not burn on its grip.
+    # A gripper holds for long: with more it overheats.
     gripper_torque_limit: float = 0.5
     tracking_error_rad: float = 0.35
     tracking_time_s: float = 0.2
@@ -51,75 +64,38 @@ class GuardLimits:
     settle_timeout_s: float = 1.0
 
 
-class Frequent:
-    """A message sent many times a second: its arrays travel as lists, a third of the work of pickling them."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What travels."""
-        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take what has travelled."""
-        vars(self).update((name, np.array(value) if type(value) is list else value) for name, value in state.items())
-
-
-class Mode(Enum):
-    """What the arm is doing: the states of its machine."""
-
-    DISCONNECTED = "disconnected"
-    CONNECTED = "connected"
-    RELAXED = "relaxed"
-    HOLDING = "holding"
-    MOVING = "moving"
-    FAULT = "fault"
-
-
 class EndState(Enum):
-    """What becomes of the arm when nobody drives it any more."""
+    """Policy for the arm when the server has ended or is lost."""
 
     HOLD = "hold"
     RELAX = "relax"
 
 
 class EmergencyPolicy(Enum):
-    """What an emergency stop does: cut torque, with the arm falling, or stop within one tick and hold."""
+    """Policy of emergency stops: cut torque, so that the arm falls, or stop within one tick and hold."""
 
     TORQUE_OFF = "torque_off"
     HOLD = "hold"
 
 
-class Outcome(Enum):
-    """How a motion ended."""
-
-    REACHED = "reached"
-    STOPPED = "stopped"
-    REFUSED = "refused"
-    TRACKING_LOST = "tracking lost"
-    NOT_SETTLED = "not settled"
-    BUS_LOST = "bus lost"
-    PROCESS_LOST = "process lost"
-    FAULT = "fault"
-    GRIPPED = "gripped"
-
-
 @dataclass(frozen=True)
 class ArmConfig:
-    """All that the arm process needs to know.
+    """Configuration of the arm process.
 
     Attributes:
         robot: joints and their soft limits.
-        hardware: the arm's actuators, real or simulated.
-        state_rate_hz: how often states go to the server [Hz].
-        start_enabled: whether the arm is made to hold as soon as it is connected; else it stays relaxed.
+        hardware: actuators of the arm, real or simulated.
+        state_rate_hz: rate of the states [Hz].
+        start_enabled: True to enable the arm as soon as it is connected; else it stays relaxed.
         watchdog_s: silence of the server after which the arm is stopped [s]; a simulated arm waits longer.
-        on_server_lost: what becomes of the arm then, and when the server's process is gone.
-        on_exit: what becomes of the arm when the server ends in good order.
-        on_emergency_stop: what an emergency stop does.
-        warn_temperature_c: servos above it are told of [degC].
-        slow_temperature_c: motions slow down while a servo is above it [degC].
-        stop_temperature_c: a servo above it is a fault [degC].
-        guard_limits: how hard the servos may push, and what is borne before a motion has failed.
-        fault: one that an earlier arm process had latched and nobody has reset.
+        on_server_lost: policy for the arm then, and when the server's process is gone.
+        on_exit: policy for the arm when the server shuts down.
+        on_emergency_stop: policy of emergency stops.
+        warn_temperature_c: temperature from which a servo has a warning [degC].
+        slow_temperature_c: temperature from which motions slow down [degC].
+        stop_temperature_c: temperature from which a servo is a fault [degC].
+        guard_limits: torque limits, thresholds of the guards, and tolerances of a motion's end.
+        fault: fault latched by an earlier arm process and not yet reset.
     """
 
     robot: RobotModel
@@ -139,11 +115,11 @@ class ArmConfig:
 
 @dataclass(frozen=True)
 class Continuation:
-    """Where a motion takes the place of another one without a stop: for some time both are the same.
+    """Point at which a motion is spliced into another one without a stop; both coincide for some time.
 
     Attributes:
-        motion_id: the other, which is in progress.
-        from_s: the time on it at which this one begins [s].
+        motion_id: motion in progress that is replaced.
+        from_s: time on it at which the new one begins [s].
     """
 
     motion_id: int
@@ -152,13 +128,15 @@ class Continuation:
 
 @dataclass(frozen=True)
 class Execute:
-    """Play a trajectory; the arm must hold, near its first position.
+    """Command to play a trajectory; the arm must hold near its first position.
 
     Attributes:
-        gripping: whether a joint that stalls on the way has gripped something, which ends the motion well; else a
+        motion_id: number of the motion.
+        trajectory: trajectory of some joints; the others hold.
+        gripping: True if a joint that stalls on the way has gripped something, which ends the motion well; otherwise a
             stall is a fault.
         torque_share: share of its torque limit that the joints of the motion may use, in (0, 1].
-        continues: the motion whose place it takes; None to begin at rest.
+        continues: motion in progress to splice into; None to begin at rest.
     """
 
     motion_id: int
@@ -170,10 +148,10 @@ class Execute:
 
 @dataclass(frozen=True)
 class Stop:
-    """Brake along the path.
+    """Command to brake along the path.
 
     Attributes:
-        motion_id: the motion to stop; None stops every motion in progress.
+        motion_id: motion to stop; None stops every motion in progress.
     """
 
     motion_id: int | None = None
@@ -181,7 +159,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class Stream:
-    """Follow the velocities that come as :class:`Setpoint` under the same number, at rest until the first."""
+    """Command to follow the velocities of :class:`Setpoint` messages of the same number; at rest until the first."""
 
     motion_id: int
     joint_names: tuple[str, ...]
@@ -189,21 +167,125 @@ class Stream:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """Velocities for a stream's joints, in its order, shape (joints,) [rad/s].
+    """Velocities for a stream's joints.
 
-    They hold until the next ones come, for a short time: then the joints are brought to rest, and the stream ends.
-    Setpoints for a stream that has ended are not heeded.
+    They are valid until the next setpoint, for a short time; after it the joints are brought to rest and the stream
+    ends. Setpoints for a stream that has ended are ignored.
+
+    Attributes:
+        motion_id: number of the stream.
+        velocity_rad_s: in the stream's order, shape (joints,) [rad/s].
     """
 
     motion_id: int
     velocity_rad_s: Vector
 
 
+class Course(Enum):
+    """Direction in which motions are played along their paths."""
+
+    FORWARD = "forward"
+    PAUSED = "paused"
+    BACK = "back"
+
+
 @dataclass(frozen=True)
-class Commanded(Frequent):
-    """Where the joints of a stream were told to be, at every tick.
+class Pace:
+    """Speed and direction of motions; grips are exempt.
 
     Attributes:
+        speed_factor: share of the planned speed, 0 to 1.
+        course: direction; forward again once no motion is in progress.
+    """
+
+    speed_factor: float = 1.0
+    course: Course = Course.FORWARD
+
+
+@dataclass(frozen=True)
+class ChangePace:
+    """Command to change the pace of motions; None leaves a value. The speed factor also applies to later motions."""
+
+    speed_factor: float | None = None
+    course: Course | None = None
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """Sign of life of the server, ten times a second."""
+
+
+class Order(Enum):
+    """Orders of the server besides motions."""
+
+    ENABLE = "enable"
+    RELAX = "relax"
+    EMERGENCY_STOP = "emergency_stop"
+    RESET_FAULT = "reset_fault"
+
+
+@dataclass(frozen=True)
+class Command:
+    """Order with a number, which its :class:`CommandDone` repeats."""
+
+    number: int
+    order: Order
+
+
+@dataclass(frozen=True)
+class Shutdown:
+    """Command to brake, bring the arm to its end state and end the process."""
+
+
+class Mode(Enum):
+    """State of the arm's state machine."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTED = "connected"
+    RELAXED = "relaxed"
+    HOLDING = "holding"
+    MOVING = "moving"
+    FAULT = "fault"
+
+
+class Outcome(Enum):
+    """Outcome of a motion."""
+
+    REACHED = "reached"
+    STOPPED = "stopped"
+    REFUSED = "refused"
+    TRACKING_LOST = "tracking lost"
+    NOT_SETTLED = "not settled"
+    BUS_LOST = "bus lost"
+    PROCESS_LOST = "process lost"
+    FAULT = "fault"
+    GRIPPED = "gripped"
+
+
+@dataclass(frozen=True)
+class MotionEnded:
+    """End of a motion or stream: the one answer to :class:`Execute` and to :class:`Stream`."""
+
+    motion_id: int
+    outcome: Outcome
+    message: str
+
+
+@dataclass(frozen=True)
+class CommandDone:
+    """Answer to a :class:`Command`: True in ``done`` if it was carried out, and a sentence."""
+
+    number: int
+    done: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class Commanded(Frequent):
+    """Goals of a stream's joints, at every tick.
+
+    Attributes:
+        motion_id: number of the stream.
         at_s: time since the stream began [s].
         position_rad: in the stream's order, shape (joints,) [rad].
         velocity_rad_s: shape (joints,) [rad/s].
@@ -215,103 +297,30 @@ class Commanded(Frequent):
     velocity_rad_s: Vector
 
 
-class Course(Enum):
-    """Which way a motion is played along its path."""
-
-    FORWARD = "forward"
-    PAUSED = "paused"
-    BACK = "back"
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How motions are played; grips are not concerned.
-
-    Attributes:
-        speed_factor: share of the planned speed, 0 to 1.
-        course: which way; forward again when no motion is in progress any more.
-    """
-
-    speed_factor: float = 1.0
-    course: Course = Course.FORWARD
-
-
-@dataclass(frozen=True)
-class ChangePace:
-    """Play motions otherwise from now on; None leaves as it is. The speed factor also holds for motions to come."""
-
-    speed_factor: float | None = None
-    course: Course | None = None
-
-
-@dataclass(frozen=True)
-class Heartbeat:
-    """The server is alive; it says so ten times a second when it has nothing else to say."""
-
-
-class Order(Enum):
-    """What the server may ask of the arm besides motions."""
-
-    ENABLE = "enable"
-    RELAX = "relax"
-    EMERGENCY_STOP = "emergency_stop"
-    RESET_FAULT = "reset_fault"
-
-
-@dataclass(frozen=True)
-class Command:
-    """One order; its number comes back with :class:`CommandDone`."""
-
-    number: int
-    order: Order
-
-
-@dataclass(frozen=True)
-class CommandDone:
-    """The one answer to a :class:`Command`: whether it was carried out, and a sentence."""
-
-    number: int
-    done: bool
-    message: str
-
-
-@dataclass(frozen=True)
-class Shutdown:
-    """Brake, then end the process; the servos hold their last goal."""
-
-
-@dataclass(frozen=True)
-class MotionEnded:
-    """The one answer to an :class:`Execute`, and to a :class:`Stream`."""
-
-    motion_id: int
-    outcome: Outcome
-    message: str
-
-
 @dataclass(frozen=True)
 class ArmState(Frequent):
-    """The arm at one moment.
+    """State of the arm at one moment.
 
     Attributes:
         stamp_s: wall-clock time of the reading [s since the epoch].
-        reason: why the arm is disconnected, or connected but refused by its checks; empty otherwise. A connected arm
+        mode: state of the state machine.
+        reason: cause of being disconnected, or connected but refused by the checks; empty otherwise. A connected arm
             without a reason is still being checked or switched on.
-        fault: what must be reset before the arm moves again.
+        fault: latched fault, to be reset before the arm moves again.
         joint_names: order of the arrays.
         position_rad: measured, shape (joints,).
         velocity_rad_s: measured, shape (joints,).
-        age_s: how long before ``stamp_s`` each joint was asked for its reading, shape (joints,) [s].
+        age_s: time from each joint's reading to ``stamp_s``, shape (joints,) [s].
         load: share of full motor duty, signed, -1..1, shape (joints,).
         current_a: motor current, signed, shape (joints,) [A].
         goal_rad: commanded, shape (joints,).
-        motion_id: the motion in progress, of several the one with most joints; or None.
+        motion_id: motion in progress, of several the one with most joints; None at rest.
         fraction: share of the motion that is done, 0..1.
         remaining_s: time left to the end of the motion [s].
-        pace: how motions are played.
-        lateness_s: by how much the latest ticks started late, one value each [s].
+        pace: speed and direction of motions.
+        lateness_s: start of the latest ticks after their deadlines, one value each [s].
         clock_s: time of the control loop, which on a simulated arm passes no faster than the loop runs [s].
-        driven: whether the arm is made to hold or move; else torque is off.
+        driven: True while torque is on.
     """
 
     stamp_s: float
@@ -336,14 +345,14 @@ class ArmState(Frequent):
 
 @dataclass(frozen=True)
 class JointHealth:
-    """One joint's actuator, as ``/diagnostics`` shows it; NaN for what the hardware does not measure.
+    """Health of one joint's actuator, as in ``/diagnostics``; NaN for what the hardware does not measure.
 
     Attributes:
-        hardware_id: its actuator, as ``servo 3``.
+        hardware_id: name of the actuator, as ``servo 3``.
         status: bits of :class:`robot.hardware.interface.StatusFlag`.
         age_s: time since its last good reply [s].
         silent_cycles: cycles in which it did not answer, since the bus was opened.
-        warnings: findings to look after, a sentence each.
+        warnings: warnings, a sentence each.
     """
 
     joint: str
@@ -362,19 +371,18 @@ class JointHealth:
 
 @dataclass(frozen=True)
 class ArmHealth:
-    """The arm's condition, once a second.
+    """Health of the arm, once a second.
 
     Attributes:
         stamp_s: wall-clock time [s since the epoch].
-        port: the arm's port; ``simulated`` or ``ideal`` where there is none.
+        port: serial port of the arm; ``simulated`` or ``ideal`` where there is none.
         joints: one each, in the order of the arm's arrays.
         bus: counters of the bus since it was opened; None for hardware without one.
         lateness_s: start of the ticks after their deadlines in the last second: p50, p99, greatest [s].
         round_trip_s: time that block reads took in the last second: p50, p99, greatest [s].
-        real_time: whether the process has real-time priority.
-        real_time_factor: seconds of the arm's time that passed in one of the machine's; below 1 a simulated arm runs
-            slower because the machine is busy.
-        limits_rad: soft limits that are kept, shape (joints, 2) [rad].
+        real_time: True if the process has real-time priority.
+        real_time_factor: arm's time per machine's time; below 1 a simulated arm is slow because the machine is busy.
+        limits_rad: soft limits in force, shape (joints, 2) [rad]; None before the survey.
     """
 
     stamp_s: float

@@ -1,7 +1,7 @@
-"""Child processes of the server, as it sees them.
+"""Child processes, from the server's side.
 
 A child is started as ``python -P -m MODULE --fd N`` with a fresh interpreter: it shares no lock, no heap and no random
-state with the server, only the socket pair of ``robot.channel``.
+state with the server, only the socket pair of :mod:`robot.channel`.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from robot.channel import Decoder, encode
 
 log = logging.getLogger("armbridge.processes")
 
-# A process that is ended by force is gone in milliseconds, unless its machine is very busy.
+# A killed process is gone in milliseconds, unless the machine is very busy.
 KILL_TIMEOUT_S = 5.0
 
-# What is still to be sent to a child that does not read may be lost.
+# Data still queued for a child that does not read may be lost.
 CLOSE_TIMEOUT_S = 1.0
 
-# How often a process that is to end is looked at. No thread waits for it: one that hangs could not be left behind.
+# Interval of polling a process that is to end. No thread waits for it: a thread that hangs cannot be abandoned.
 POLL_S = 0.005
 
-# Environment variables by which systemd tells a service where and how often it wants to hear of it (sd_notify(3)).
+# Environment variables of systemd's notification protocol (sd_notify(3)).
 OF_SERVICE_MANAGER = frozenset({"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"})
 
 
 class StartedChild:
-    """A child process that loads while nobody talks to it yet; it ends by itself when this process does.
+    """Child process started ahead: it loads its modules, and ends by itself when this process does.
 
     Args:
-        module: the module whose ``__main__`` is the child.
+        module: name of the module to run with ``python -m``.
 
     Attributes:
         process: the child.
         socket: the server's end of its channel.
-        adopted: whether a :class:`Child` talks to it.
+        adopted: True once a :class:`Child` owns it.
     """
 
     def __init__(self, module: str) -> None:
@@ -57,7 +57,7 @@ class StartedChild:
             self.process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
 
     def close(self) -> None:
-        """End the child, which waits for its first message, unless it is adopted."""
+        """Kill the child, unless it is adopted."""
         if not self.adopted:
             self.socket.close()
             self.process.kill()
@@ -65,12 +65,12 @@ class StartedChild:
 
 
 class Child:
-    """The server's end: one running child process.
+    """Running child process, and the server's end of its channel.
 
     Args:
-        started: the child.
+        started: the child, which this adopts.
         on_message: called in the event loop with every message of the child.
-        on_exit: called once in the event loop when the child is gone.
+        on_exit: called once in the event loop when the child has ended.
         niceness: added to the child's scheduling niceness.
     """
 
@@ -83,13 +83,12 @@ class Child:
         niceness: int = 0,
     ) -> None:
         self._on_message = on_message
-        self._on_exit = on_exit
         started.adopted = True
         self._process, self._socket = started.process, started.socket
         if niceness:
             with contextlib.suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, self._process.pid, niceness)
-        self._link: _Link | None = None
+        self._link = _Link(self._deliver, self._process, on_exit)
 
     @property
     def pid(self) -> int:
@@ -98,12 +97,12 @@ class Child:
 
     @property
     def running(self) -> bool:
-        """Whether the child has not ended."""
+        """True until the child has ended."""
         return self._process.poll() is None
 
     @property
     def ending(self) -> str:
-        """How the child ended, or that it has not."""
+        """Exit code or signal of the child, as text."""
         code = self._process.poll()
         if code is None:
             return "it still runs"
@@ -111,18 +110,15 @@ class Child:
 
     async def connect(self) -> None:
         """Begin to read the child's messages."""
-        link = _Link(self._hand_on, self._process, self._on_exit)
-        await asyncio.get_running_loop().create_unix_connection(lambda: link, sock=self._socket)
-        self._link = link
+        await asyncio.get_running_loop().create_unix_connection(lambda: self._link, sock=self._socket)
         logs.follow(self)
 
     def send(self, message: object) -> None:
-        """Queue a message for the child; lost when the child is gone."""
-        if self._link is not None:
-            self._link.write(encode(message))
+        """Queue a message for the child; dropped before :meth:`connect` and after the child's end."""
+        self._link.write(encode(message))
 
     async def wait(self, timeout_s: float) -> None:
-        """Wait for the child's end, and end it by force when it takes longer, or the wait is cancelled."""
+        """Wait for the child's end; kill it after ``timeout_s``, or when the wait is cancelled."""
         try:
             if not await has_ended(self._process, timeout_s):
                 self._process.kill()
@@ -130,31 +126,29 @@ class Child:
         except asyncio.CancelledError:
             self._process.kill()
             raise
-        await self._close()
+        await self._link.close()
 
     async def kill(self) -> None:
-        """End the child at once."""
+        """Kill the child."""
         if self.running:
             self._process.kill()
         await self.wait(KILL_TIMEOUT_S)
 
-    def _hand_on(self, message: Any) -> None:
+    def _deliver(self, message: Any) -> None:
         try:
             self._on_message(message)
-        except Exception:  # a bug in serving one message must not make the server deaf to the child
+        except Exception:  # a bug in handling one message must not close the channel
             log.exception("serving a message of process %d failed", self.pid)
-
-    async def _close(self) -> None:
-        if self._link is not None:
-            await self._link.close()
 
 
 class _Link(asyncio.Protocol):
-    """The socket of one child. Messages are handed on as they are read: a task would wait for others' turns first.
+    """Protocol of one child's socket.
+
+    Messages are delivered as they are read: a task would first wait for its turn in the event loop.
 
     Args:
-        on_message: gets every message.
-        process: the child; ended when what it sends is no message.
+        on_message: called with every message.
+        process: the child; killed when it sends anything but messages.
         on_end: called once, when the socket is closed from either side.
     """
 
@@ -169,12 +163,14 @@ class _Link(asyncio.Protocol):
         self._ended = asyncio.Event()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keep the transport."""
         self._transport = cast(asyncio.Transport, transport)
 
     def data_received(self, data: bytes) -> None:
+        """Deliver the messages completed by ``data``; kill a child that sends anything else."""
         try:
             messages = self._decoder.feed(data)
-        except Exception:  # whatever a broken child sends, its end must be told
+        except Exception:  # unpickling may raise anything; the end must be reported all the same
             log.exception("process %d sent what is no message, and is ended", self._process.pid)
             self._process.kill()
             self._unlink()
@@ -183,16 +179,19 @@ class _Link(asyncio.Protocol):
             self._on_message(message)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the base class's signature
+        """Report the end of the channel."""
         self._ended.set()
         self._on_end()
 
     def write(self, data: bytes) -> None:
-        """Send, unless the child is gone."""
+        """Send, unless the socket is closed or not yet connected."""
         if self._transport is not None and not self._transport.is_closing():
             self._transport.write(data)
 
     async def close(self) -> None:
-        """Close the socket, and wait until the end is told."""
+        """Close the socket, and wait until ``on_end`` was called."""
+        if self._transport is None:
+            return
         self._unlink()
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._ended.wait(), CLOSE_TIMEOUT_S)
@@ -203,7 +202,7 @@ class _Link(asyncio.Protocol):
 
 
 async def has_ended(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
-    """Wait for the end of a process, for ``timeout_s`` at most; returns whether it has ended."""
+    """Wait for the end of a process, for ``timeout_s`` at most; return True when it has ended."""
     until_s = time.monotonic() + timeout_s
     while process.poll() is None:
         if time.monotonic() >= until_s:
@@ -215,9 +214,14 @@ async def has_ended(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
 def start_module(module: str, arguments: list[str], pass_fds: tuple[int, ...]) -> subprocess.Popen[bytes]:
     """Start ``python -P -m MODULE`` in a session of its own, out of reach of the terminal's Ctrl-C.
 
-    ``-P`` keeps a folder named like one of ours in the working directory from being imported instead.
-    One BLAS thread: the matrices are tiny, and idle BLAS threads spin on the cores that the servo loop needs. A child
-    does not speak to the service manager for the server (sd_notify(3)).
+    ``-P`` keeps a folder of the working directory with the name of one of our packages from being imported instead.
+    One BLAS thread: the matrices are tiny, and idle BLAS threads spin on the cores that the servo loop needs. The child
+    does not inherit the service manager's notification socket (sd_notify(3)).
+
+    Args:
+        module: name of the module.
+        arguments: its command line.
+        pass_fds: file descriptors that it inherits.
     """
     environment = {name: value for name, value in os.environ.items() if name not in OF_SERVICE_MANAGER}
     return subprocess.Popen(  # noqa: S603 - our own interpreter and module

@@ -1,7 +1,4 @@
-"""Joint positions over time.
-
-The fastest motion of one joint from rest to rest: full acceleration, full speed, full deceleration.
-"""
+"""Trajectories: joint positions over time, and the fastest motion of one joint from rest to rest."""
 
 from __future__ import annotations
 
@@ -13,13 +10,16 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
+# Shorter distances count as rest: a servo's tick is a thousand times as much.
+SHORTEST_WAY_RAD = 1e-6
+
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Joint positions over time, smooth to the first derivative.
+    """Joint positions over time with continuous velocity.
 
     Attributes:
-        joint_names: the joints of the columns.
+        joint_names: joint of each column.
         time_s: shape (n,), n >= 1, strictly increasing from 0 [s].
         positions_rad: shape (n, joints) [rad].
         velocities_rad_s: shape (n, joints) [rad/s].
@@ -38,13 +38,13 @@ class Trajectory:
         return float(self.time_s[-1])
 
     def sample(self, time_s: float) -> tuple[Vector, Vector, Vector]:
-        """Position, velocity and acceleration at a time, by cubic Hermite interpolation between the samples.
+        """Interpolate between the samples by cubic Hermite polynomials.
 
         Args:
-            time_s: clamped to the duration [s].
+            time_s: time from the first sample, clamped to the duration [s].
 
         Returns:
-            Three arrays of shape (joints,): [rad], [rad/s], [rad/s^2].
+            Position [rad], velocity [rad/s] and acceleration [rad/s^2], each of shape (joints,).
         """
         if time_s >= self.duration_s:
             return self.positions_rad[-1], self.velocities_rad_s[-1], self.accelerations_rad_s2[-1]
@@ -63,19 +63,17 @@ class Trajectory:
         return position, velocity, acceleration
 
 
-# Shorter ways are no motion: a servo's tick is a thousand times as much.
-SHORTEST_WAY_RAD = 1e-6
-
-
 def rest_to_rest(
     joint: str, start_rad: float, end_rad: float, max_velocity: float, max_acceleration: float
 ) -> Trajectory:
-    """Plan the motion; its cubic interpolation between the corners is exact.
+    """Plan the fastest motion of one joint from rest to rest: a trapezoidal velocity profile.
+
+    Cubic interpolation between the samples, the corners of the profile, is exact.
 
     Args:
-        joint: the joint that moves.
-        start_rad: where it rests [rad].
-        end_rad: where it is to rest [rad].
+        joint: name of the joint.
+        start_rad: position at the start [rad].
+        end_rad: position at the end [rad].
         max_velocity: above 0 [rad/s].
         max_acceleration: above 0 [rad/s^2].
     """

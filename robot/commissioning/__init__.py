@@ -1,1 +1,1 @@
-"""Commissioning of an arm by a person: scan, calibrate, doctor, and the experiments behind it."""
+"""Commissioning of an arm: scan, calibration, diagnosis, and experiments on the servos."""

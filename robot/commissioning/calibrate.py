@@ -1,7 +1,7 @@
-"""Calibrating the arm as lerobot does: its middle pose, then a sweep of every joint from stop to stop.
+"""Calibration of the arm as lerobot does it: its middle pose, then a sweep of every joint from stop to stop.
 
-lerobot sets the homing offsets before the sweep. Here nothing is written before all is known: positions are followed
-across the seam between ticks 4095 and 0 and brought into the new frame afterwards.
+lerobot sets the homing offsets before the sweep. Here nothing is written before the sweep is complete: positions are
+tracked across the seam between ticks 4095 and 0 and shifted to the new offset afterwards.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from robot.hardware.feetech.bus import Bus, read, write_verified
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import Steps
 
-# Where lerobot puts the middle pose.
+# Tick of the middle pose in lerobot.
 MIDDLE_TICK = 2047
 
-# The smallest range, the gripper's, has 1400 ticks: less than this was no sweep.
+# Least range of a sweep; the smallest range of a joint, the gripper's, has 1400 ticks.
 LEAST_SWEEP_TICKS = 500
 
 # lerobot's format takes MIDDLE_TICK for the middle of the joint that turns freely; further off (9 deg) its zero would
@@ -36,10 +36,16 @@ FREE_MIDDLE_WITHIN_TICKS = 100
 
 
 class Sweep:
-    """The range in which each servo has been, followed across the seam.
+    """Ranges covered by the servos, tracked across the seam.
 
     Args:
-        middle_ticks: where the servos are in the middle pose, by id.
+        middle_ticks: positions in the middle pose, by servo id.
+
+    Attributes:
+        middle: as given.
+        lowest: lowest position so far, by servo id [ticks].
+        highest: highest position so far, by servo id [ticks].
+        present: latest position, by servo id [ticks].
     """
 
     def __init__(self, middle_ticks: Mapping[int, int]) -> None:
@@ -49,7 +55,7 @@ class Sweep:
         self.present = dict(middle_ticks)
 
     def add(self, ticks: Mapping[int, int]) -> None:
-        """Take a reading of some servos, by id; between two readings no joint turns by half a turn."""
+        """Add positions of some servos, by id [ticks]; a joint must turn by less than half a turn between readings."""
         for servo_id, reading in ticks.items():
             half = TICKS_PER_TURN // 2
             moved = (reading - self.present[servo_id] + half) % TICKS_PER_TURN - half
@@ -60,18 +66,81 @@ class Sweep:
 
 
 def calibrate(joints: Sequence[JointSpec], sweep: Sweep, offsets: Mapping[int, int], *, recentre: bool) -> Calibration:
-    """Turn a sweep into a calibration.
+    """Compute the calibration from a sweep.
 
     Args:
-        joints: of the arm.
-        sweep: of all its servos.
+        joints: joints of the arm.
+        sweep: ranges of all its servos.
         offsets: register HOMING_OFFSET during the sweep, by servo id [ticks].
-        recentre: choose new homing offsets, which must then be written to the servos; else keep theirs.
+        recentre: True for new homing offsets, which must then be written to the servos; False to keep theirs.
 
     Raises:
         CalibrationError: a joint was not swept, or its range would cross the seam.
     """
     return Calibration(tuple(_joint(joint, sweep, offsets[joint.servo_id], recentre=recentre) for joint in joints))
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Register of a servo that differs from the calibration."""
+
+    joint: str
+    servo_id: int
+    register: Register
+    calibrated: int
+    in_servo: int
+
+
+def calibrated_registers(joint: JointCalibration) -> dict[Register, int]:
+    """Return the registers of a joint's calibration with their values."""
+    return {
+        Register.HOMING_OFFSET: joint.homing_offset,
+        Register.MIN_ANGLE_LIMIT: joint.range_min,
+        Register.MAX_ANGLE_LIMIT: joint.range_max,
+    }
+
+
+def differences(calibration: Calibration, servos: Sequence[ServoReport]) -> list[Difference]:
+    """Compare a calibration with the servos' registers; missing servos are left out."""
+    reports = {servo.servo_id: servo for servo in servos}
+    found = []
+    for joint in calibration.joints:
+        if (report := reports.get(joint.servo_id)) is None:
+            continue
+        held = {
+            Register.HOMING_OFFSET: report.homing_offset_ticks,
+            Register.MIN_ANGLE_LIMIT: report.angle_limits_ticks[0],
+            Register.MAX_ANGLE_LIMIT: report.angle_limits_ticks[1],
+        }
+        found += [
+            Difference(joint.joint, joint.servo_id, register, value, held[register])
+            for register, value in calibrated_registers(joint).items()
+            if held[register] != value
+        ]
+    return found
+
+
+def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
+    """Write a calibration to the servos, as a sequence; EPROM wears, so only what differs is written.
+
+    Args:
+        bus: an open bus; the servos' torque must be off, since a new homing offset moves their goal.
+        changes: result of :func:`differences`.
+
+    Raises:
+        StartupError: a servo keeps another value.
+        NoReply: a servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    for servo_id in dict.fromkeys(change.servo_id for change in changes):
+        yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
+        yield from write_verified(bus, servo_id, Register.LOCK, 0)
+        for change in changes:
+            if change.servo_id != servo_id:
+                continue
+            if (yield from read(bus, servo_id, change.register)) != change.calibrated:
+                yield from write_verified(bus, servo_id, change.register, change.calibrated)
+        yield from write_verified(bus, servo_id, Register.LOCK, 1)
 
 
 def _joint(spec: JointSpec, sweep: Sweep, offset: int, *, recentre: bool) -> JointCalibration:
@@ -89,7 +158,7 @@ def _joint(spec: JointSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Joi
 
 
 def _centring_offset(encoder_ticks: int) -> int:
-    """The homing offset that makes an encoder position the middle; the register cannot hold 2048."""
+    """Compute the homing offset that makes an encoder position the middle; the register cannot hold 2048."""
     offset = (encoder_ticks - MIDDLE_TICK) % TICKS_PER_TURN
     if offset > TICKS_PER_TURN // 2:
         offset -= TICKS_PER_TURN
@@ -119,66 +188,3 @@ def _check_range(name: str, lowest: int, highest: int, *, recentre: bool) -> Non
             name,
             f"its range of {lowest} to {highest} ticks crosses the seam between {MAX_TICK} and 0: {remedy}{option}",
         )
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A register of a servo that is not what the calibration says."""
-
-    joint: str
-    servo_id: int
-    register: Register
-    calibrated: int
-    in_servo: int
-
-
-def calibrated_registers(joint: JointCalibration) -> dict[Register, int]:
-    """The registers that hold a joint's calibration in its servo."""
-    return {
-        Register.HOMING_OFFSET: joint.homing_offset,
-        Register.MIN_ANGLE_LIMIT: joint.range_min,
-        Register.MAX_ANGLE_LIMIT: joint.range_max,
-    }
-
-
-def differences(calibration: Calibration, servos: Sequence[ServoReport]) -> list[Difference]:
-    """Compare a calibration with what the servos hold; servos that are not there are left out."""
-    reports = {servo.servo_id: servo for servo in servos}
-    found = []
-    for joint in calibration.joints:
-        if (report := reports.get(joint.servo_id)) is None:
-            continue
-        held = {
-            Register.HOMING_OFFSET: report.homing_offset_ticks,
-            Register.MIN_ANGLE_LIMIT: report.angle_limits_ticks[0],
-            Register.MAX_ANGLE_LIMIT: report.angle_limits_ticks[1],
-        }
-        found += [
-            Difference(joint.joint, joint.servo_id, register, value, held[register])
-            for register, value in calibrated_registers(joint).items()
-            if held[register] != value
-        ]
-    return found
-
-
-def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
-    """Bring servos to what a calibration says; EPROM wears, so only what differs is written.
-
-    Args:
-        bus: an open bus; the servos' torque must be off, since a new homing offset moves their goal.
-        changes: from :func:`differences`.
-
-    Raises:
-        StartupError: a servo keeps another value.
-        NoReply: a servo gave no valid reply.
-        PortLost: the port is gone.
-    """
-    for servo_id in dict.fromkeys(change.servo_id for change in changes):
-        yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
-        yield from write_verified(bus, servo_id, Register.LOCK, 0)
-        for change in changes:
-            if change.servo_id != servo_id:
-                continue
-            if (yield from read(bus, servo_id, change.register)) != change.calibrated:
-                yield from write_verified(bus, servo_id, change.register, change.calibrated)
-        yield from write_verified(bus, servo_id, Register.LOCK, 1)

@@ -1,4 +1,4 @@
-"""Judging an arm by what was read and measured of it: one finding per check, with what to do."""
+"""Diagnosis of an arm from its registers and measured times: one finding with a remedy for each check."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from robot.calibration import SO101_JOINTS, Calibration
 from robot.commissioning.calibrate import differences
 from robot.commissioning.scan import ScanResult, ServoReport, explain_missing
 from robot.commissioning.timing import CycleTimes
-from robot.hardware.feetech.survey import MODEL_STS3215, PHASE_MULTI_TURN, POSITION_MODE
+from robot.hardware.feetech.registers import MODEL_STS3215
+from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.interface import status_names
 
-# Degrees of the motor's housing: the driver stops an arm at the higher one, and warns at the lower.
+# Temperatures of the motor's housing [degC] at which the arm process, by default, stops the arm and warns.
 HOT_C = 65
 WARM_C = 55
 
@@ -32,7 +33,7 @@ USUAL_ROUND_TRIP_S = 0.0035
 # Single packets get lost on a good arm; one in a hundred is a bad cable.
 USUAL_LOST_SHARE = 0.01
 
-# A loop that starts later than this in one of a hundred cycles is felt as roughness.
+# A loop that starts later than this in one of a hundred cycles makes motions rough.
 USUAL_LATENESS_S = 0.004
 
 # Unit of register RETURN_DELAY [us].
@@ -40,23 +41,23 @@ RETURN_DELAY_US = 2
 
 
 class Verdict(Enum):
-    """What a finding means for the person at the arm."""
+    """Severity of a finding."""
 
     GOOD = "good"
     NOTE = "note"
     PROBLEM = "problem"
-    OPEN = "open"  # it was not looked at, or could not be decided
+    OPEN = "open"  # not checked, or undecided
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check.
+    """Result of one check.
 
     Attributes:
-        check: short name.
-        verdict: what it means.
-        says: what was found, a sentence or figures.
-        remedy: what to do; empty when nothing is to be done.
+        check: name of the check.
+        verdict: severity.
+        says: observation, a sentence or figures.
+        remedy: advice to the person at the arm; empty for none.
     """
 
     check: str
@@ -66,11 +67,11 @@ class Finding:
 
 
 def judge_scan(result: ScanResult, calibration: Calibration | None) -> list[Finding]:
-    """Judge what a scan found.
+    """Judge the result of a scan.
 
     Args:
-        result: of the scan.
-        calibration: the arm's, if it is known.
+        result: result of the scan.
+        calibration: calibration of the arm; None if it is not known.
     """
     findings = [_servos(result)]
     if result.servos:
@@ -89,12 +90,18 @@ def judge_scan(result: ScanResult, calibration: Calibration | None) -> list[Find
 
 
 def judge_cycles(times: CycleTimes) -> list[Finding]:
-    """Judge how bus and machine keep time."""
+    """Judge the timing of bus and machine."""
     return [_round_trip(times), _losses(times), _punctuality(times)]
 
 
 def judge_long_reads(address: int, length: int, silent_ids: Sequence[int]) -> Finding:
-    """Judge whether servos answer reads past their documented registers, which tell replies apart."""
+    """Judge the replies to reads past the documented registers, whose lengths distinguish replies.
+
+    Args:
+        address: first register of the read.
+        length: bytes of the read.
+        silent_ids: servos that did not reply to it.
+    """
     block = f"registers {address} to {address + length - 1}"
     if not silent_ids:
         return Finding("long reads", Verdict.GOOD, f"all servos answer a read of {block}")
@@ -107,9 +114,9 @@ def judge_long_reads(address: int, length: int, silent_ids: Sequence[int]) -> Fi
 
 
 def _servos(result: ScanResult) -> Finding:
-    complaints = explain_missing(result, SO101_JOINTS)
-    if complaints:
-        return Finding("servos", Verdict.PROBLEM, "; ".join(complaints), "See docs/hardware.md, By symptom.")
+    problems = explain_missing(result, SO101_JOINTS)
+    if problems:
+        return Finding("servos", Verdict.PROBLEM, "; ".join(problems), "See docs/hardware.md, By symptom.")
     return Finding("servos", Verdict.GOOD, f"servos {_list(sorted(result.ids))} answer")
 
 
@@ -160,14 +167,14 @@ def _temperature(servos: Sequence[ServoReport]) -> Finding:
 
 
 def _status(servos: Sequence[ServoReport]) -> Finding:
-    complaints = [
+    problems = [
         f"servo {servo.servo_id}: {', '.join(status_names(servo.telemetry.status))}"
         for servo in servos
         if servo.telemetry.status
     ]
-    if complaints:
+    if problems:
         remedy = "Relieve the joint and reset the fault; if it stays, switch the servos' supply off and on."
-        return Finding("error bits", Verdict.PROBLEM, "; ".join(complaints), remedy)
+        return Finding("error bits", Verdict.PROBLEM, "; ".join(problems), remedy)
     return Finding("error bits", Verdict.GOOD, "no servo complains")
 
 

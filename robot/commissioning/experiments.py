@@ -1,10 +1,8 @@
-"""One servo that may be driven a little: the safe surroundings of an experiment.
+"""Experiments on the properties of the servos that no document states.
 
-Questions about the servos that no document answers, each asked of a real one.
-
-An experiment that switches torque uses one servo, at a fifth of its torque, within 25 ticks (2 deg) of where it is,
-only if it is relaxed, and leaves it relaxed. Nothing that is written outlives a power cut. The driver works whatever
-the answers are, since it reads back what it relies on; they are worth knowing all the same.
+An experiment that switches torque uses one servo (:class:`ServoRig`), at a fifth of its torque, within 25 ticks (2 deg)
+of its position, only if it is relaxed, and leaves it relaxed. Nothing that is written outlives a power cut. The arm
+process works with any result, since it reads back what it relies on.
 """
 
 from __future__ import annotations
@@ -32,28 +30,79 @@ from robot.hardware.interface import StatusFlag, run_to_end
 # Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper.
 GENTLE_TORQUE = 200
 
-# A step that can be seen in the readings and harms nothing; torque comes on no further than this from the goal.
+# A step that shows in the readings and is harmless; torque does not come on further than this from the goal.
 STEP_TICKS = 25
 STEP_TICKS_S = 300
 STEP_S = 0.4
 
-# How long a person has to cut the power, and to bring it back.
+# A servo that has come this far of a step has followed it.
+FOLLOWED_TICKS = STEP_TICKS // 2
+
+# Share of a step that is done after one time constant.
+RISE_SHARE = 0.63
+
+# Register RETURN_DELAY: lerobot's comment names 250 (500 us) as the factory's value.
+LONG_RETURN_DELAY = 250
+RETURN_DELAY_READS = 30
+RETURN_DELAY_SEEN_S = 0.0003
+
+# Value of TORQUE_ENABLE that one vendor's document calls damping.
+DAMPING = 2
+
+# Smaller currents are noise of the measurement [A].
+CURRENT_SEEN_A = 0.02
+
+# Time for a person to cut the power, and to restore it.
 POWER_TIMEOUT_S = 60.0
 POWER_POLL_S = 0.1
 
+# Time for a servo to boot.
+BOOT_S = 0.5
+
 
 @dataclass(frozen=True)
-class Bench:
-    """What experiments work with.
+class Experiment:
+    """Experiment on a property of the servos.
 
-    Every method raises NoReply, StartupError or PortLost when the servo does not do as it is told.
+    Attributes:
+        name: name in the report.
+        does: its effects on the arm, for the person who must agree.
+        switches_torque: True if it drives a servo.
+        needs_hands: True if a person must take part.
+        run: carries it out; raises NoReply, StartupError or PortLost when the servo does not respond as required.
+    """
+
+    name: str
+    does: str
+    switches_torque: bool
+    needs_hands: bool
+    run: Callable[[ServoRig], Finding]
+
+
+def run_experiment(experiment: Experiment, rig: ServoRig) -> Finding:
+    """Carry out an experiment; it remains open when the servo does not respond as required.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    try:
+        return experiment.run(rig)
+    except (NoReply, StartupError) as error:
+        return _open(experiment.name, str(error))
+
+
+@dataclass(frozen=True)
+class ServoRig:
+    """Servo under test, with guarded access to its torque.
+
+    Every method raises NoReply, StartupError or PortLost when the servo does not reply or take a value.
 
     Attributes:
         bus: an open bus.
-        servo_id: the servo whose torque may be switched.
+        servo_id: servo whose torque may be switched.
         present_ids: all servos that answer.
         clock: monotonic time [s].
-        wait: waits for so long [s].
+        wait: waits for a time [s].
     """
 
     bus: Bus
@@ -67,20 +116,20 @@ class Bench:
         return self.bus.read(self.servo_id, register)
 
     def telemetry(self) -> Telemetry:
-        """Read what the servo measures."""
+        """Read the servo's telemetry."""
         return read_telemetry(self.bus, self.servo_id)
 
     def set(self, register: Register, value: int) -> None:
-        """Write a register of the servo, and see that it has it."""
+        """Write a register of the servo, and verify it."""
         run_to_end(write_verified(self.bus, self.servo_id, register, value), self.wait)
 
     def set_goal(self, goal_ticks: int) -> None:
-        """Set the servo's goal, to be approached slowly, and see that it has it."""
+        """Set the servo's goal, to be approached slowly, and verify it."""
         self.bus.sync_write(GOAL_ADDRESS, {self.servo_id: goal_block(goal_ticks, STEP_TICKS_S)})
         self.set(Register.GOAL_POSITION, goal_ticks)
 
     def require_relaxed(self) -> None:
-        """Refuse a servo that holds something; an overloaded one is relaxed."""
+        """Raise StartupError for a servo that holds; relax one that is overloaded."""
         if self.read(Register.STATUS) & StatusFlag.OVERLOAD:
             self.set(Register.TORQUE_ENABLE, 0)
         elif self.read(Register.TORQUE_ENABLE):
@@ -88,13 +137,13 @@ class Bench:
 
     @contextlib.contextmanager
     def holding(self, goal_ticks: int | None = None) -> Iterator[int]:
-        """Torque on, gently, for the length of the block, and off whatever happens in it.
+        """Hold with reduced torque within the context; torque is off after it, also after an exception.
 
         Args:
             goal_ticks: goal at torque on, at most STEP_TICKS away; None for the present position.
 
         Yields:
-            The goal [ticks].
+            Goal [ticks].
         """
         self.require_relaxed()
         torque_limit = self.read(Register.TORQUE_LIMIT)
@@ -112,12 +161,12 @@ class Bench:
             self.set(Register.TORQUE_LIMIT, torque_limit)
 
     def one_step_from(self, ticks: int) -> int:
-        """A goal that is STEP_TICKS away, towards the middle of the servo's range."""
+        """Return a goal that is STEP_TICKS away, towards the middle of the servo's range."""
         middle = (self.read(Register.MIN_ANGLE_LIMIT) + self.read(Register.MAX_ANGLE_LIMIT)) // 2
         return ticks + (STEP_TICKS if ticks < middle else -STEP_TICKS)
 
     def go(self, goal_ticks: int) -> list[tuple[float, Telemetry]]:
-        """Go to a goal; returns what was measured on the way, with the time since the goal was set [s]."""
+        """Go to a goal; return the telemetry on the way, with the time since the goal was set [s]."""
         self.set_goal(goal_ticks)
         start_s = self.clock()
         samples: list[tuple[float, Telemetry]] = []
@@ -126,7 +175,7 @@ class Bench:
         return samples
 
     def await_answers(self, *, answering: bool) -> bool:
-        """Wait until the servo answers, or until it does not; False if that does not come in time."""
+        """Wait until the servo answers, or until it does not; return False after :data:`POWER_TIMEOUT_S`."""
         until_s = self.clock() + POWER_TIMEOUT_S
         while self.clock() < until_s:
             if self._answers() is answering:
@@ -150,84 +199,32 @@ class Bench:
         return False
 
 
-# A servo that has come this far of a step has followed it.
-FOLLOWED_TICKS = STEP_TICKS // 2
-
-# Time constant of a step's answer: where 63 % of it are done.
-RISE_SHARE = 0.63
-
-# Register RETURN_DELAY: lerobot's comment names 250 (500 us) as the factory's value.
-LONG_RETURN_DELAY = 250
-RETURN_DELAY_READS = 30
-RETURN_DELAY_SEEN_S = 0.0003
-
-# TORQUE_ENABLE 2, which one vendor's document calls damping.
-DAMPING = 2
-
-# Current below this is noise of the measurement [A].
-CURRENT_SEEN_A = 0.02
-
-# A servo that has just got power is given time to start.
-BOOT_S = 0.5
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """One question.
-
-    Attributes:
-        name: short name.
-        does: what will happen to the arm, for the person who is asked to agree.
-        switches_torque: whether a servo will be driven.
-        needs_hands: whether a person must do something meanwhile.
-        run: asks it; raises NoReply, StartupError or PortLost when the servo does not play along.
-    """
-
-    name: str
-    does: str
-    switches_torque: bool
-    needs_hands: bool
-    run: Callable[[Bench], Finding]
-
-
-def ask(experiment: Experiment, bench: Bench) -> Finding:
-    """Carry out an experiment; a servo that does not play along leaves its question open.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    try:
-        return experiment.run(bench)
-    except (NoReply, StartupError) as error:
-        return _open(experiment.name, str(error))
-
-
-def _behind_missing(bench: Bench) -> Finding:
+def _behind_missing(rig: ServoRig) -> Finding:
     name = "sync read past a missing servo"
-    missing = next(servo_id for servo_id in reversed(SERVO_IDS) if servo_id not in bench.present_ids)
-    asked = (bench.present_ids[0], missing, *bench.present_ids[1:])
-    frames = bench.bus.sync_read(asked, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
-    silent = [servo_id for servo_id in bench.present_ids if servo_id not in frames]
+    missing = next(servo_id for servo_id in reversed(SERVO_IDS) if servo_id not in rig.present_ids)
+    asked = (rig.present_ids[0], missing, *rig.present_ids[1:])
+    frames = rig.bus.sync_read(asked, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+    silent = [servo_id for servo_id in rig.present_ids if servo_id not in frames]
     if not silent:
         return Finding(name, Verdict.GOOD, "those behind it answer")
     says = f"servos {', '.join(map(str, silent))} did not answer behind the missing one"
     return Finding(name, Verdict.NOTE, says, "One servo that falls silent ends motions of the whole arm.")
 
 
-def _return_delay(bench: Bench) -> Finding:
+def _return_delay(rig: ServoRig) -> Finding:
     name = "return delay register"
-    before = bench.read(Register.RETURN_DELAY)
+    before = rig.read(Register.RETURN_DELAY)
     # With LOCK 1 the value acts, and is gone with the next power cut.
-    bench.set(Register.LOCK, 1)
+    rig.set(Register.LOCK, 1)
     # Turn by turn, and the quickest of each: a busy machine makes replies late, never early.
     times: dict[int, list[float]] = {0: [], LONG_RETURN_DELAY: []}
     try:
         for _ in range(RETURN_DELAY_READS):
             for delay, taken_s in times.items():
-                bench.set(Register.RETURN_DELAY, delay)
-                taken_s += measure_reads(bench.bus, bench.servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES, 1, bench.clock)
+                rig.set(Register.RETURN_DELAY, delay)
+                taken_s += measure_reads(rig.bus, rig.servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES, 1, rig.clock)
     finally:
-        bench.set(Register.RETURN_DELAY, before)
+        rig.set(Register.RETURN_DELAY, before)
     if not all(times.values()):
         return _open(name, "too many replies were lost")
     added_s = min(times[LONG_RETURN_DELAY]) - min(times[0])
@@ -235,32 +232,32 @@ def _return_delay(bench: Bench) -> Finding:
     return Finding(name, Verdict.GOOD, f"{LONG_RETURN_DELAY} makes replies {added_s * 1e6:.0f} us later: it {effect}")
 
 
-def _overload(bench: Bench) -> Finding:
+def _overload(rig: ServoRig) -> Finding:
     name = "overload cleared by torque off and on"
-    overloaded = [i for i in bench.present_ids if bench.bus.read(i, Register.STATUS) & StatusFlag.OVERLOAD]
+    overloaded = [i for i in rig.present_ids if rig.bus.read(i, Register.STATUS) & StatusFlag.OVERLOAD]
     if not overloaded:
         return _open(name, "no servo is overloaded; run this again when one is")
-    servo = replace(bench, servo_id=overloaded[0])
+    servo = replace(rig, servo_id=overloaded[0])
     with servo.holding():
-        bench.wait(STEP_S)
+        rig.wait(STEP_S)
         still = servo.read(Register.STATUS) & StatusFlag.OVERLOAD
     if still:
         return Finding(name, Verdict.NOTE, "it does not", "Switch the servos' supply off and on after an overload.")
     return Finding(name, Verdict.GOOD, "it does")
 
 
-def _goal_register(bench: Bench) -> Finding:
+def _goal_register(rig: ServoRig) -> Finding:
     name = "goal register and torque"
-    with bench.holding() as start:
-        goal = bench.one_step_from(start)
-        bench.set_goal(goal)
-        bench.wait(STEP_S)
-    kept = bench.read(Register.GOAL_POSITION)
-    here = bench.telemetry().position_ticks
-    with bench.holding(here + start - goal) as stale:
-        bench.wait(STEP_S)
-        moved = bench.telemetry().position_ticks - here
-        held = bench.read(Register.GOAL_POSITION)
+    with rig.holding() as start:
+        goal = rig.one_step_from(start)
+        rig.set_goal(goal)
+        rig.wait(STEP_S)
+    kept = rig.read(Register.GOAL_POSITION)
+    here = rig.telemetry().position_ticks
+    with rig.holding(here + start - goal) as stale:
+        rig.wait(STEP_S)
+        moved = rig.telemetry().position_ticks - here
+        held = rig.read(Register.GOAL_POSITION)
     says = "torque off keeps the goal" if kept == goal else f"torque off changes the goal from {goal} to {kept}"
     if abs(moved) >= FOLLOWED_TICKS:
         says += "; torque on drives to a goal set before: it must be set to the present position first"
@@ -271,22 +268,22 @@ def _goal_register(bench: Bench) -> Finding:
     return Finding(name, Verdict.GOOD, says)
 
 
-def _damping(bench: Bench) -> Finding:
+def _damping(rig: ServoRig) -> Finding:
     name = "damping (torque 2)"
-    bench.require_relaxed()
+    rig.require_relaxed()
     try:
-        bench.bus.write(bench.servo_id, Register.TORQUE_ENABLE, DAMPING)
-        held = bench.read(Register.TORQUE_ENABLE)
+        rig.bus.write(rig.servo_id, Register.TORQUE_ENABLE, DAMPING)
+        held = rig.read(Register.TORQUE_ENABLE)
     finally:
-        bench.set(Register.TORQUE_ENABLE, 0)
+        rig.set(Register.TORQUE_ENABLE, 0)
     taken = "takes" if held == DAMPING else f"does not take (it reads back {held})"
     return Finding(name, Verdict.GOOD, f"the servo {taken} the value 2")
 
 
-def _current_sign(bench: Bench) -> Finding:
+def _current_sign(rig: ServoRig) -> Finding:
     name = "sign of the current"
-    with bench.holding() as start:
-        runs = [bench.go(target) for target in (bench.one_step_from(start), start)]
+    with rig.holding() as start:
+        runs = [rig.go(target) for target in (rig.one_step_from(start), start)]
     peaks = [max((sample.current_a for _, sample in samples), key=abs) for samples in runs]
     says = f"peaks of {peaks[0]:+.3f} A and {peaks[1]:+.3f} A in opposite directions"
     if min(abs(peak) for peak in peaks) < CURRENT_SEEN_A:
@@ -294,12 +291,12 @@ def _current_sign(bench: Bench) -> Finding:
     return Finding(name, Verdict.GOOD, f"{says}: the register is {'signed' if peaks[0] * peaks[1] < 0 else 'unsigned'}")
 
 
-def _lag(bench: Bench) -> Finding:
+def _lag(rig: ServoRig) -> Finding:
     name = "lag of the position loop"
-    gain = bench.read(Register.P_GAIN)
-    with bench.holding() as start:
-        goal = bench.one_step_from(start)
-        samples = bench.go(goal)
+    gain = rig.read(Register.P_GAIN)
+    with rig.holding() as start:
+        goal = rig.one_step_from(start)
+        samples = rig.go(goal)
     shares = [(at_s, (sample.position_ticks - start) / (goal - start)) for at_s, sample in samples]
     reached = [at_s for at_s, share in shares if share >= RISE_SHARE]
     if not reached:
@@ -308,14 +305,14 @@ def _lag(bench: Bench) -> Finding:
     return Finding(name, Verdict.GOOD, says)
 
 
-def _power_up(bench: Bench) -> Finding:
+def _power_up(rig: ServoRig) -> Finding:
     name = "torque at power-up"
-    if not bench.await_answers(answering=False):
+    if not rig.await_answers(answering=False):
         return _open(name, f"the power was not cut within {POWER_TIMEOUT_S:.0f} s")
-    if not bench.await_answers(answering=True):
+    if not rig.await_answers(answering=True):
         return _open(name, f"the servo did not come back within {POWER_TIMEOUT_S:.0f} s")
-    bench.wait(BOOT_S)
-    driven = [str(i) for i in bench.present_ids if bench.bus.read(i, Register.TORQUE_ENABLE)]
+    rig.wait(BOOT_S)
+    driven = [str(i) for i in rig.present_ids if rig.bus.read(i, Register.TORQUE_ENABLE)]
     if driven:
         says = f"servos {', '.join(driven)} power up with torque on"
         return Finding(name, Verdict.NOTE, says, "Keep clear when switching the supply on.")

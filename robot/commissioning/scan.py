@@ -1,4 +1,4 @@
-"""Who is on the bus, and in what condition; nothing is written."""
+"""Scan of the bus: the servos that answer, and their registers; nothing is written."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from robot.hardware.feetech.registers import (
 # Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
 BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)
 
-# What a servo is delivered with.
+# Id of a new servo.
 FACTORY_ID = 1
 
 
 @dataclass(frozen=True)
 class ServoReport:
-    """One servo's condition.
+    """Registers and telemetry of one servo.
 
     Attributes:
+        servo_id: register ID.
         model: 777 for an STS3215.
         firmware: major and minor version.
         mode: register OPERATING_MODE, 0 for position.
@@ -37,9 +38,9 @@ class ServoReport:
         homing_offset_ticks: register HOMING_OFFSET.
         phase: register PHASE.
         return_delay: register RETURN_DELAY [2 us].
-        max_voltage_v: register MAX_VOLTAGE, which tells the 7.4 V variant from the 12 V one [V].
+        max_voltage_v: register MAX_VOLTAGE, which differs between the 7.4 V and the 12 V variant [V].
         torque_enable: register TORQUE_ENABLE.
-        telemetry: what it measures.
+        telemetry: its measurements.
     """
 
     servo_id: int
@@ -57,12 +58,12 @@ class ServoReport:
 
 @dataclass(frozen=True)
 class ScanResult:
-    """What a scan found.
+    """Result of a scan.
 
     Attributes:
-        servos: those that answered all questions, by id.
-        unsteady_ids: those that answered some questions only.
-        garbled_bytes: bytes that were no sound reply when all were asked at once.
+        servos: servos that answered every read, ordered by id.
+        unsteady_ids: servos that answered some reads only.
+        garbled_bytes: bytes of invalid replies to the broadcast ping.
     """
 
     servos: tuple[ServoReport, ...]
@@ -71,16 +72,16 @@ class ScanResult:
 
     @property
     def ids(self) -> frozenset[int]:
-        """Ids of all servos that spoke."""
+        """Ids of all servos that answered."""
         return frozenset(servo.servo_id for servo in self.servos) | frozenset(self.unsteady_ids)
 
 
 def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
-    """Look for servos and ask each for its condition.
+    """Find the servos on the bus and read each.
 
     Args:
         bus: an open bus.
-        expected_ids: ids that are asked one by one as well, since a reply to a broadcast may get lost.
+        expected_ids: ids that are also pinged one by one, since a reply to a broadcast may get lost.
 
     Raises:
         PortLost: the port is gone.
@@ -102,14 +103,15 @@ def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
 
 
 def examine(bus: Bus, servo_id: int) -> ServoReport:
-    """Ask one servo for its condition.
+    """Read registers and telemetry of one servo.
 
     Raises:
-        NoReply: it does not answer every question.
+        NoReply: it does not answer every read.
         PortLost: the port is gone.
     """
 
     def value(register: Register) -> int:
+        """Read a register of the servo."""
         return bus.read(servo_id, register)
 
     return ServoReport(
@@ -128,7 +130,7 @@ def examine(bus: Bus, servo_id: int) -> ServoReport:
 
 
 def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
-    """Read what a servo measures.
+    """Read the telemetry of a servo.
 
     Raises:
         NoReply: it gave no valid reply.
@@ -143,11 +145,11 @@ def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
 
 
 def explain_missing(result: ScanResult, joints: Sequence[JointSpec]) -> list[str]:
-    """Name the servos that did not answer, and what is likely the cause; nothing when all are there.
+    """Explain missing and unsteady servos with the likely cause, a sentence each; none when all is well.
 
     Args:
-        result: of the scan.
-        joints: of the arm, in the order in which their servos are chained.
+        result: result of the scan.
+        joints: joints of the arm, in the order in which their servos are chained.
     """
     present = [joint.servo_id in result.ids for joint in joints]
     said = [

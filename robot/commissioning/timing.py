@@ -1,4 +1,4 @@
-"""Measuring the bus: how long a cycle's read takes, and how punctual this machine is."""
+"""Timing of the bus: round trips of the control loop's reads, and lateness of its cycles on this machine."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ class CycleTimes:
     """Times of many read cycles.
 
     Attributes:
-        cycles: how many.
-        round_trip_p50_s: from the question to the last reply, median of the complete cycles [s]; NaN without one.
+        cycles: number of cycles.
+        round_trip_p50_s: time from the instruction to the last reply, median of the complete cycles [s]; NaN without
+            one.
         round_trip_p99_s: its 99th percentile [s].
-        lateness_p99_s: how late cycles began, 99th percentile [s].
-        lost_replies: replies that were expected and did not come soundly.
-        expected_replies: as many as should have come.
+        lateness_p99_s: start of the cycles after their deadlines, 99th percentile [s].
+        lost_replies: replies that were missing or invalid.
+        expected_replies: replies that were expected.
     """
 
     cycles: int
@@ -41,14 +42,14 @@ def measure_cycles(
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
 ) -> CycleTimes:
-    """Read all servos at the rate of the servo loop and as it does.
+    """Read all servos as the control loop does, 100 times a second.
 
     Args:
         bus: an open bus.
-        servo_ids: those that are there.
-        cycles: how many, 100 a second.
+        servo_ids: servos to read.
+        cycles: number of cycles.
         clock: monotonic time [s].
-        wait: waits for so long [s].
+        wait: waits for a time [s].
 
     Raises:
         PortLost: the port is gone.
@@ -73,15 +74,18 @@ def measure_cycles(
 def measure_reads(
     bus: Bus, servo_id: int, address: int, length: int, count: int, clock: Callable[[], float] = time.monotonic
 ) -> list[float]:
-    """Measure the times that sound replies of one servo take [s], sorted; fewer than ``count`` where some were lost.
+    """Measure round trips of reads of one servo.
 
     Args:
         bus: an open bus.
-        servo_id: the servo to ask.
-        address: first register of the block that is read.
+        servo_id: id of the servo.
+        address: first register of the block.
         length: bytes of the block.
-        count: how often to ask.
+        count: number of reads.
         clock: monotonic time [s].
+
+    Returns:
+        Times of the valid replies, sorted [s]; fewer than ``count`` when some were lost.
 
     Raises:
         PortLost: the port is gone.

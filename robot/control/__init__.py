@@ -1,1 +1,1 @@
-"""The arm process: the state machine, its guards and sequences, 100 times a second."""
+"""Arm process: state machine, guards and order sequences of one arm, in a control loop of 100 Hz."""

@@ -1,6 +1,7 @@
-"""Looks at the numbers that the server sends: the arm process trusts nobody with its guards.
+"""Checks of what the server sends: its configuration, and every trajectory before it is played.
 
-Whether a trajectory may be played: every reason to refuse one, each naming joint, limit and value.
+The arm process relies on its own guards, so it does not trust the server's numbers. A value of the configuration that
+is out of range is replaced by its default; a trajectory is refused with a sentence that names joint, limit and value.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Ranges: TypeAlias = Mapping[str, tuple[float, float]]
 
 CONFIG_RANGES: Ranges = {
     "state_rate_hz": (1.0, 100.0),
-    # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.
+    # Heartbeats come every 0.1 s: the shortest timeout tolerates two missed ones.
     "watchdog_s": (0.3, 10.0),
     # The servos protect themselves at 70 degC.
     "warn_temperature_c": (30.0, 70.0),
@@ -41,36 +42,15 @@ GUARD_RANGES: Ranges = {
     "stall_time_s": (0.1, 1.5),
     # Servos of 7.4 V need 4 V, those of 12 V run from 9 V on.
     "min_voltage_v": (4.0, 11.0),
-    # Nearer than its backlash no joint comes.
+    # Backlash keeps a joint from coming any nearer.
     "goal_tolerance_rad": (0.02, 0.3),
     "settle_timeout_s": (0.1, 10.0),
 }
 
-
-def checked(config: ArmConfig) -> ArmConfig:
-    """The same configuration; a number outside its range, which the server should not have sent, is the default's."""
-    return replace(
-        config,
-        guard_limits=replace(config.guard_limits, **_corrections(config.guard_limits, GUARD_RANGES)),
-        **_corrections(config, CONFIG_RANGES),
-    )
-
-
-def _corrections(values: ArmConfig | GuardLimits, ranges: Ranges) -> dict[str, Any]:
-    """The defaults of the values out of their ranges; NaN is out of every one."""
-    found = {}
-    for field in fields(values):
-        least, most = ranges.get(field.name, (0.0, 0.0))
-        if field.name in ranges and not least <= getattr(values, field.name) <= most:
-            log.error("%s must be %g to %g; it is taken as %g", field.name, least, most, field.default)
-            found[field.name] = field.default
-    return found
-
-
-# A trajectory may start this far from where the arm holds [rad]; the step bound levels the difference.
+# A trajectory may start this far from the held position [rad]; the step bound smooths the difference.
 START_TOLERANCE_RAD = 0.05
 
-# Goals within this much of a limit count as on it: rounding to ticks is 0.0015 rad.
+# Goals may exceed a limit by this much [rad]: rounding to ticks is 0.0015 rad.
 LIMIT_TOLERANCE_RAD = 0.002
 
 # Timing laws meet velocity limits only to a few per cent between their grid points.
@@ -80,14 +60,23 @@ VELOCITY_TOLERANCE = 1.05
 MAX_SAMPLES = 180_000
 
 
+def checked(config: ArmConfig) -> ArmConfig:
+    """Return the configuration with every number that is out of its range replaced by its default."""
+    return replace(
+        config,
+        guard_limits=replace(config.guard_limits, **_corrections(config.guard_limits, GUARD_RANGES)),
+        **_corrections(config, CONFIG_RANGES),
+    )
+
+
 def refusal(trajectory: Trajectory, names: tuple[str, ...], bounds: JointBounds, held_rad: Vector) -> str:
-    """Why a trajectory may not be played, or an empty text.
+    """Check a trajectory; return the reason to refuse it, empty for none.
 
     Args:
-        trajectory: what is asked for.
+        trajectory: trajectory to play.
         names: the arm's joints, order of the arrays.
         bounds: limits of the joints.
-        held_rad: where the arm holds, shape (joints,) [rad].
+        held_rad: goals at which the arm holds, shape (joints,) [rad].
     """
     malformed = _malformed(trajectory, names)
     if malformed:
@@ -99,7 +88,31 @@ def refusal(trajectory: Trajectory, names: tuple[str, ...], bounds: JointBounds,
     return ""
 
 
+def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
+    """Check the names of joints to move together; return the reason to refuse them, empty for none.
+
+    Args:
+        names: joints to move.
+        known: the arm's joints.
+    """
+    if names and set(names) <= set(known) and len(set(names)) == len(names):
+        return ""
+    return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
+
+
+def _corrections(values: ArmConfig | GuardLimits, ranges: Ranges) -> dict[str, Any]:
+    """Return the defaults of the values that are out of their ranges, by field; NaN is out of every range."""
+    found = {}
+    for field in fields(values):
+        least, most = ranges.get(field.name, (0.0, 0.0))
+        if field.name in ranges and not least <= getattr(values, field.name) <= most:
+            log.error("%s must be %g to %g; it is taken as %g", field.name, least, most, field.default)
+            found[field.name] = field.default
+    return found
+
+
 def _joint_refusal(trajectory: Trajectory, column: int, bounds: JointBounds, joint: int, held_rad: Vector) -> str:
+    """Check one joint's limits, start and speed; return the reason to refuse the trajectory, empty for none."""
     name, positions, held = trajectory.joint_names[column], trajectory.positions_rad[:, column], held_rad[joint]
     # An arm that was switched on outside its soft limits may be brought back inside.
     lower = min(bounds.lower_rad[joint], held) - LIMIT_TOLERANCE_RAD
@@ -119,20 +132,8 @@ def _joint_refusal(trajectory: Trajectory, column: int, bounds: JointBounds, joi
     return ""
 
 
-def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
-    """Why joints of these names cannot be moved together, or an empty text.
-
-    Args:
-        names: what is asked for.
-        known: the arm's joints.
-    """
-    if names and set(names) <= set(known) and len(set(names)) == len(names):
-        return ""
-    return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
-
-
 def _malformed(trajectory: Trajectory, known: tuple[str, ...]) -> str:
-    """What is wrong with the form of a trajectory, or an empty text."""
+    """Check names, shapes and times of a trajectory; return the reason to refuse it, empty for none."""
     names = trajectory.joint_names
     if reason := names_refusal(names, known):
         return reason

@@ -1,8 +1,8 @@
-"""The arm's controller: decides, tick by tick, on the joints' goals. Pure, time passed in, the last line of defence.
+"""Controller of the arm: decides on the joints' goals at every tick. Pure: time is passed in.
 
-It trusts no command. A trajectory is refused when it is malformed, too fast, outside the soft limits or does not
-start where the arm holds; whatever then comes out is clamped to the soft limits and to a bounded step a tick. It
-trusts no reading either: the guards look at each, and what they find ends every motion and stays until it is reset.
+It trusts no command. A trajectory is refused when it is malformed, too fast, outside the soft limits or does not start
+where the arm holds; every goal is clamped to the soft limits and to a bounded step a tick. It trusts no reading either:
+the guards check each, and a fault ends every motion and stays latched until it is reset.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from robot.control.checks import names_refusal, refusal
 from robot.control.guards import DROOP_RAD, Guards, Temperatures
-from robot.control.motion import Motion, succeed, succession_refusal
+from robot.control.motion import Motion, splice, splice_refusal
 from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
@@ -26,16 +26,23 @@ from robot.trajectory import Vector
 # Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
 STEP_MARGIN = 1.5
 
-# Rate of motions while a servo is hot.
+# Greatest rate of motions while a servo is hot.
 SLOW_RATE = 0.5
 
-_DIRECTION = {Course.FORWARD: 1.0, Course.PAUSED: 0.0, Course.BACK: -1.0}
-
-# How a gripper goes on holding: its goal so far beyond the object, at a share of its torque that it can give for long.
+# Grip: goal this far beyond the object [rad], at a share of the torque limit that the servo can give for long.
 SQUEEZE_RAD = 0.05
 GRIP_TORQUE_SHARE = 0.5
 
-# How motions end that a fault ended; any other code is Outcome.FAULT.
+# A servo that goes on holding after one of these is damaged: torque is taken off, gently.
+RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCURRENT})
+
+# Pushing on against an obstacle heats the servo: after these the goal returns to the joint's position.
+_YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
+
+# The actuators that still answer can be braked along the path; a silent one follows its goals unseen.
+_SILENCES = frozenset({FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT})
+
+# Outcome of the motions that a fault ends; any other code is Outcome.FAULT.
 _OUTCOMES = {
     FaultCode.BUS_LOST: Outcome.BUS_LOST,
     FaultCode.SERVO_SILENT: Outcome.BUS_LOST,
@@ -43,30 +50,27 @@ _OUTCOMES = {
     FaultCode.TRACKING_LOST: Outcome.TRACKING_LOST,
 }
 
-# Pushing on against an obstacle heats the servo: after these the goal goes back to where the joint is.
-_YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
-
-# A servo that goes on holding after one of these is damaged: torque is taken off, gently.
-RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCURRENT})
-
-
-# The actuators that are heard can be braked along the path; a silent one follows its goals unseen.
-_SILENCES = frozenset({FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT})
+_DIRECTION = {Course.FORWARD: 1.0, Course.PAUSED: 0.0, Course.BACK: -1.0}
 
 
 class ArmController:
-    """The arm's motion state.
-
-    A new controller does not drive: the arm is relaxed until :meth:`hold`.
+    """Motion state of one arm; it is relaxed until :meth:`hold`.
 
     Args:
         joint_names: order of every array.
         bounds: limits of the joints.
-        guards: look at every reading.
-        full_torque: share of full duty that each joint may use at most, shape (joints,).
-        temperatures: when motions slow down.
-        fault: one that was found before and not reset.
-        simulated: whether the arm is a simulated one, whose faults need other advice.
+        guards: checks of every reading.
+        full_torque: largest share of full duty for each joint, shape (joints,).
+        temperatures: thresholds at which motions slow down.
+        fault: fault latched before, not yet reset.
+        simulated: True for a simulated arm, whose faults have other remedies.
+
+    Attributes:
+        bounds: as given.
+        guards: as given.
+        pace: speed factor and course of motions.
+        driven: True while torque is on.
+        fault: latched fault, or None.
     """
 
     def __init__(
@@ -97,7 +101,7 @@ class ArmController:
 
     @property
     def mode(self) -> Mode:
-        """RELAXED, HOLDING, MOVING or FAULT."""
+        """State of the arm: RELAXED, HOLDING, MOVING or FAULT."""
         if self.fault is not None:
             return Mode.FAULT
         if not self.driven:
@@ -106,7 +110,7 @@ class ArmController:
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is in progress."""
+        """True while a motion is in progress."""
         return bool(self._motions)
 
     @property
@@ -116,7 +120,7 @@ class ArmController:
 
     @property
     def goal_rad(self) -> Vector:
-        """The goals given last, or where the arm is while it is relaxed, shape (joints,) [rad]."""
+        """Goals of the latest tick; the measured positions while the arm is relaxed, shape (joints,) [rad]."""
         return self._goal_rad
 
     @property
@@ -126,15 +130,15 @@ class ArmController:
 
     @property
     def motion(self) -> Motion | Streaming | None:
-        """The motion in progress; of several the one with most joints."""
+        """Motion in progress; of several the one with most joints."""
         return max(self._motions, key=lambda motion: len(motion.columns), default=None)
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
-        """Take note that the servos have these goals, and hold there, or where they are if that is far away.
+        """Begin to hold at the goals that the servos have, or at their positions where those are far away.
 
         Args:
-            goal_rad: the goals, shape (joints,) [rad].
-            measured: where the joints are; None if they are at their goals.
+            goal_rad: goals of the servos, shape (joints,) [rad].
+            measured: latest readings; None if the joints are at their goals.
         """
         self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
         if measured is not None:
@@ -144,41 +148,45 @@ class ArmController:
         self.driven = True
 
     def release(self) -> None:
-        """Take note that torque is off, or going off."""
+        """Mark the arm as relaxed: torque is off, or going off."""
         self.driven = False
 
     def execute(self, command: Execute) -> MotionEnded | None:
-        """Begin a motion; returns the end of the one whose place it takes, if any, or the refusal."""
+        """Begin a motion.
+
+        Returns:
+            The refusal, or the end of the motion that this one is spliced into; None for neither.
+        """
         reason = self._refusal(command)
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._forget_course()
         motion = Motion(command, self._names, self.bounds, self.guards.limits)
-        ended = succeed(self._motions, motion)
+        ended = splice(self._motions, motion)
         self._motions.append(motion)
         self._torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
         return ended
 
     def _refusal(self, command: Execute) -> str:
-        """Why a motion may not begin, or an empty text."""
+        """Return the reason to refuse a motion, empty for none."""
         if reason := self._unready():
             return reason
         if not 0.0 < command.torque_share <= 1.0:
             return f"torque_share is {command.torque_share}; it must be above 0 and at most 1"
         if command.continues is not None:
-            return succession_refusal(self._motions, command, self._names, self.bounds, self._goal_rad)
+            return splice_refusal(self._motions, command, self._names, self.bounds, self._goal_rad)
         return self._occupied(command.trajectory.joint_names) or refusal(
             command.trajectory, self._names, self.bounds, self._goal_rad
         )
 
     def _unready(self) -> str:
-        """Why the arm can begin nothing now, or an empty text."""
+        """Return the reason why no motion can begin now, empty for none."""
         if self.fault is not None or self._pending is not None:
             return f"the arm has a fault: {self.fault or self._pending}"
         return "" if self.driven else "the arm is relaxed: enable it first"
 
     def _occupied(self, names: tuple[str, ...]) -> str:
-        """Which motion moves some of the joints already, or an empty text."""
+        """Return the conflict with a motion of the same joints, empty for none."""
         for motion in self._motions:
             both = set(motion.joint_names) & set(names)
             if both:
@@ -186,7 +194,7 @@ class ArmController:
         return ""
 
     def stream(self, command: Stream) -> MotionEnded | None:
-        """Begin a stream; returns the refusal, or None when it began."""
+        """Begin a stream; return the refusal, or None when it began."""
         names = command.joint_names
         reason = self._unready() or names_refusal(names, self._names) or self._occupied(names)
         if reason:
@@ -196,14 +204,14 @@ class ArmController:
         return None
 
     def steer(self, setpoint: Setpoint) -> None:
-        """Take new velocities for a stream in progress."""
+        """Pass a setpoint to its stream; ignore it when the stream has ended."""
         for motion in self._motions:
             if isinstance(motion, Streaming) and motion.motion_id == setpoint.motion_id:
                 motion.steer(setpoint.velocity_rad_s)
 
     @property
     def commanded(self) -> list[Commanded]:
-        """Where the joints of each stream are told to be."""
+        """Goals of each stream in progress."""
         return [motion.commanded for motion in self._motions if isinstance(motion, Streaming)]
 
     def stop(self, motion_id: int | None = None) -> None:
@@ -213,7 +221,15 @@ class ArmController:
                 motion.stop()
 
     def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
-        """Advance one tick: sets :attr:`goal_rad`, and returns the motions that this tick ends."""
+        """Advance one tick: set :attr:`goal_rad`, and check the readings.
+
+        Args:
+            measured: latest readings.
+            now_s: time of the control loop [s].
+
+        Returns:
+            Ends of the motions that this tick ends.
+        """
         elapsed_s = 0.0 if self._last_step_s is None else min(max(now_s - self._last_step_s, 0.0), MAX_TICK_S)
         self._last_step_s = now_s
         if not self.driven:
@@ -229,20 +245,20 @@ class ArmController:
         return ended + self._end_finished(measured, now_s)
 
     def change_pace(self, change: ChangePace) -> None:
-        """Play motions so from now on; a factor that is no share of the planned speed changes nothing."""
+        """Change speed factor or course of motions; a factor outside 0 to 1 is ignored."""
         if change.speed_factor is not None and 0.0 <= change.speed_factor <= 1.0:
             self.pace = replace(self.pace, speed_factor=change.speed_factor)
         if change.course is not None:
             self.pace = replace(self.pace, course=change.course)
 
     def _forget_course(self) -> None:
-        """A pause ends with the motion it paused."""
+        """Return to the course forward when no motion is in progress that could be paused."""
         if self.pace.course is not Course.FORWARD and all(motion.gripping for motion in self._motions):
             self.pace = replace(self.pace, course=Course.FORWARD)
 
     @property
     def _rate(self) -> float:
-        """Seconds of a motion to play a second, below 0 to go back."""
+        """Rate of motions: path time per time, below 0 to go back."""
         return self.pace.speed_factor * _DIRECTION[self.pace.course]
 
     def _advance(self, measured: Measured, elapsed_s: float) -> None:
@@ -258,7 +274,7 @@ class ArmController:
             self._hold_rad[motion.columns] = self._goal_rad[motion.columns]
 
     def _guarded(self, goal_rad: Vector, elapsed_s: float) -> Vector:
-        """The goal within the step bound of the last one, and not further outside the soft limits than that."""
+        """Clamp a goal to the step bound around the last one, and to the soft limits, or no further outside them."""
         bounds, last_rad = self.bounds, self._goal_rad.tolist()
         limits = zip(bounds.lower_rad.tolist(), bounds.upper_rad.tolist(), bounds.max_velocity.tolist(), strict=True)
         guarded = []
@@ -269,7 +285,7 @@ class ArmController:
         return np.array(guarded)
 
     def _yielding(self) -> Flags | None:
-        """Joints whose stall means that they have gripped something; None where nothing is being gripped."""
+        """Return the joints of grips, for which a stall is no fault; None when there is no grip."""
         gripping = [motion for motion in self._motions if motion.gripping]
         if not gripping:
             return None
@@ -301,7 +317,7 @@ class ArmController:
         return ended
 
     def _drop(self, motion: Motion | Streaming, gripped: Measured | None) -> None:
-        """Forget a motion; its joints hold their goals, or squeeze what they have gripped."""
+        """Remove a motion; its joints hold their goals, or squeeze the gripped object."""
         self._motions.remove(motion)
         columns = motion.columns
         if gripped is None:
@@ -316,7 +332,13 @@ class ArmController:
         self.guards.restart()
 
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
-        """Do what a fault asks for; one that is latched already gives way only to one that takes torque off."""
+        """React to a fault: brake first, latch it, or yield.
+
+        A latched fault is replaced only by one that takes torque off.
+
+        Returns:
+            Ends of the motions that it ends.
+        """
         if self.fault is None:
             if found.code in _SILENCES and self._motions:
                 self._pending = self._pending or replace(found, simulated=self._simulated)
@@ -330,7 +352,7 @@ class ArmController:
         return []
 
     def latch(self, fault: Fault, measured: Measured | None = None) -> list[MotionEnded]:
-        """Take note of a fault: every motion ends, and the arm holds where it is until the fault is reset."""
+        """Latch a fault: every motion ends, and the arm holds where it is until the fault is reset."""
         self.fault = replace(fault, simulated=self._simulated)
         self._pending = None
         ended = self.abandon(_OUTCOMES.get(fault.code, Outcome.FAULT), str(self.fault))
@@ -340,18 +362,18 @@ class ArmController:
         return ended
 
     def _yield_to(self, measured: Measured) -> None:
-        """Give way, step by bounded step, where a joint is far from its goal."""
+        """Move the held goal to the measured position of each joint that is far from its goal."""
         away = np.abs(measured.position_rad - self._goal_rad) > DROOP_RAD
         inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
         self._hold_rad = np.where(away, inside, self._hold_rad)
 
     def reset(self) -> None:
-        """Forget the fault."""
+        """Reset the fault."""
         self.fault = None
         self.guards.restart()
 
     def abandon(self, outcome: Outcome, message: str) -> list[MotionEnded]:
-        """End every motion in progress without moving on."""
+        """End every motion in progress, without braking."""
         ended = [motion.ended(outcome, message) for motion in self._motions]
         self._motions = []
         self._torque_limit = self._full_torque.copy()

@@ -1,4 +1,4 @@
-"""One cycle of the arm: read, decide, write, as ros2_control's controller manager does."""
+"""Control cycle of the arm: read, update, write, as in ros2_control's controller manager."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot.trajectory import Vector
 
 
 class ControlCycle:
-    """An arm whose hardware is open.
+    """Control cycle on open hardware.
 
     Args:
         hardware: the arm's actuators.
@@ -20,8 +20,8 @@ class ControlCycle:
 
     Attributes:
         hardware: as given.
-        controller: decides on goals; None until the actuators were found.
-        measured: the latest readings; None until every joint has been heard.
+        controller: controller of the arm; None until the actuators were surveyed.
+        measured: latest readings; None until every joint has answered.
     """
 
     def __init__(self, hardware: HardwareInterface, clock: Callable[[], float]) -> None:
@@ -32,7 +32,10 @@ class ControlCycle:
         self._writing = True
 
     def tick(self) -> list[MotionEnded]:
-        """Read the joints, decide, and tell them their goals; returns the motions that this ended.
+        """Read the joints, update the controller, and write the goals.
+
+        Returns:
+            Ends of the motions that this tick ended.
 
         Raises:
             PortLost: the port is gone.
@@ -52,7 +55,7 @@ class ControlCycle:
         return ended
 
     def hold(self, goal_rad: Vector) -> None:
-        """Note that the joints were told these goals, at full torque; goals far from the arm come back to it.
+        """Let the controller hold at goals that were written at full torque; goals far from the arm return to it.
 
         Args:
             goal_rad: goals of all joints, shape (joints,) [rad].
@@ -62,7 +65,7 @@ class ControlCycle:
 
     @contextmanager
     def writing_paused(self) -> Iterator[None]:
-        """Leave the joints to a sequence that tells them goals, while no tick tells them those that they had before."""
+        """Suspend the ticks' writes while a sequence writes goals of its own."""
         self._writing = False
         try:
             yield

@@ -1,7 +1,4 @@
-"""Guards: look at every reading, and say which fault it means.
-
-Independent of everything that commands the arm. Pure: readings and time come in, a fault or none comes out.
-"""
+"""Guards: check every reading for faults, independently of the commands to the arm. Pure: time is passed in."""
 
 from __future__ import annotations
 
@@ -14,22 +11,22 @@ from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Flags, Measured
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# A joint that pushes without moving is stalled: far behind its goal, near its torque limit or drawing much current,
-# and all but standing still (60 ticks of an STS3215, and 30 a second).
+# A joint is stalled when it is far behind its goal, near its torque limit or drawing much current, and all but standing
+# still (60 ticks of an STS3215, and 30 a second).
 STALL_ERROR_RAD = 0.092
 STALL_SPEED_RAD_S = 0.046
 STALL_LOAD_SHARE = 0.8
 
-# Backlash and droop under load of real arms: a joint no farther from its goal holds there.
+# Backlash and droop under load of real arms: a joint this near its goal counts as being there.
 DROOP_RAD = 0.06
 
-# Ten missed cycles. The servos still follow their last goals meanwhile.
+# Ten missed cycles; the servos follow their last goals meanwhile.
 STALE_AFTER_S = 0.1
 
-# Readings of three cycles are missing: of joints this old at the least, no actuator has answered lately.
-NOBODY_AFTER_S = 0.03
+# Three missed cycles: when every reading is older, the bus is silent, not one servo.
+ALL_SILENT_AFTER_S = 0.03
 
-# Longer than the dip of a motor starting.
+# Longer than the voltage dip of a starting motor.
 LOW_VOLTAGE_TIME_S = 0.2
 VOLTAGE_BIT_TIME_S = 2.0
 
@@ -60,7 +57,7 @@ _SENTENCES = {
 
 @dataclass(frozen=True)
 class Temperatures:
-    """Steps of heat, each of them the lowest temperature that counts [degC]."""
+    """Temperature thresholds of warning, slower motions and fault, each inclusive [degC]."""
 
     warn_c: float = 55.0
     slow_c: float = 60.0
@@ -68,14 +65,22 @@ class Temperatures:
 
 
 class Persistence:
-    """How long a condition of each joint has held without a break."""
+    """Timer of a condition for each joint.
+
+    Args:
+        joints: number of joints.
+    """
 
     def __init__(self, joints: int) -> None:
         self._never = np.full(joints, np.inf)
         self._since_s = self._never
 
     def lasting(self, condition: Flags, now_s: float) -> Vector:
-        """Note the condition; returns how long it has held, -inf where it does not hold [s]."""
+        """Update with the condition of each joint, shape (joints,).
+
+        Returns:
+            Time for which it has held without a break, -inf where it does not hold, shape (joints,) [s].
+        """
         if not condition.any():
             self._since_s = self._never
             return -self._never
@@ -84,16 +89,18 @@ class Persistence:
 
 
 class Guards:
-    """The guards of one arm.
+    """Guards of one arm.
 
     Args:
         joint_names: order of every array.
-        temperatures: when heat is a fault.
-        max_voltage_v: what each servo's register MAX_VOLTAGE holds, shape (joints,) [V].
-        limits: what is borne.
+        temperatures: thresholds of warnings and faults.
+        max_voltage_v: register MAX_VOLTAGE of each servo, shape (joints,) [V]; None for that of a new servo.
+        limits: thresholds of the other faults.
 
     Attributes:
-        limits: the same.
+        limits: as given.
+        stalled: joints that push without moving, shape (joints,).
+        lost: joints that are too far behind their goals, shape (joints,).
     """
 
     def __init__(
@@ -115,10 +122,10 @@ class Guards:
         self.restart()
 
     def restart(self) -> None:
-        """Forget for how long anything has lasted."""
+        """Restart all timers."""
         joints = len(self._names)
         self._behind, self._pushing = Persistence(joints), Persistence(joints)
-        self._low, self._complaining = Persistence(joints), Persistence(joints)
+        self._low, self._flagged = Persistence(joints), Persistence(joints)
         self.stalled = self._none
         self.lost = self._none
         self._fresh = True
@@ -128,32 +135,30 @@ class Guards:
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None
     ) -> Fault | None:
-        """Look at one tick's readings.
-
-        Sets ``stalled`` and ``lost``, the joints that push in vain and those too far behind.
+        """Check one tick's readings; sets :attr:`stalled` and :attr:`lost`.
 
         Args:
-            goal_rad: what the servos were told, shape (joints,) [rad].
-            measured: what they are doing.
-            torque_limit: the share of full duty that they may use, shape (joints,).
+            goal_rad: goals of the joints, shape (joints,) [rad].
+            measured: readings of the joints.
+            torque_limit: share of full duty that each may use, shape (joints,).
             now_s: monotonic time [s].
-            yielding: joints for which a stall is no fault, shape (joints,).
+            yielding: joints for which a stall is no fault, shape (joints,); None for none.
 
         Returns:
-            The gravest fault, or None.
+            Gravest fault, or None.
         """
         last, self._last = self._last, (measured, now_s)
-        if last is not None and self._well_but_silent(goal_rad, measured, last[0]):
+        if last is not None and self._unremarkable(goal_rad, measured, last[0]):
             if not self._fresh:
                 self.restart()
-            return self._silence(goal_rad, measured)
+            return self._silence_fault(goal_rad, measured)
         self._fresh = False
         jumped = self._none if last is None else _jumped(measured, now_s, *last)
-        self._mind_errors(goal_rad, measured, torque_limit, now_s)
+        self._check_errors(goal_rad, measured, torque_limit, now_s)
         resisting = self._none if yielding is None else yielding
-        complaints = _STATUS_FAULTS if measured.status.any() else ()
+        status_faults = _STATUS_FAULTS if measured.status.any() else ()
         findings = (
-            *((measured.status & bit != 0, code) for bit, code in complaints),
+            *((measured.status & bit != 0, code) for bit, code in status_faults),
             (measured.temperature_c >= self._temperatures.stop_c, FaultCode.OVERHEATED),
             (jumped, FaultCode.POSITION_JUMP),
             (_silent(measured), FaultCode.SERVO_SILENT),
@@ -167,7 +172,7 @@ class Guards:
         return None
 
     def warnings(self, measured: Measured, joint: int) -> tuple[str, ...]:
-        """What to look after at one joint, short of a fault, a sentence each."""
+        """Return the warnings about one joint, a sentence each."""
         said = []
         if measured.temperature_c[joint] >= self._temperatures.slow_c:
             said.append(f"motions run at half speed at {measured.temperature_c[joint]:.0f} degC")
@@ -179,10 +184,10 @@ class Guards:
             said.append(f"no answer for {measured.age_s[joint]:.1f} s")
         return tuple(said)
 
-    def _well_but_silent(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
-        """Whether nothing but silence is a fault, or would be one if it lasted; nearly every tick ends here.
+    def _unremarkable(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
+        """Return True when only silence can be a fault: nothing else is one, or would be one if it lasted.
 
-        In plain numbers: a handful of operations on arrays would cost more than all of them for six joints.
+        The fast path of nearly every tick, in plain numbers: operations on arrays would cost more for six joints.
         """
         positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), before.position_rad.tolist(), strict=True)
         if not all(abs(at - goal) <= self._near_goal_rad and abs(at - was) <= JUMP_RAD for at, goal, was in positions):
@@ -193,15 +198,16 @@ class Guards:
             and not any(volts < self.limits.min_voltage_v for volts in measured.voltage_v.tolist())
         )
 
-    def _silence(self, goal_rad: Vector, measured: Measured) -> Fault | None:
-        """The fault of a silent servo; worded once, as such an arm is held for as long as it takes."""
+    def _silence_fault(self, goal_rad: Vector, measured: Measured) -> Fault | None:
+        """Return the fault of silent servos, the same object while the same servos are silent."""
         silent = [age_s > STALE_AFTER_S for age_s in measured.age_s.tolist()]
         if silent != self._silent:
             fault = self._fault(FaultCode.SERVO_SILENT, _silent(measured), goal_rad, measured) if any(silent) else None
             self._silent, self._silent_fault = silent, fault
         return self._silent_fault
 
-    def _mind_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
+    def _check_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
+        """Find the joints that are stalled, and those too far behind their goals."""
         error = np.abs(measured.position_rad - goal_rad)
         self.stalled = self._stalling(error, measured, torque_limit, now_s)
         lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
@@ -218,15 +224,15 @@ class Guards:
         return np.asarray(lasting_s >= self.limits.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
-        low, complaining = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0
-        low_s, complaining_s = self._low.lasting(low, now_s), self._complaining.lasting(complaining, now_s)
-        return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (complaining_s >= VOLTAGE_BIT_TIME_S))
+        low, flagged = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0
+        low_s, flagged_s = self._low.lasting(low, now_s), self._flagged.lasting(flagged, now_s)
+        return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (flagged_s >= VOLTAGE_BIT_TIME_S))
 
     def _fault(self, code: FaultCode, flags: Flags, goal_rad: Vector, measured: Measured) -> Fault:
-        """The fault of the flagged joint that is farthest from its goal."""
+        """Build the fault of the flagged joint that is farthest from its goal."""
         errors = [abs(at - goal) for at, goal in zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)]
         joint = max((joint for joint, flag in enumerate(flags.tolist()) if flag), key=errors.__getitem__)
-        if code is FaultCode.SERVO_SILENT and measured.age_s.min() > NOBODY_AFTER_S:
+        if code is FaultCode.SERVO_SILENT and measured.age_s.min() > ALL_SILENT_AFTER_S:
             code = FaultCode.BUS_SILENT
         volts, most_volts = measured.voltage_v[joint], self._max_voltage_v[joint]
         if code is FaultCode.VOLTAGE_LOW and volts > most_volts:
@@ -249,7 +255,7 @@ def _silent(measured: Measured) -> Flags:
 
 
 def _jumped(measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:
-    """Joints that cannot have turned from their last reading to this one in the time between."""
+    """Find the joints that cannot have turned from their last reading to this one in the time between."""
     gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
     way_rad = np.abs(measured.position_rad - before.position_rad)
     return np.asarray(way_rad > JUMP_RAD + FREE_SPEED_RAD_S * gap_s)

@@ -1,4 +1,4 @@
-"""Reports to the server: the arm's state many times a second, its condition once."""
+"""Reports to the server: the arm's state many times a second, its health once a second."""
 
 from __future__ import annotations
 
@@ -14,14 +14,23 @@ from robot.messages import ArmHealth, ArmState, JointHealth, Mode, Pace
 
 
 def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
-    """Make the state of an arm whose hardware is not open."""
+    """Build the state of an arm whose hardware is not open."""
     return ArmState(time.time(), Mode.DISCONNECTED, joint_names, reason=reason, fault=fault, clock_s=clock_s)
 
 
 def arm_state(
     arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock_s: float
 ) -> ArmState:
-    """Make the state of the arm at its latest reading."""
+    """Build the state of the arm at its latest reading.
+
+    Args:
+        arm: control cycle of the arm.
+        mode: state of its state machine.
+        fault: latched fault.
+        reason: sentence on an arm that is connected but not ready.
+        lateness_s: lateness of the ticks since the last state [s].
+        clock_s: time of the control loop [s].
+    """
     measured, controller, names = arm.measured, arm.controller, arm.hardware.joint_names
     if measured is None:
         return ArmState(time.time(), mode, names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s)
@@ -58,15 +67,15 @@ def arm_health(
     *,
     real_time: bool,
 ) -> ArmHealth:
-    """Make the report of the arm's condition.
+    """Build the report of the arm's health.
 
     Args:
-        arm: the arm.
+        arm: control cycle of the arm.
         state: its state now.
         port: name of its port.
-        pacer: of the control loop.
-        clock: of the control loop.
-        real_time: whether the process has real-time priority.
+        pacer: pacer of the control loop.
+        clock: clock of the control loop.
+        real_time: True if the process has real-time priority.
     """
     controller = arm.controller
     bounds = None if controller is None else controller.bounds

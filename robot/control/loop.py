@@ -1,7 +1,7 @@
-"""The arm process: opens the hardware, and gives the supervisor its ticks, 100 a second, and the server's messages.
+"""Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages.
 
-Nothing else runs here, so neither a planner's lock nor a burst of messages can delay a tick. When the server asks
-for the end, or is gone, the arm is brought to its end state and the process ends.
+Nothing else runs in this process, so neither a planner's lock nor a burst of messages can delay a tick. When the server
+asks for the end, or is gone, the arm is brought to its end state and the process ends.
 """
 
 from __future__ import annotations
@@ -13,27 +13,23 @@ from typing import Any
 from robot.channel import Channel, channel_of_child
 from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
-from robot.control.supervisor import Supervisor
+from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.errors import RobotError
 from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
 from robot.hardware.opening import hardware_source
 from robot.messages import ArmConfig, Command, Order
 
-# Between attempts to open a port that is not there.
-FIRST_RETRY_S = 0.2
-LONGEST_RETRY_S = 2.0
-
-# A step of a sequence takes a transaction, 1 to 2 ms; none is begun when less is left until the tick.
+# A step of a sequence is a transaction of 1 to 2 ms; none is begun when less time is left until the tick.
 STEP_ROOM_S = 0.002
 
 
 class ArmLoop:
-    """The loop of one arm.
+    """Control loop of one arm.
 
     Args:
-        channel: the server.
-        config: the arm.
-        real_time: whether the process has real-time priority.
+        channel: channel to the server.
+        config: hardware, limits and policies of the arm.
+        real_time: True if the process has real-time priority.
 
     Raises:
         OSError: the log or the control socket of emulated servos cannot be made.
@@ -47,7 +43,7 @@ class ArmLoop:
         self._supervisor = Supervisor(config, self._send, self._clock, real_time=real_time)
 
     def run(self) -> None:
-        """Serve until the end; an arm that is not there is tried again and again."""
+        """Run until the end; hardware that cannot be opened is retried."""
         retry_s = FIRST_RETRY_S
         while not self._supervisor.finished():
             try:
@@ -61,7 +57,11 @@ class ArmLoop:
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
 
     def _drive(self) -> None:
-        """Run ticks until the end; raises RobotError when the hardware is lost."""
+        """Run ticks until the end.
+
+        Raises:
+            RobotError: the hardware is lost.
+        """
         pacer = Pacer(time.monotonic())
         while not self._supervisor.finished():
             skipped = self._between_ticks(pacer)
@@ -71,45 +71,45 @@ class ArmLoop:
             self._supervisor.tick(pacer, ticks=1 + skipped, server_gone=self._channel.closed)
 
     def _between_ticks(self, pacer: Pacer) -> int:
-        """Take the server's messages, and do what orders ask for, until the tick is due.
+        """Handle the server's messages, and do steps of orders, until the tick is due.
 
         Returns:
-            How many ticks were skipped, since the arm needed none; a message that has it move takes them back.
+            Number of ticks that were skipped because the arm needed none; 0 when a message made it need them.
         """
         skipped = self._supervisor.spare_ticks
         pacer.skip(skipped)
         if time.monotonic() >= pacer.deadline_s:
-            self._obey(self._channel.receive(0.0))
+            self._handle(self._channel.receive(0.0))
         while (remaining_s := pacer.deadline_s - time.monotonic()) > 0.0:
             idle_s = remaining_s
             if remaining_s > STEP_ROOM_S and (wait_s := self._supervisor.work()) < remaining_s:
-                # A simulated arm's time stands still until the tick: what waits for it waits for the tick.
+                # The clock of a simulated arm stands still until the tick, and so does a wait on it.
                 idle_s = remaining_s if self._simulated and wait_s > 0.0 else wait_s
             if self._channel.closed:
                 time.sleep(max(0.0, idle_s))
             else:
-                self._obey(self._channel.receive(idle_s))
+                self._handle(self._channel.receive(idle_s))
             if skipped and not self._supervisor.spare_ticks:
                 pacer.hurry(skipped, time.monotonic())
                 skipped = 0
         return skipped
 
-    def _obey(self, messages: list[Any]) -> None:
-        """Obey emergency stops first, the rest in order."""
+    def _handle(self, messages: list[Any]) -> None:
+        """Handle emergency stops first, the rest in order."""
         for message in sorted(messages, key=_rank):
-            self._supervisor.obey(message)
+            self._supervisor.handle(message)
 
     def _send(self, message: object, droppable: bool) -> None:
         self._channel.send(message, droppable=droppable)
 
     def _wait(self, wait_s: float) -> None:
-        """Answer the server while there is no hardware, until it is time to look for it again."""
+        """Handle the server's messages while there is no hardware, until the next attempt to open it."""
         until_s = time.monotonic() + wait_s
         while not self._supervisor.finished() and (remaining_s := until_s - time.monotonic()) > 0.0:
             if self._channel.closed:
                 self._supervisor.lose_server()
             else:
-                self._obey(self._channel.receive(remaining_s))
+                self._handle(self._channel.receive(remaining_s))
 
 
 def _rank(message: object) -> int:

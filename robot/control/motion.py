@@ -1,8 +1,8 @@
-"""Playing a trajectory: where the arm should be now, and how to slow, stop and turn without leaving the path.
+"""Motions in progress: the goal at each tick, the end, and splicing into a new trajectory.
 
-One motion in progress: its goal at each tick, and how it ends when nothing goes wrong.
-
-A motion that takes the place of another one without a stop: when it may, and how.
+A trajectory is played along its path: it can be slowed, stopped and reversed without leaving the path. A motion ends
+when its joints have settled at the end of the trajectory, or have stopped. A new trajectory can replace the one being
+played without a stop where both coincide for some time (splicing).
 """
 
 from __future__ import annotations
@@ -19,140 +19,36 @@ from robot.description.limits import JointBounds
 from robot.messages import Execute, GuardLimits, MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector
 
-# While a joint already uses all of its acceleration on the path, braking may add this share of the limit.
+# Braking may add this share of the acceleration limit while a joint already uses all of it on the path.
 BRAKING_SHARE = 0.5
 
-# Change of the rate [1/s] where nothing moves, at the ends of a motion: stops within one tick.
+# Change of the rate where nothing moves, at the ends of a motion [1/s]: stops within one tick.
 STANDSTILL_BRAKING = 1e3
-
-# A motion that takes another's place is at the same point of the path to within these: far below a servo's tick.
-SAME_POSITION_RAD = 1e-6
-SAME_SPEED_RAD_S = 1e-4
 
 # Below this rate the rest of the stop is shorter than one tick.
 STOPPED_RATE = 1e-3
 
-
-class Playback:
-    """One trajectory being played.
-
-    The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
-    slower motion, below 0 to go back. With q(s) the path, the joints feel the velocity rate * q'(s) and the
-    acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
-
-    Attributes:
-        ceiling: the fastest rate allowed, in (0, 1].
-        pace: the rate that is wanted, -1 to 1: at 0 the arm waits on its path, below it goes back to the path's start.
-
-    Args:
-        trajectory: the motion.
-        max_acceleration: of each of its joints, shape (joints,) [rad/s^2].
-    """
-
-    def __init__(self, trajectory: Trajectory, max_acceleration: Vector) -> None:
-        self.trajectory = trajectory
-        self._max_acceleration = max_acceleration
-        self._path_time_s = 0.0
-        self._rate = 1.0
-        self._stopping = False
-        self.ceiling = 1.0
-        self.pace = 1.0
-
-    @property
-    def finished(self) -> bool:
-        """Whether the goal no longer moves: the end is reached, or the stop is complete."""
-        return self.completed or (self._stopping and self._rate == 0.0)
-
-    @property
-    def completed(self) -> bool:
-        """Whether the end of the trajectory was reached."""
-        return self._path_time_s >= self.trajectory.duration_s
-
-    @property
-    def fraction(self) -> float:
-        """Share of the duration that is done, 0..1."""
-        duration_s = self.trajectory.duration_s
-        return min(self._path_time_s / duration_s, 1.0) if duration_s > 0.0 else 1.0
-
-    @property
-    def remaining_s(self) -> float:
-        """Time to the end at the rate wanted now; while the arm waits or goes back, at the fastest one [s]."""
-        rate = min(self.pace, self.ceiling) if self.pace > 0.0 else self.ceiling
-        return max(self.trajectory.duration_s - self._path_time_s, 0.0) / rate
-
-    def leads_into(self, other: Trajectory, from_s: float) -> bool:
-        """Whether another trajectory can take this one's place now: it is at the same point with the same speed.
-
-        Args:
-            other: of the same joints.
-            from_s: the time on this one at which it begins [s].
-        """
-        there_s = self._path_time_s - from_s
-        if self._stopping or not 0.0 <= there_s < other.duration_s:
-            return False
-        position, velocity, _ = self.trajectory.sample(self._path_time_s)
-        other_position, other_velocity, _ = other.sample(there_s)
-        near = np.abs(position - other_position) <= SAME_POSITION_RAD
-        return bool((near & (np.abs(velocity - other_velocity) <= SAME_SPEED_RAD_S)).all())
-
-    def go_on_from(self, former: Playback, from_s: float) -> None:
-        """Be where another one is, on whose trajectory this one's begins at a time [s]."""
-        self._path_time_s = former._path_time_s - from_s
-        self._rate = former._rate
-
-    def stop(self) -> None:
-        """Begin to brake along the path."""
-        self._stopping = True
-
-    def advance(self, elapsed_s: float) -> Vector:
-        """Move on by a time and return the goal there, shape (joints,) [rad]."""
-        # At the end the joints settle: there is no way back from there.
-        if not self.completed:
-            self._change_rate(elapsed_s)
-            moved_s = self._path_time_s + self._rate * elapsed_s
-            self._path_time_s = min(max(moved_s, 0.0), self.trajectory.duration_s)
-        return self.trajectory.sample(self._path_time_s)[0]
-
-    def _change_rate(self, elapsed_s: float) -> None:
-        """Bring the rate nearer to the one that is wanted."""
-        wanted = 0.0 if self._stopping else max(min(self.pace, self.ceiling), -self.ceiling)
-        if self._rate == wanted and wanted >= 0.0:
-            return
-        fastest = self._largest_change()
-        change = fastest * elapsed_s
-        if wanted < 0.0:
-            # A path may begin in motion: the way back then ends in time for what is left of it, tick by tick.
-            wanted = max(wanted, 0.5 * change - math.sqrt(0.25 * change**2 + 2.0 * fastest * self._path_time_s))
-        self._rate = max(wanted, self._rate - change) if self._rate > wanted else min(wanted, self._rate + change)
-        if wanted == 0.0 and abs(self._rate) < STOPPED_RATE:
-            self._rate = 0.0
-
-    def _largest_change(self) -> float:
-        """Fastest allowed change of the rate [1/s]: what no joint's acceleration limit forbids."""
-        _, velocity, acceleration = self.trajectory.sample(self._path_time_s)
-        speed = np.abs(velocity)
-        in_use = self._rate**2 * np.abs(acceleration)
-        spare = np.maximum(self._max_acceleration - in_use, BRAKING_SHARE * self._max_acceleration)
-        moving = speed > 1e-6
-        if not moving.any():
-            return STANDSTILL_BRAKING
-        return float(np.min(spare[moving] / speed[moving]))
-
-
+# Ticks in a row within the goal tolerance, after which a joint counts as settled.
 SETTLED_TICKS = 3
+
+# Spliced trajectories coincide to within these [rad], [rad/s]: far below a servo's tick.
+SAME_POSITION_RAD = 1e-6
+SAME_SPEED_RAD_S = 1e-4
 
 
 class Motion:
-    """A trajectory in progress.
+    """Motion in progress.
 
     Args:
-        command: what was asked for, found acceptable.
-        names: the arm's joints, order of the driver's arrays.
+        command: accepted command.
+        names: the arm's joints, order of the controller's arrays.
         bounds: limits of the joints.
-        limits: when its end is reached.
+        limits: goal tolerance and settling time.
 
     Attributes:
-        columns: places of its joints in the driver's arrays.
+        command: as given.
+        columns: indices of its joints in the controller's arrays.
+        playback: its trajectory being played.
     """
 
     def __init__(self, command: Execute, names: tuple[str, ...], bounds: JointBounds, limits: GuardLimits) -> None:
@@ -165,22 +61,22 @@ class Motion:
 
     @property
     def motion_id(self) -> int:
-        """The number its end is told under."""
+        """Number of the motion, reported with its end."""
         return self.command.motion_id
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The joints that move."""
+        """Joints that move."""
         return self.command.trajectory.joint_names
 
     @property
     def gripping(self) -> bool:
-        """Whether a stall on the way is a grip."""
+        """True when a stall on the way is a grip."""
         return self.command.gripping
 
     @property
     def finished(self) -> bool:
-        """Whether the goal no longer moves."""
+        """True when the goal no longer moves."""
         return self.playback.finished
 
     @property
@@ -198,25 +94,25 @@ class Motion:
         self.playback.stop()
 
     def advance(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Let time pass.
+        """Advance by a time step.
 
         Args:
-            elapsed_s: how much [s].
-            rate: seconds of the motion to play a second, below 0 to go back.
-            fastest: the greatest rate allowed.
+            elapsed_s: time step [s].
+            rate: wanted path time per time, below 0 to go back.
+            fastest: greatest rate allowed.
 
         Returns:
-            The goals of its joints then, shape (joints,) [rad].
+            Goals of its joints, shape (joints,) [rad].
         """
         self.playback.pace, self.playback.ceiling = rate, fastest
         return self.playback.advance(elapsed_s)
 
     def ended(self, outcome: Outcome, message: str) -> MotionEnded:
-        """Tell its end."""
+        """Return the motion's end."""
         return MotionEnded(self.motion_id, outcome, message)
 
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
-        """The regular end: stopped, or its end reached and its joints settled there.
+        """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
 
         Args:
             goal_rad: goals of all joints [rad].
@@ -252,21 +148,132 @@ class Motion:
         return self.ended(Outcome.NOT_SETTLED, message)
 
 
-def succession_refusal(
+class Playback:
+    """Trajectory being played.
+
+    The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
+    slower motion, below 0 to go back. With q(s) the path, the joints have the velocity rate * q'(s) and the
+    acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
+
+    Args:
+        trajectory: trajectory to play.
+        max_acceleration: limit of each of its joints, shape (joints,) [rad/s^2].
+
+    Attributes:
+        ceiling: fastest rate allowed, in (0, 1].
+        pace: wanted rate, -1 to 1: at 0 the arm waits on its path, below 0 it goes back to the path's start.
+    """
+
+    def __init__(self, trajectory: Trajectory, max_acceleration: Vector) -> None:
+        self.trajectory = trajectory
+        self._max_acceleration = max_acceleration
+        self._path_time_s = 0.0
+        self._rate = 1.0
+        self._stopping = False
+        self.ceiling = 1.0
+        self.pace = 1.0
+
+    @property
+    def finished(self) -> bool:
+        """True when the goal no longer moves: the end is reached, or the stop is complete."""
+        return self.completed or (self._stopping and self._rate == 0.0)
+
+    @property
+    def completed(self) -> bool:
+        """True when the end of the trajectory was reached."""
+        return self._path_time_s >= self.trajectory.duration_s
+
+    @property
+    def fraction(self) -> float:
+        """Share of the duration that is done, 0..1."""
+        duration_s = self.trajectory.duration_s
+        return min(self._path_time_s / duration_s, 1.0) if duration_s > 0.0 else 1.0
+
+    @property
+    def remaining_s(self) -> float:
+        """Time to the end at the wanted rate; while the arm waits or goes back, at the fastest one [s]."""
+        rate = min(self.pace, self.ceiling) if self.pace > 0.0 else self.ceiling
+        return max(self.trajectory.duration_s - self._path_time_s, 0.0) / rate
+
+    def can_splice(self, other: Trajectory, from_s: float) -> bool:
+        """Return True when another trajectory has the same position and velocity now, and can replace this one.
+
+        Args:
+            other: trajectory of the same joints.
+            from_s: time on this one at which the other begins [s].
+        """
+        there_s = self._path_time_s - from_s
+        if self._stopping or not 0.0 <= there_s < other.duration_s:
+            return False
+        position, velocity, _ = self.trajectory.sample(self._path_time_s)
+        other_position, other_velocity, _ = other.sample(there_s)
+        near = np.abs(position - other_position) <= SAME_POSITION_RAD
+        return bool((near & (np.abs(velocity - other_velocity) <= SAME_SPEED_RAD_S)).all())
+
+    def continue_from(self, former: Playback, from_s: float) -> None:
+        """Continue at the position and rate of another playback.
+
+        Args:
+            former: playback that this one replaces.
+            from_s: time on its trajectory at which this one's begins [s].
+        """
+        self._path_time_s = former._path_time_s - from_s
+        self._rate = former._rate
+
+    def stop(self) -> None:
+        """Begin to brake along the path."""
+        self._stopping = True
+
+    def advance(self, elapsed_s: float) -> Vector:
+        """Advance by ``elapsed_s`` [s] and return the goal, shape (joints,) [rad]."""
+        # At the end the joints settle: there is no way back from there.
+        if not self.completed:
+            self._change_rate(elapsed_s)
+            moved_s = self._path_time_s + self._rate * elapsed_s
+            self._path_time_s = min(max(moved_s, 0.0), self.trajectory.duration_s)
+        return self.trajectory.sample(self._path_time_s)[0]
+
+    def _change_rate(self, elapsed_s: float) -> None:
+        """Bring the rate nearer to the wanted one."""
+        wanted = 0.0 if self._stopping else max(min(self.pace, self.ceiling), -self.ceiling)
+        if self._rate == wanted and wanted >= 0.0:
+            return
+        fastest = self._largest_change()
+        change = fastest * elapsed_s
+        if wanted < 0.0:
+            # A path may begin in motion: the way back then ends in time for what is left of it, tick by tick.
+            wanted = max(wanted, 0.5 * change - math.sqrt(0.25 * change**2 + 2.0 * fastest * self._path_time_s))
+        self._rate = max(wanted, self._rate - change) if self._rate > wanted else min(wanted, self._rate + change)
+        if wanted == 0.0 and abs(self._rate) < STOPPED_RATE:
+            self._rate = 0.0
+
+    def _largest_change(self) -> float:
+        """Return the fastest change of the rate that all joints' acceleration limits allow [1/s]."""
+        _, velocity, acceleration = self.trajectory.sample(self._path_time_s)
+        speed = np.abs(velocity)
+        in_use = self._rate**2 * np.abs(acceleration)
+        spare = np.maximum(self._max_acceleration - in_use, BRAKING_SHARE * self._max_acceleration)
+        moving = speed > 1e-6
+        if not moving.any():
+            return STANDSTILL_BRAKING
+        return float(np.min(spare[moving] / speed[moving]))
+
+
+def splice_refusal(
     motions: Iterable[Motion | Streaming],
     command: Execute,
     names: tuple[str, ...],
     bounds: JointBounds,
     goal_rad: Vector,
 ) -> str:
-    """Why a motion may not take the place of the one that it names, or an empty text.
+    """Check a motion that replaces another one; return the reason to refuse it, empty for none.
 
     Args:
-        motions: those in progress.
-        command: what is asked for; it continues another motion.
+        motions: motions in progress.
+        command: command with a continuation.
         names: the arm's joints, order of the arrays.
         bounds: limits of the joints.
-        goal_rad: the goals given last, shape (joints,) [rad].
+        goal_rad: goals of the latest tick, shape (joints,) [rad].
     """
     former, continues = _former(motions, command), command.continues
     if former is None or continues is None:
@@ -276,27 +283,31 @@ def succession_refusal(
     begins_rad = goal_rad.copy()
     begins_rad[former.columns] = former.playback.trajectory.sample(continues.from_s)[0]
     reason = checks.refusal(command.trajectory, names, bounds, begins_rad)
-    if reason or former.playback.leads_into(command.trajectory, continues.from_s):
+    if reason or former.playback.can_splice(command.trajectory, continues.from_s):
         return reason
     return f"motion {former.motion_id} is no longer where another could take its place"
 
 
-def succeed(motions: MutableSequence[Motion | Streaming], motion: Motion) -> MotionEnded | None:
-    """Let a motion that is not refused take the place of the one that it names; returns that one's end.
+def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> MotionEnded | None:
+    """Replace the motion that an accepted one continues, if it continues one.
 
     Args:
-        motions: those in progress; the former is taken out of them.
-        motion: the new one; it goes on where the former is.
+        motions: motions in progress; the replaced one is removed.
+        motion: accepted motion; it continues where the replaced one is.
+
+    Returns:
+        End of the replaced motion; None for a motion that begins at rest.
     """
     former, continues = _former(motions, motion.command), motion.command.continues
     if former is None or continues is None:
         return None
-    motion.playback.go_on_from(former.playback, continues.from_s)
+    motion.playback.continue_from(former.playback, continues.from_s)
     motions.remove(former)
     return former.ended(Outcome.STOPPED, f"motion {motion.motion_id} takes its place")
 
 
 def _former(motions: Iterable[Motion | Streaming], command: Execute) -> Motion | None:
+    """Find the motion that a command continues."""
     number = None if command.continues is None else command.continues.motion_id
     found = (one for one in motions if isinstance(one, Motion) and one.motion_id == number)
     return next(found, None)

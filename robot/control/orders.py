@@ -1,4 +1,4 @@
-"""Orders to the arm, each a sequence of steps that ends with a sentence or a RobotError."""
+"""Orders to the arm: sequences of steps, each of which returns a sentence or raises a RobotError."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag, Steps, Survey, status_names
 from robot.messages import ArmConfig, EmergencyPolicy, MotionEnded
 
-# Between two looks at what ticks bring along: readings, and the end of motions that brake.
-LOOK_AGAIN_S = 0.01
-LOOKS = 200
+# Polling of what only ticks can change: first readings, and the end of motions that brake.
+POLL_S = 0.01
+POLLS = 200
 
-# A fault cannot be reset while an actuator complains of one of these; of its supply it may, which has a fault of its
-# own.
+# Status flags that keep a fault from being reset; the supply's flag does not, since it has a fault of its own.
 GRAVE_STATUS = StatusFlag.TEMPERATURE | StatusFlag.OVERLOAD | StatusFlag.CURRENT | StatusFlag.ENCODER
 
 Report = Callable[[list[MotionEnded]], None]
 
 
 class Orders:
-    """The orders to one arm on open hardware.
+    """Orders to one arm on open hardware.
 
     Args:
-        arm: the arm.
-        config: how it is to behave.
-        fault: one that was latched before this hardware was opened.
-        report: takes the motions that an order ends.
+        arm: control cycle of the arm.
+        config: limits and policies of the arm.
+        fault: fault latched before this hardware was opened.
+        report: called with the motions that an order ends.
     """
 
     def __init__(self, arm: ControlCycle, config: ArmConfig, fault: Fault | None, report: Report) -> None:
@@ -47,14 +46,14 @@ class Orders:
 
     @property
     def fault(self) -> Fault | None:
-        """The latched fault."""
+        """Latched fault, or None."""
         return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
     def connect(self, *, may_enable: bool) -> Steps[str]:
-        """Find the actuators, adopt those that hold, and switch the arm on if it may be.
+        """Survey the actuators, take over those that hold, and enable the arm where permitted.
 
         Args:
-            may_enable: whether an arm that is relaxed may be made to hold.
+            may_enable: True to enable an arm that is relaxed.
         """
         hardware = self._arm.hardware
         found = yield from hardware.survey()
@@ -79,10 +78,10 @@ class Orders:
         return "the arm was holding" if wanted == holding else "the arm holds"
 
     def _first_readings(self) -> Steps[Measured]:
-        for _ in range(LOOKS):
+        for _ in range(POLLS):
             if self._arm.measured is not None:
                 return self._arm.measured
-            yield LOOK_AGAIN_S
+            yield POLL_S
         raise StartupError("not every servo can be read")
 
     def _begin(self, found: Survey) -> ArmController:
@@ -101,12 +100,12 @@ class Orders:
         return controller
 
     def _enable(self, joints: Sequence[int]) -> Steps[None]:
-        """Bring joints to hold."""
+        """Enable joints at their positions."""
         with self._arm.writing_paused():
             self._arm.hold((yield from self._arm.hardware.enable(joints)))
 
     def enable(self) -> Steps[str]:
-        """Make a relaxed arm hold where it is."""
+        """Enable a relaxed arm: it holds where it is."""
         controller = self._controller()
         if controller.fault is not None:
             raise OrderRefused(f"the arm has a fault: {controller.fault}")
@@ -120,13 +119,13 @@ class Orders:
         return "the arm holds"
 
     def relax(self) -> Steps[str]:
-        """Stop, and take torque off so slowly that the arm sinks instead of falling; also in a fault."""
+        """Stop, then lower the torque so slowly that the arm sinks instead of falling; also in a fault."""
         controller, hardware = self._controller(), self._arm.hardware
         controller.stop()
-        for _ in range(LOOKS):
+        for _ in range(POLLS):
             if not controller.moving:
                 break
-            yield LOOK_AGAIN_S
+            yield POLL_S
         if controller.driven:
             controller.release()
             left = yield from hardware.relax(controller.torque_limit)
@@ -136,7 +135,7 @@ class Orders:
         return "the arm is relaxed"
 
     def emergency_stop(self) -> Steps[str]:
-        """Stop at once, by the configured policy; the first step cuts torque."""
+        """Stop at once by the configured policy; torque is cut with the first step."""
         controller = self._arm.controller
         if self._config.on_emergency_stop is EmergencyPolicy.HOLD and (controller is None or controller.driven):
             self._latch(FaultCode.EMERGENCY_STOP, "emergency stop: the arm holds where it is")
@@ -152,7 +151,7 @@ class Orders:
         return "torque is off at every servo"
 
     def reset_fault(self) -> Steps[str]:
-        """Clear the fault when its cause is gone."""
+        """Reset the fault when its cause is gone."""
         controller, hardware = self._controller(), self._arm.hardware
         fault = controller.fault
         if fault is None:
@@ -160,7 +159,7 @@ class Orders:
         self._check_answers()
         driven = yield from hardware.driven()
         yield from self._clear_overloads(controller)
-        yield LOOK_AGAIN_S
+        yield POLL_S
         self._check_causes(fault)
         on = [joint for joint, flag in enumerate(driven.tolist()) if flag]
         if controller.driven and on:
@@ -187,7 +186,7 @@ class Orders:
                 raise OrderRefused(f"the servo of joint {self._arm.hardware.label(joint)} does not answer")
 
     def _check_causes(self, fault: Fault) -> None:
-        """Refuse to reset while an actuator is hot or complains."""
+        """Raise OrderRefused while an actuator is hot or reports an error."""
         measured = self._readings()
         readings = zip(measured.status.tolist(), measured.temperature_c.tolist(), strict=True)
         limit_c = self._temperatures.warn_c if fault.code is FaultCode.OVERHEATED else self._temperatures.stop_c

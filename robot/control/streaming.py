@@ -1,9 +1,7 @@
-"""Follows joint velocities that change at any time, with bounded acceleration and jerk, to the limits and no further.
+"""Streams of joint velocities: the joints' goals at each tick, with bounded acceleration and jerk.
 
-A joint that is to move is sent to the limit ahead of it at the speed asked for: it is braked in time by itself, however
-late the next wish comes. The profiles are ruckig's, the fastest within the bounds; each joint has its own.
-
-One stream of velocities in progress: the joints' goals at each tick, and how it ends.
+A joint with a target velocity is sent to the limit ahead of it at that speed, so that it brakes in time by itself
+however late the next setpoint comes. The profiles are ruckig's, time-optimal within the bounds; each joint has its own.
 """
 
 from __future__ import annotations
@@ -16,107 +14,31 @@ from robot.description.limits import JointBounds
 from robot.messages import Commanded, MotionEnded, Outcome, Stream
 from robot.trajectory import Vector
 
-# Acceleration grows to its limit within this time: motors and gears feel no knock, and a stick no delay.
+# Acceleration reaches its limit within this time: no jolt for motors and gears, no delay for a joystick.
 TIME_TO_FULL_ACCELERATION_S = 0.06
 
-# A slower wish is none: it is a servo's tick in two seconds.
+# Slower targets count as rest: this is a servo's tick in two seconds.
 LEAST_SPEED_RAD_S = 1e-3
-
-
-class VelocityTracking:
-    """Positions of some joints while they follow wishes.
-
-    Args:
-        bounds: limits of these joints, each of shape (joints,).
-        position_rad: where they stand, at rest, shape (joints,) [rad].
-
-    Attributes:
-        position_rad: where they should be now, shape (joints,) [rad].
-        velocity_rad_s: how fast they should be, shape (joints,) [rad/s].
-    """
-
-    def __init__(self, bounds: JointBounds, position_rad: Vector) -> None:
-        joints = len(position_rad)
-        self.position_rad, self.velocity_rad_s = position_rad.copy(), np.zeros(joints)
-        self._acceleration_rad_s2 = np.zeros(joints)
-        self._wished_rad_s = np.zeros(joints)
-        # A joint that was switched on outside its limits may stay there, and come inside.
-        self._lower_rad = np.minimum(bounds.lower_rad, position_rad)
-        self._upper_rad = np.maximum(bounds.upper_rad, position_rad)
-        self._max_velocity = bounds.max_velocity
-        self._ruckig, self._input, self._profile = Ruckig(joints), InputParameter(joints), Trajectory(joints)
-        self._input.synchronization = Synchronization.No
-        self._input.max_acceleration = bounds.max_acceleration.tolist()
-        self._input.max_jerk = (bounds.max_acceleration / TIME_TO_FULL_ACCELERATION_S).tolist()
-        self._input.target_velocity = self._input.target_acceleration = [0.0] * joints
-        self._since_s = 0.0
-        self._plan()
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether nothing moves and nothing is to move."""
-        return not self._wished_rad_s.any() and self._since_s >= self._profile.duration
-
-    def wish(self, velocity_rad_s: Vector) -> None:
-        """Move so from now on; wishes above the velocity limits are cut to them.
-
-        Args:
-            velocity_rad_s: finite numbers, shape (joints,) [rad/s].
-        """
-        wished = np.clip(velocity_rad_s, -self._max_velocity, self._max_velocity)
-        wished[np.abs(wished) < LEAST_SPEED_RAD_S] = 0.0
-        if not np.array_equal(wished, self._wished_rad_s):
-            self._wished_rad_s = wished
-            self._plan()
-
-    def advance(self, elapsed_s: float) -> Vector:
-        """Let time pass; returns where the joints should be then, shape (joints,) [rad]."""
-        self._since_s += elapsed_s
-        position, velocity, acceleration = self._profile.at_time(self._since_s)
-        self.position_rad, self.velocity_rad_s = np.array(position), np.array(velocity)
-        self._acceleration_rad_s2 = np.array(acceleration)
-        return self.position_rad
-
-    def _plan(self) -> None:
-        """Make the profiles from where the joints are now."""
-        moving = self._wished_rad_s != 0.0
-        given = self._input
-        given.current_position = self.position_rad.tolist()
-        given.current_velocity = self.velocity_rad_s.tolist()
-        given.current_acceleration = self._acceleration_rad_s2.tolist()
-        given.target_position = np.where(self._wished_rad_s > 0.0, self._upper_rad, self._lower_rad).tolist()
-        # A joint that is to rest has no place to go to; its interface takes no notice of these two.
-        given.max_velocity = np.where(moving, np.abs(self._wished_rad_s), self._max_velocity).tolist()
-        interfaces = (ControlInterface.Velocity, ControlInterface.Position)
-        given.per_dof_control_interface = [interfaces[int(each)] for each in moving]
-        try:
-            self._ruckig.calculate(given, self._profile)
-        except RuckigError:
-            # Its equations have no solution in a few corners of rounding; to brake has one always.
-            given.per_dof_control_interface = [ControlInterface.Velocity] * len(moving)
-            self._ruckig.calculate(given, self._profile)
-        self._since_s = 0.0
-
 
 # Ten ticks. A stream that is steered at 50 Hz may lose four setpoints in a row.
 SETPOINT_LASTS_S = 0.1
 
 
 class Streaming:
-    """Joints that follow setpoints.
+    """Stream in progress, with the interface of :class:`robot.control.motion.Motion`.
 
     Args:
-        command: what was asked for, found acceptable.
-        names: the arm's joints, order of the driver's arrays.
+        command: accepted command.
+        names: the arm's joints, order of the controller's arrays.
         bounds: limits of the joints.
-        held_rad: where the arm holds, shape (joints,) [rad].
+        held_rad: goals at which the arm holds, shape (joints,) [rad].
 
     Attributes:
         command: as given.
-        columns: places of its joints in the driver's arrays.
-        gripping: a stream never grips.
-        fraction: a stream has no end to be near to.
-        remaining_s: nor is it known when it ends.
+        columns: indices of its joints in the controller's arrays.
+        gripping: always False.
+        fraction: always 0, as a stream has no planned end.
+        remaining_s: always 0, likewise.
     """
 
     gripping = False
@@ -133,22 +55,22 @@ class Streaming:
 
     @property
     def motion_id(self) -> int:
-        """The number its end is told under."""
+        """Number of the stream, reported with its end."""
         return self.command.motion_id
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The joints that follow."""
+        """Joints that follow."""
         return self.command.joint_names
 
     @property
     def finished(self) -> bool:
-        """Whether the goals no longer move, and will not again."""
+        """True when the goals no longer move, and will not again."""
         return self._tracking.at_rest and (bool(self._ending) or self._silent)
 
     @property
     def commanded(self) -> Commanded:
-        """Where the joints should be now."""
+        """Position and velocity goals of the joints now."""
         return Commanded(self.motion_id, self._at_s, self._tracking.position_rad, self._tracking.velocity_rad_s)
 
     @property
@@ -156,7 +78,7 @@ class Streaming:
         return self._silence_s > SETPOINT_LASTS_S
 
     def steer(self, velocity_rad_s: Vector) -> None:
-        """Take a setpoint; one that is no set of finite numbers ends the stream."""
+        """Take a setpoint, shape (joints,) [rad/s]; one of another shape, or not finite, ends the stream."""
         self._silence_s = 0.0
         if velocity_rad_s.shape != self.columns.shape or not np.isfinite(velocity_rad_s).all():
             self._ending = self._ending or f"stopped: {velocity_rad_s.tolist()} are no velocities of these joints"
@@ -168,28 +90,106 @@ class Streaming:
         self._ending = self._ending or "stopped"
 
     def advance(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Let time pass.
+        """Advance by a time step.
 
         Args:
-            elapsed_s: how much [s].
-            rate: share of the setpoints' speed to move at; a stream cannot go back, below 0 it waits.
-            fastest: the greatest share allowed.
+            elapsed_s: time step [s].
+            rate: share of the setpoints' speed; a stream cannot go back, so it waits below 0.
+            fastest: greatest share allowed.
 
         Returns:
-            The goals then, shape (joints,) [rad].
+            Goals of its joints, shape (joints,) [rad].
         """
         self._at_s += elapsed_s
         self._silence_s += elapsed_s
         resting = bool(self._ending) or self._silent
-        self._tracking.wish(self._velocity_rad_s * (0.0 if resting else min(max(rate, 0.0), fastest)))
+        self._tracking.set_target(self._velocity_rad_s * (0.0 if resting else min(max(rate, 0.0), fastest)))
         return self._tracking.advance(elapsed_s)
 
     def ended(self, outcome: Outcome, message: str) -> MotionEnded:
-        """Tell its end."""
+        """Return the stream's end."""
         return MotionEnded(self.motion_id, outcome, message)
 
     def end(self, _goal_rad: Vector, _position_rad: Vector, _now_s: float) -> MotionEnded | None:
-        """The regular end: at rest, and stopped or no longer steered; arguments as for a motion's."""
+        """Return the regular end, None while in progress: at rest, and stopped or without setpoints.
+
+        Its arguments are those of a motion's end.
+        """
         if not self.finished:
             return None
         return self.ended(Outcome.STOPPED, self._ending or f"no setpoint came for {SETPOINT_LASTS_S:g} s")
+
+
+class VelocityTracking:
+    """Positions of joints that follow target velocities.
+
+    Args:
+        bounds: limits of these joints, each of shape (joints,).
+        position_rad: positions at rest, shape (joints,) [rad].
+
+    Attributes:
+        position_rad: position goals now, shape (joints,) [rad].
+        velocity_rad_s: velocity goals now, shape (joints,) [rad/s].
+    """
+
+    def __init__(self, bounds: JointBounds, position_rad: Vector) -> None:
+        joints = len(position_rad)
+        self.position_rad, self.velocity_rad_s = position_rad.copy(), np.zeros(joints)
+        self._acceleration_rad_s2 = np.zeros(joints)
+        self._target_rad_s = np.zeros(joints)
+        # A joint that was switched on outside its limits may stay there, and come inside.
+        self._lower_rad = np.minimum(bounds.lower_rad, position_rad)
+        self._upper_rad = np.maximum(bounds.upper_rad, position_rad)
+        self._max_velocity = bounds.max_velocity
+        self._ruckig, self._input, self._profile = Ruckig(joints), InputParameter(joints), Trajectory(joints)
+        self._input.synchronization = Synchronization.No
+        self._input.max_acceleration = bounds.max_acceleration.tolist()
+        self._input.max_jerk = (bounds.max_acceleration / TIME_TO_FULL_ACCELERATION_S).tolist()
+        self._input.target_velocity = self._input.target_acceleration = [0.0] * joints
+        self._since_s = 0.0
+        self._plan()
+
+    @property
+    def at_rest(self) -> bool:
+        """True when nothing moves and nothing is to move."""
+        return not self._target_rad_s.any() and self._since_s >= self._profile.duration
+
+    def set_target(self, velocity_rad_s: Vector) -> None:
+        """Set the target velocities; those above the velocity limits are clamped to them.
+
+        Args:
+            velocity_rad_s: finite numbers, shape (joints,) [rad/s].
+        """
+        target = np.clip(velocity_rad_s, -self._max_velocity, self._max_velocity)
+        target[np.abs(target) < LEAST_SPEED_RAD_S] = 0.0
+        if not np.array_equal(target, self._target_rad_s):
+            self._target_rad_s = target
+            self._plan()
+
+    def advance(self, elapsed_s: float) -> Vector:
+        """Advance by ``elapsed_s`` [s] and return the position goals, shape (joints,) [rad]."""
+        self._since_s += elapsed_s
+        position, velocity, acceleration = self._profile.at_time(self._since_s)
+        self.position_rad, self.velocity_rad_s = np.array(position), np.array(velocity)
+        self._acceleration_rad_s2 = np.array(acceleration)
+        return self.position_rad
+
+    def _plan(self) -> None:
+        """Compute the profiles from the present goals on."""
+        moving = self._target_rad_s != 0.0
+        given = self._input
+        given.current_position = self.position_rad.tolist()
+        given.current_velocity = self.velocity_rad_s.tolist()
+        given.current_acceleration = self._acceleration_rad_s2.tolist()
+        given.target_position = np.where(self._target_rad_s > 0.0, self._upper_rad, self._lower_rad).tolist()
+        # Ignored for a joint that is to rest: the velocity interface uses neither of these two.
+        given.max_velocity = np.where(moving, np.abs(self._target_rad_s), self._max_velocity).tolist()
+        interfaces = (ControlInterface.Velocity, ControlInterface.Position)
+        given.per_dof_control_interface = [interfaces[int(each)] for each in moving]
+        try:
+            self._ruckig.calculate(given, self._profile)
+        except RuckigError:
+            # Rounding leaves its equations without a solution in rare cases; braking always has one.
+            given.per_dof_control_interface = [ControlInterface.Velocity] * len(moving)
+            self._ruckig.calculate(given, self._profile)
+        self._since_s = 0.0

@@ -1,10 +1,8 @@
-"""Watchdog on the server: the servos have none, so the arm process is theirs.
+"""Supervisor of one arm: handles the server's messages, runs orders between the ticks, and watches the server.
 
-Supervisor of one arm: takes the server's messages, runs orders between the ticks, and watches that the server lives.
-
-The loop calls :meth:`Supervisor.tick` 100 times a second, :meth:`Supervisor.work` in between, and hands every message
-to :meth:`Supervisor.obey`. Hardware comes and goes; a latched fault and the question whether the arm may be switched on
-stay.
+The control loop calls :meth:`Supervisor.tick` 100 times a second, :meth:`Supervisor.work` in between, and
+:meth:`Supervisor.handle` with every message. A latched fault, and the permission to switch the arm on, outlive a loss
+of the hardware. The servos have no watchdog of their own, so the arm process has one on the server.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
 from robot.hardware.interface import HardwareInterface, Steps
-from robot.logs import Repeats
+from robot.logs import LogLimiter, suppressed_note
 from robot.messages import (
     ArmConfig,
     ArmState,
@@ -41,50 +39,29 @@ from robot.messages import (
     Stream,
 )
 
-
-class Watchdog:
-    """Time since the server was last heard; pure, time passed in.
-
-    Args:
-        timeout_s: silence that counts as its death [s].
-        now_s: monotonic time [s].
-    """
-
-    def __init__(self, timeout_s: float, now_s: float) -> None:
-        self._timeout_s = timeout_s
-        self._heard_s = now_s
-
-    def hear(self, now_s: float) -> None:
-        """Note a message, whatever it says."""
-        self._heard_s = now_s
-
-    def silence_s(self, now_s: float) -> float:
-        """Time since the last message [s]."""
-        return now_s - self._heard_s
-
-    def expired(self, now_s: float) -> bool:
-        """Tell whether the server has been silent for too long."""
-        return self.silence_s(now_s) > self._timeout_s
-
-
 log = logging.getLogger("armbridge.arm")
 
-# Between checks of an arm that was refused.
+# Interval between attempts to open the hardware, and to check the servos: the first, and the longest.
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
 
 # Braking takes a second at most, relaxing 1.5 s, checking that torque is off up to a second where a servo does not
-# answer, and all of it longer on a busy computer. Past it the process ends anyway, so that the server can keep its own
-# deadline.
+# answer, and all of it longer on a busy computer. After it the process ends in any state, so that the server can keep
+# its own deadline.
 END_TIMEOUT_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 
-# Half of the ticks of a simulated arm at rest.
+# A simulated arm at rest skips every other tick.
 SPARE_TICKS = 1
 
 # A server that is silent for so long hangs, however busy the machine is; a simulated arm can afford to wait.
 SIMULATED_WATCHDOG_S = 5.0
+
+# A machine that is too busy makes the server silent again and again: lines of the log at once, and in the long run
+# [1/s], one in ten minutes.
+SILENCE_BURST = 3
+SILENCE_LINES_PER_S = 1.0 / 600.0
 
 # Names of sequences in progress, in refusals and logs.
 CONNECTING = "checking the servos"
@@ -99,28 +76,18 @@ _NAMES = {
 Send = Callable[[object, bool], None]
 
 
-@dataclass
-class _Task:
-    """A sequence in progress; ``number`` is that of the command to answer, if a command asked for it."""
-
-    name: str
-    steps: Steps[str]
-    number: int | None
-    ready_s: float
-    urgent: bool = False
-
-
 class Supervisor:
-    """One arm process's arm.
+    """Supervisor of the arm of one arm process.
 
     Args:
-        config: the arm.
-        send: takes a message for the server, and whether it may be dropped while the server does not read.
+        config: hardware, limits and policies of the arm.
+        send: sends a message to the server; its second argument says that the message may be dropped while the server
+            does not read.
         clock: time of the control loop.
-        real_time: whether the process has real-time priority.
+        real_time: True if the process has real-time priority.
 
     Attributes:
-        arm: the arm on its open hardware; None while there is none.
+        arm: control cycle on the open hardware; None while disconnected.
     """
 
     def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, *, real_time: bool) -> None:
@@ -130,9 +97,9 @@ class Supervisor:
         self._real_time = real_time
         self._joint_names = config.hardware.joint_names(config.robot)
         self._ticks_per_state = max(1, round(1.0 / (PERIOD_S * config.state_rate_hz)))
-        patience_s = max(config.watchdog_s, SIMULATED_WATCHDOG_S) if config.hardware.simulated else config.watchdog_s
-        self._watchdog = Watchdog(patience_s, clock())
-        self._silences = Repeats()
+        timeout_s = max(config.watchdog_s, SIMULATED_WATCHDOG_S) if config.hardware.simulated else config.watchdog_s
+        self._watchdog = Watchdog(timeout_s, clock())
+        self._log_limiter = LogLimiter(SILENCE_BURST, SILENCE_LINES_PER_S)
         self.arm: ControlCycle | None = None
         self._orders: Orders | None = None
         self._task: _Task | None = None
@@ -143,13 +110,13 @@ class Supervisor:
         self._check_at_s = clock()
         self._state_due, self._health_due = self._ticks_per_state, HEALTH_PERIOD_TICKS
         self._server_lost = False
-        self._told_fault: Fault | None = None
+        self._reported_fault: Fault | None = None
         self._end: EndState | None = None
         self._end_begun_s: float | None = None
 
     @property
     def fault(self) -> Fault | None:
-        """The latched fault."""
+        """Latched fault, or None."""
         return self._fault if self._orders is None else self._orders.fault
 
     @property
@@ -165,14 +132,14 @@ class Supervisor:
         return Mode.HOLDING if self._runs(RELAXING_ARM) and not controller.moving else controller.mode
 
     def connect(self, hardware: HardwareInterface) -> None:
-        """Begin with hardware that was opened."""
+        """Begin to control hardware that was opened."""
         self.arm = ControlCycle(hardware, self._clock)
         self._orders = Orders(self.arm, self._config, self._fault, self._report)
         self._check_at_s = self._clock()
         self._retry_s = FIRST_RETRY_S
 
     def disconnect(self, reason: str) -> None:
-        """Answer whatever was in progress: the hardware is gone, or there is none."""
+        """End motions and orders in progress: the hardware is gone, or could not be opened."""
         if self.arm is not None and self.arm.controller is not None:
             lost = Fault(FaultCode.BUS_LOST, reason, simulated=self._config.hardware.simulated)
             self._report(self.arm.controller.abandon(Outcome.BUS_LOST, str(lost)))
@@ -182,13 +149,13 @@ class Supervisor:
         self._reason = reason
         self._send(health.disconnected(self._joint_names, reason, self._fault, self._clock()), True)
 
-    def obey(self, message: object) -> None:
-        """Take one message of the server.
+    def handle(self, message: object) -> None:
+        """Handle one message of the server.
 
         Raises:
             PortLost: the port is gone.
         """
-        self._watchdog.hear(self._clock())
+        self._watchdog.feed(self._clock())
         controller = self.arm.controller if self.arm is not None else None
         if isinstance(message, Execute | Stream):
             self._move(message)
@@ -205,10 +172,10 @@ class Supervisor:
 
     @property
     def spare_ticks(self) -> int:
-        """Ticks that may be left out now.
+        """Number of ticks that may be skipped now.
 
-        A simulated arm that rests needs no more of them than states are told of, and its machine has other work; a real
-        arm is looked after at every tick.
+        A simulated arm at rest needs no more ticks than it reports states, and its machine has other work; the guards
+        of a real arm need every tick.
         """
         if not self._config.hardware.simulated or self.arm is None or self.arm.controller is None or self._task:
             return 0
@@ -218,9 +185,9 @@ class Supervisor:
         """Run one cycle of the arm.
 
         Args:
-            pacer: of the loop.
-            server_gone: whether the server's process has ended.
-            ticks: periods since the last cycle; more than one where ticks were skipped.
+            pacer: pacer of the control loop.
+            server_gone: True when the server's process has ended.
+            ticks: periods since the last cycle; more than one after skipped ticks.
 
         Raises:
             PortLost: the port is gone.
@@ -249,7 +216,10 @@ class Supervisor:
             self._send(health.arm_health(arm, state, port, pacer, self._clock, real_time=self._real_time), True)
 
     def work(self) -> float:
-        """Do one step of the sequence in progress; returns how long there is nothing to do [s].
+        """Do one step of the sequence in progress.
+
+        Returns:
+            Time until the next step is due [s]; infinite without a sequence.
 
         Raises:
             PortError: the port is gone.
@@ -270,7 +240,7 @@ class Supervisor:
         return 0.0
 
     def finished(self) -> bool:
-        """Tell whether the server is done with, and the arm in its end state."""
+        """Return True when the process may end: the server has ended, and the arm is in its end state."""
         if self._end is None:
             return False
         controller, now_s = self.arm.controller if self.arm is not None else None, self._clock()
@@ -283,7 +253,7 @@ class Supervisor:
         return resting or now_s - self._end_begun_s > END_TIMEOUT_S
 
     def lose_server(self) -> None:
-        """Bring the arm to rest, then end: the server's process is gone."""
+        """Begin to bring the arm to its end state: the server's process is gone."""
         if self._end is None:
             log.warning("the server is gone: %s", self._consequence(self._config.on_server_lost))
             self._end = self._config.on_server_lost
@@ -360,10 +330,10 @@ class Supervisor:
             self._send(each, False)
 
     def _check_fault(self) -> None:
-        """Tell of a new fault once, and take torque off where it asks for that."""
+        """Log a new fault once, and relax the arm where the fault requires that."""
         fault = self.fault
-        if fault is not self._told_fault:
-            self._told_fault = fault
+        if fault is not self._reported_fault:
+            self._reported_fault = fault
             if fault is not None:
                 log.error("%s", fault)
         controller = self.arm.controller if self.arm is not None else None
@@ -371,13 +341,12 @@ class Supervisor:
             self._relax()
 
     def _check_server(self, now_s: float, *, server_gone: bool) -> None:
-        """Bring the arm to rest, and to its end state, when nobody drives it any more."""
+        """Stop the arm, and bring it to its end state, when the server is lost or ending."""
         if server_gone:
             self.lose_server()
         lost = self._watchdog.expired(now_s)
-        if lost and not self._server_lost and self._silences.due(now_s):
-            silence_s, consequence = self._watchdog.silence_s(now_s), self._consequence(self._config.on_server_lost)
-            log.warning("nothing heard of the server for %.1f s: %s%s", silence_s, consequence, self._silences.note)
+        if lost and not self._server_lost:
+            self._log_silence(now_s)
         self._server_lost = lost
         end = self._config.on_server_lost if lost and self._end is None else self._end
         controller = self.arm.controller if self.arm is not None else None
@@ -387,8 +356,14 @@ class Supervisor:
         if end is EndState.RELAX and controller.driven:
             self._relax()
 
+    def _log_silence(self, now_s: float) -> None:
+        if self._log_limiter.due("silence", now_s):
+            silence_s, consequence = self._watchdog.silence_s(now_s), self._consequence(self._config.on_server_lost)
+            note = suppressed_note(self._log_limiter.suppressed("silence"))
+            log.warning("nothing heard of the server for %.1f s: %s%s", silence_s, consequence, note)
+
     def _consequence(self, end: EndState) -> str:
-        """Say what becomes of the arm when the server is lost."""
+        """Describe the arm's reaction to the loss of the server, for the log."""
         controller = self.arm.controller if self.arm is not None else None
         if controller is not None and controller.moving:
             return "stopping"
@@ -397,7 +372,7 @@ class Supervisor:
         return "nothing moves"
 
     def _relax(self) -> None:
-        """Relax the arm without an order, unless that or an emergency stop is in progress."""
+        """Relax the arm without an order, unless it is being relaxed or stopped already."""
         busy = self._task
         if self._orders is not None and (busy is None or not (busy.urgent or busy.name == RELAXING_ARM)):
             self._begin(_Task(RELAXING_ARM, self._orders.relax(), None, self._clock()))
@@ -405,3 +380,47 @@ class Supervisor:
     def _state(self, arm: ControlCycle, pacer: Pacer) -> ArmState:
         lateness_s = pacer.latest(self._ticks_per_state)
         return health.arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
+
+
+class Watchdog:
+    """Watchdog on the server's messages. Pure: time is passed in.
+
+    Args:
+        timeout_s: silence after which the server counts as lost [s].
+        now_s: monotonic time [s].
+    """
+
+    def __init__(self, timeout_s: float, now_s: float) -> None:
+        self._timeout_s = timeout_s
+        self._heard_s = now_s
+
+    def feed(self, now_s: float) -> None:
+        """Note a message of any kind."""
+        self._heard_s = now_s
+
+    def silence_s(self, now_s: float) -> float:
+        """Return the time since the last message [s]."""
+        return now_s - self._heard_s
+
+    def expired(self, now_s: float) -> bool:
+        """Return True when the server has been silent for too long."""
+        return self.silence_s(now_s) > self._timeout_s
+
+
+@dataclass
+class _Task:
+    """Sequence in progress.
+
+    Attributes:
+        name: its name in refusals and logs.
+        steps: the sequence.
+        number: of the command to answer; None for a sequence that no command began.
+        ready_s: time of its next step [s].
+        urgent: True for an emergency stop, which nothing interrupts.
+    """
+
+    name: str
+    steps: Steps[str]
+    number: int | None
+    ready_s: float
+    urgent: bool = False

@@ -1,1 +1,1 @@
-"""The built-in arm: URDF, SRDF, joint limits and convex hulls of the SO-101 follower, as package data."""
+"""Robot descriptions: URDF and SRDF, limits and kinematics, and the SO-101 follower as package data."""

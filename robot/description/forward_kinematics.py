@@ -1,6 +1,6 @@
-"""Where the links are: the URDF's joints as transforms, without any library of kinematics.
+"""Forward kinematics of a URDF without a kinematics library, for frames and markers.
 
-For those who only want to show or to name places; planning has its own, faster in bulk.
+Planning has forward kinematics of its own, which is faster in bulk.
 """
 
 from __future__ import annotations
@@ -16,23 +16,11 @@ from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
 
-@dataclass(frozen=True)
-class _Step:
-    """One joint: where it stands on its parent link, and how it moves its child."""
-
-    parent: str
-    child: str
-    joint: str | None
-    turns: bool
-    axis: Vector
-    transform_joint_to_parent: Vector
-
-
 class ForwardPlacements:
-    """Places the links of one robot.
+    """Forward kinematics of one robot.
 
     Args:
-        robot: the arm.
+        robot: description of the arm.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -55,7 +43,7 @@ class ForwardPlacements:
         self._by_child = {step.child: step for step in self._steps}
 
     def transforms(self, positions_rad: Mapping[str, float]) -> dict[str, Vector]:
-        """Every link by name: its ``transform_link_to_root``, shape (4, 4) [m].
+        """Compute ``transform_link_to_root`` of every link, by name, shape (4, 4) [m].
 
         Args:
             positions_rad: position of every movable joint [rad, or m of a prismatic one].
@@ -69,10 +57,10 @@ class ForwardPlacements:
         return placed
 
     def joint_transform(self, link: str, positions_rad: Mapping[str, float]) -> tuple[str, Vector]:
-        """Parent link of a link other than the root, and the link's transform to it, shape (4, 4) [m].
+        """Return the parent of a link and the link's transform to it, shape (4, 4) [m].
 
         Args:
-            link: the link.
+            link: name of a link other than the root.
             positions_rad: as for :meth:`transforms`.
 
         Raises:
@@ -84,11 +72,11 @@ class ForwardPlacements:
 
 
 def rotation_about(axis: Vector, angle_rad: float) -> Vector:
-    """Rotation matrix by Rodrigues' formula, shape (3, 3).
+    """Compute a rotation matrix by Rodrigues' formula, shape (3, 3).
 
     Args:
         axis: unit vector, shape (3,).
-        angle_rad: right-handed about it [rad].
+        angle_rad: right-handed angle about it [rad].
     """
     x, y, z = axis.tolist()
     sin, cos = math.sin(angle_rad), math.cos(angle_rad)
@@ -100,6 +88,18 @@ def rotation_about(axis: Vector, angle_rad: float) -> Vector:
             [x * z * rest - y * sin, y * z * rest + x * sin, cos + z * z * rest],
         ]
     )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Joint with its fixed transform to the parent link and its axis; no name for a joint that does not move."""
+
+    parent: str
+    child: str
+    joint: str | None
+    turns: bool
+    axis: Vector
+    transform_joint_to_parent: Vector
 
 
 def _moved(step: _Step, position: float) -> Vector:
@@ -123,7 +123,7 @@ def _axis(element: ET.Element) -> Vector:
 
 
 def _origin(element: ET.Element) -> Vector:
-    """URDF <origin>: a translation, then fixed-axis roll, pitch and yaw."""
+    """Read a URDF <origin>: a translation, then fixed-axis roll, pitch and yaw; the identity without one."""
     transform = np.eye(4)
     origin = element.find("origin")
     if origin is not None:

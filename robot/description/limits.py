@@ -1,4 +1,4 @@
-"""The soft limits that planner and driver share: where the arm may go."""
+"""Soft limits of the joints, shared by planner and controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ END_STOP_MARGIN_RAD = 0.03
 
 
 def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotModel:
-    """The robot with every joint's limits narrowed to what its calibration can reach, less a margin.
+    """Return the robot with every joint's limits narrowed to its calibrated range, less a margin.
 
     Raises:
         DescriptionError: a calibrated joint is not a joint of the robot, or nothing is left of its range.
@@ -42,7 +42,14 @@ def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotMode
 
 @dataclass(frozen=True)
 class JointBounds:
-    """Limits the driver keeps, each of shape (joints,): soft limits [rad], [rad/s], [rad/s^2]."""
+    """Limits that the controller keeps.
+
+    Attributes:
+        lower_rad: lower soft limits, shape (joints,) [rad].
+        upper_rad: upper soft limits, shape (joints,) [rad].
+        max_velocity: velocity limits, shape (joints,) [rad/s].
+        max_acceleration: acceleration limits, shape (joints,) [rad/s^2].
+    """
 
     lower_rad: Vector
     upper_rad: Vector
@@ -51,7 +58,7 @@ class JointBounds:
 
     @classmethod
     def of(cls, robot: RobotModel, joint_names: tuple[str, ...]) -> JointBounds:
-        """The limits of the robot's joints, in the order of the names."""
+        """Collect the limits of the robot's joints, in the order of the names."""
         joints = [robot.joints[name] for name in joint_names]
         return cls(
             lower_rad=np.array([joint.lower for joint in joints]),
@@ -61,13 +68,13 @@ class JointBounds:
         )
 
     def of_columns(self, columns: NDArray[np.intp]) -> JointBounds:
-        """The limits of some of the joints, by their places in the arrays."""
+        """Select the limits of some joints by their indices in the arrays."""
         return JointBounds(
             self.lower_rad[columns], self.upper_rad[columns], self.max_velocity[columns], self.max_acceleration[columns]
         )
 
     def within_servos(self, calibration: Calibration, angle_limits_ticks: Mapping[int, tuple[int, int]]) -> JointBounds:
-        """Narrow the soft limits to what the servos' own angle limits let them reach, less the margin.
+        """Narrow the soft limits to the servos' own angle limits, less the margin.
 
         Args:
             calibration: joints in the order of the arrays.
@@ -90,7 +97,7 @@ class JointBounds:
 
 
 def _range_of_servo(joint: JointCalibration, limits_ticks: tuple[int, int]) -> tuple[float, float]:
-    """Ends that a servo's registers allow, less the margin [rad]; both zero is Feetech's multi-turn mode."""
+    """Compute the range that a servo allows, less the margin [rad]; limits of (0, 0) are Feetech's multi-turn mode."""
     if limits_ticks == (0, 0):
         return -np.inf, np.inf
     ends = sorted(joint.rad_from_ticks(ticks) for ticks in limits_ticks)

@@ -1,4 +1,4 @@
-"""What the arm is: links, joints, limits, groups and named states, read from any URDF and SRDF."""
+"""Robot description: links, joints, limits, groups and named states, read from any URDF and SRDF."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from robot.errors import DescriptionError
 
 MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
 
-# Without a figure of its own a joint may reach its velocity limit within this time: gentle for any servo arm.
+# Time to the velocity limit for a joint without an acceleration limit: gentle for any servo arm.
 DEFAULT_TIME_TO_FULL_SPEED_S = 0.4
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One URDF joint. Positions in rad (m when prismatic); rates per second and per second squared."""
+    """Joint of a URDF. Positions in rad (m when prismatic); rates per second and per second squared."""
 
     name: str
     type: str
@@ -36,13 +36,13 @@ class Joint:
 
     @property
     def movable(self) -> bool:
-        """Whether the joint has a position of its own."""
+        """True for a joint with a position of its own."""
         return self.type in MOVABLE_TYPES
 
 
 @dataclass(frozen=True)
 class Group:
-    """A planning group of the SRDF: the joints that move together, from ``base_link`` to ``tip_link``."""
+    """Planning group of the SRDF: joints that move together, from ``base_link`` to ``tip_link``."""
 
     name: str
     joints: tuple[str, ...]
@@ -52,7 +52,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Hull:
-    """A convex shape that encloses a link.
+    """Convex hull that encloses a link.
 
     Attributes:
         vertices: shape (n, 3) [m], in the link's frame.
@@ -65,12 +65,12 @@ class Hull:
 
 @dataclass(frozen=True)
 class RobotModel:
-    """The arm as planners, driver and server see it.
+    """Description of an arm, shared by planners, arm process and server.
 
     Attributes:
         urdf: text of the URDF.
         srdf: text of the SRDF.
-        mesh_directory: where relative mesh paths of the URDF start, or None for a URDF without meshes.
+        mesh_directory: base of the URDF's relative mesh paths; None for a URDF without meshes.
         links: link names, root first.
         joints: every joint by name, in the order of the URDF.
         groups: planning groups by name.
@@ -95,7 +95,7 @@ class RobotModel:
 
     @property
     def root_link(self) -> str:
-        """The link that stands still: the planning frame."""
+        """Fixed link, which is the planning frame."""
         return self.links[0]
 
     @property
@@ -105,7 +105,7 @@ class RobotModel:
 
 
 def builtin() -> RobotModel:
-    """The SO-101 follower as shipped with the package."""
+    """Load the SO-101 follower that is shipped with the package."""
     folder = resources.files("robot.description")
     hulls = json.loads((folder / "so101_hulls.json").read_text())["links"]
     parts = json.loads((folder / "so101_parts.json").read_text())["links"]
@@ -136,8 +136,8 @@ def parse(
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
 
-    Joints that carry the names of the SO-101's also keep the limits of its servos, since the velocity limits of
-    the URDFs in circulation are placeholders of 10 rad/s.
+    Joints with the names of the SO-101's also get the limits of its servos, since the velocity limits of the URDFs in
+    circulation are placeholders of 10 rad/s.
 
     Raises:
         DescriptionError: a text does not parse, or misses what planning needs.
@@ -240,7 +240,7 @@ def _joint(element: ET.Element, servo_limits: Mapping[str, Mapping[str, float]])
 
 
 def _limits(element: ET.Element, name: str, kind: str) -> tuple[float, float, float]:
-    """Lower, upper and velocity of a movable joint; a continuous joint turns once either way."""
+    """Read lower, upper and velocity limit of a movable joint; a continuous joint may turn half a turn either way."""
     where = f"URDF joint {name!r} <limit>"
     limit = element.find("limit")
     if limit is None:
@@ -257,7 +257,7 @@ def _limits(element: ET.Element, name: str, kind: str) -> tuple[float, float, fl
 
 
 def _links_from_root(robot: ET.Element, joints: Mapping[str, Joint]) -> tuple[str, ...]:
-    """Link names, root first, parents before children."""
+    """Return the link names, root first, parents before children."""
     names = [_attribute(link, "name", "URDF") for link in robot.iterfind("link")]
     parent_of = {joint.child: joint.parent for joint in joints.values()}
     for child, parent in parent_of.items():
@@ -274,7 +274,7 @@ def _links_from_root(robot: ET.Element, joints: Mapping[str, Joint]) -> tuple[st
 
 
 def _chain(joints: Mapping[str, Joint], base_link: str, tip_link: str, group: str) -> tuple[Joint, ...]:
-    """Joints from ``base_link`` to ``tip_link``, base first."""
+    """Return the joints from ``base_link`` to ``tip_link``, base first."""
     by_child = {joint.child: joint for joint in joints.values()}
     chain: list[Joint] = []
     link = tip_link

@@ -1,7 +1,4 @@
-"""A serial port made of software: a pseudo terminal.
-
-The USB adapter between host and servo bus: it can be pulled, hang, and hand on bytes in frames.
-"""
+"""USB adapter between host and servo bus, on a pseudo terminal: it can be unplugged, freeze, and deliver in frames."""
 
 from __future__ import annotations
 
@@ -19,10 +16,10 @@ from robot.emulator.servo_bus import Reply
 
 READ_BYTES = 4096
 
-# Where tcgetattr has the output speed.
+# Index of the output speed in the result of tcgetattr.
 _OSPEED = 5
 
-# Line speeds that termios knows, of those that a servo can have.
+# Baud rates of the servos that termios knows.
 _BAUDRATES: Mapping[int, int] = MappingProxyType(
     {
         termios.B1000000: 1_000_000,
@@ -35,13 +32,17 @@ _BAUDRATES: Mapping[int, int] = MappingProxyType(
 
 
 class PseudoTerminal:
-    """A pair of master and slave.
+    """Pseudo terminal: a pair of master and slave.
 
     The slave stays open here, or the master would fail whenever a client leaves, and is raw before any client
     opens it, or the line discipline would echo and alter bytes.
 
     Args:
-        link: where to put a symbolic link to the slave, if anywhere.
+        link: path of a symbolic link to the slave; None for no link.
+
+    Attributes:
+        master: file descriptor of the emulator's end.
+        port: path of the slave, which clients open.
     """
 
     def __init__(self, link: Path | None = None) -> None:
@@ -57,7 +58,7 @@ class PseudoTerminal:
 
     @property
     def baudrate(self) -> int:
-        """Speed that the client has set; 0 for one that no servo has."""
+        """Baud rate that the client has set; 0 for one that no servo has."""
         return _BAUDRATES.get(termios.tcgetattr(self._slave)[_OSPEED], 0)
 
     def read(self) -> bytes:
@@ -68,12 +69,12 @@ class PseudoTerminal:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Give bytes to the client; those that nobody fetches are lost, as on a wire."""
+        """Send bytes to the client; those that do not fit into its buffer are lost, as on a wire."""
         with contextlib.suppress(BlockingIOError):
             os.write(self.master, data)
 
     def leave_link(self) -> None:
-        """Leave the link to another terminal that has put its own in the same place."""
+        """Keep the link on :meth:`close`: another terminal has replaced it with its own."""
         self._link = None
 
     def close(self) -> None:
@@ -85,15 +86,17 @@ class PseudoTerminal:
 
 
 class UsbAdapter:
-    """A serial port that comes and goes.
+    """USB adapter, whose serial port comes and goes.
 
     Args:
-        link: where to put a symbolic link to the port, if anywhere: the name that stays when the port's own changes.
+        link: path of a symbolic link to the port, which stays the same when the port's own name changes; None for no
+            link.
+        frame_s: initial value of the attribute.
 
     Attributes:
-        port: the port's own name, or what it was before it was unplugged.
-        frozen: whether it neither takes nor gives bytes; what comes meanwhile waits.
-        frame_s: what comes from the servos is handed on at multiples of this time [s]; 0 hands it on at once.
+        port: name of the port, the last one while it is unplugged.
+        frozen: True while it neither takes nor delivers bytes, which wait meanwhile.
+        frame_s: interval at multiples of which the servos' bytes are delivered [s]; 0 delivers them at once.
     """
 
     def __init__(self, link: Path | None = None, frame_s: float = 0.0) -> None:
@@ -107,19 +110,19 @@ class UsbAdapter:
 
     @property
     def descriptors(self) -> list[int]:
-        """What to wait for until the host says something."""
+        """File descriptors to wait on for bytes from the host."""
         return [] if self.frozen or self._terminal is None else [self._terminal.master]
 
     @property
     def baudrate(self) -> int:
-        """Speed that the host has set; 0 for one that no servo has, or while unplugged."""
+        """Baud rate that the host has set; 0 for one that no servo has, or while unplugged."""
         return 0 if self._terminal is None else self._terminal.baudrate
 
     def plug_in(self, *, renamed: bool = False) -> None:
-        """Offer a port; one that is there already stays.
+        """Create the port, unless it is there.
 
         Args:
-            renamed: whether the port's own name shall differ from the last one.
+            renamed: True for a name that differs from the last one.
         """
         if self._terminal is not None:
             return
@@ -131,7 +134,7 @@ class UsbAdapter:
         self._terminal, self.port = terminal, terminal.port
 
     def unplug(self) -> None:
-        """Take the port away, its link too, and what it had still to give."""
+        """Remove the port and its link, and drop the bytes not delivered yet."""
         if self._terminal is not None:
             self._terminal.close()
         self._terminal = None
@@ -142,9 +145,9 @@ class UsbAdapter:
         return b"" if self._terminal is None else self._terminal.read()
 
     def take(self, replies: Sequence[Reply]) -> None:
-        """Take what the servos say, to be given to the host when it is due.
+        """Queue replies of the servos, to be delivered to the host when they are due.
 
-        Without frames a burst is given as a whole, which costs the host one awakening.
+        Without frames a burst is delivered as a whole, which wakes the host once.
         """
         if self._terminal is None or not replies:
             return
@@ -153,13 +156,13 @@ class UsbAdapter:
             self._outbox.append((due_s, reply))
 
     def wait_s(self, now_s: float, most_s: float) -> float:
-        """Tell how long until bytes are due for the host [s], ``most_s`` at most."""
+        """Return the time until bytes are due for the host [s], ``most_s`` at most."""
         if not self._outbox or self.frozen:
             return most_s
         return max(0.0, min(most_s, self._outbox[0][0] - now_s))
 
     def deliver(self, now_s: float) -> None:
-        """Give the host what is due."""
+        """Send the host the bytes that are due."""
         if self.frozen or self._terminal is None:
             return
         due = b""

@@ -1,7 +1,4 @@
-"""The weight of an SO-101's links on the three joints that carry it, by the arm's pose. Pure.
-
-The emulated arm: six servos at a pose, and the weight that they carry.
-"""
+"""Emulated SO-101: six servos at a pose, and the weight of the links on the three joints that carry it. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ UPPER_ARM_NM = 0.39
 FOREARM_NM = 0.336
 HAND_NM = 0.117
 
-# The upper arm's line of gravity stands upright at this shoulder_lift less than 0 [rad].
+# The upper arm's centre of gravity is above the shoulder at minus this angle of shoulder_lift [rad].
 UPPER_ARM_LEAN_RAD = 0.22
 
 # Far less than the stall torque of 1.62 Nm suggests: friction in the gear carries most of a resting joint's weight.
@@ -26,8 +23,40 @@ UPPER_ARM_LEAN_RAD = 0.22
 DUTY_PERMILLE_PER_NM = 110.0
 
 
+def build_servos(calibration: Calibration, start_rad: Sequence[float]) -> list[Servo]:
+    """Build the arm's servos at a pose.
+
+    Args:
+        calibration: ids, angle limits and homing offsets; its ranges are the joints' mechanical stops.
+        start_rad: position of each joint, in the calibration's order [rad].
+
+    Raises:
+        ValueError: the pose has another number of joints, or lies outside the ranges.
+    """
+    if len(start_rad) != len(calibration.joints):
+        raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")
+    return [_servo(joint, position) for joint, position in zip(calibration.joints, start_rad, strict=True)]
+
+
+def weight_of(calibration: Calibration, servos: Sequence[Servo]) -> Callable[[], None]:
+    """Return a function that loads the servos with the links' weight at the present pose."""
+    joints = list(zip(calibration.joints, servos, strict=True))
+
+    def weigh() -> None:
+        """Load the servos with the weight at the present pose."""
+        position_rad = {
+            joint.joint: joint.rad_from_ticks(servo.plant.position_ticks - joint.homing_offset)
+            for joint, servo in joints
+        }
+        duty_permille = holding_duty_permille(position_rad)
+        for joint, servo in joints:
+            servo.plant.gravity_permille = duty_permille.get(joint.joint, 0.0)
+
+    return weigh
+
+
 def holding_duty_permille(position_rad: Mapping[str, float]) -> dict[str, float]:
-    """Compute the duty that carries the weight of each joint that has some to carry.
+    """Compute the motor duty that balances the links' weight, for each joint that carries some.
 
     Args:
         position_rad: joint name to position [rad], of shoulder_lift, elbow_flex and wrist_flex at least.
@@ -43,37 +72,6 @@ def holding_duty_permille(position_rad: Mapping[str, float]) -> dict[str, float]
     shoulder_nm = elbow_nm - UPPER_ARM_NM * math.sin(upper_arm + UPPER_ARM_LEAN_RAD)
     torque_nm = {"shoulder_lift": shoulder_nm, "elbow_flex": elbow_nm, "wrist_flex": wrist_nm}
     return {joint: DUTY_PERMILLE_PER_NM * value for joint, value in torque_nm.items()}
-
-
-def build_servos(calibration: Calibration, start_rad: Sequence[float]) -> list[Servo]:
-    """Build the arm's servos at a pose.
-
-    Args:
-        calibration: ids, angle limits and homing offsets; its ranges are the joints' mechanical stops.
-        start_rad: position of each joint of the calibration, in its order [rad].
-
-    Raises:
-        ValueError: the pose has another number of joints, or lies outside the ranges.
-    """
-    if len(start_rad) != len(calibration.joints):
-        raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")
-    return [_servo(joint, position) for joint, position in zip(calibration.joints, start_rad, strict=True)]
-
-
-def weight_of(calibration: Calibration, servos: Sequence[Servo]) -> Callable[[], None]:
-    """Return what puts the links' weight, as it is at the present pose, on the servos."""
-    joints = list(zip(calibration.joints, servos, strict=True))
-
-    def weigh() -> None:
-        position_rad = {
-            joint.joint: joint.rad_from_ticks(servo.plant.position_ticks - joint.homing_offset)
-            for joint, servo in joints
-        }
-        duty_permille = holding_duty_permille(position_rad)
-        for joint, servo in joints:
-            servo.plant.gravity_permille = duty_permille.get(joint.joint, 0.0)
-
-    return weigh
 
 
 def _servo(joint: JointCalibration, start_rad: float) -> Servo:

@@ -36,8 +36,6 @@
 Ticks are those of register PRESENT_POSITION. Every line is answered by ``{"ok": true}``, of "plugged" with the
 port's name as ``port``, or by ``{"error": "..."}``. One object may hold several commands; none of them is carried out
 unless all of them make sense.
-
-What each live command does, and which values it takes; ``robot.emulator.control`` lists them for people.
 """
 
 from __future__ import annotations
@@ -48,25 +46,20 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
+from robot.calibration import MAX_TICK
 from robot.emulator.faults import PROBABILITIES
 from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
 
+# A controller that sends more bytes than this without a line end is disconnected; a command is short.
+MAX_COMMAND_BYTES = 64 << 10
 
-def _checked(name: str, value: object, lowest: float, highest: float, meaning: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not lowest <= value <= highest:
-        raise ValueError(f"{name} is {meaning} from {lowest:g} to {highest:g}, not {value!r}")
-    return float(value)
-
-
-MAX_TICKS = 4095
-
-# The motor's whole duty.
+# Full duty of the motor.
 MAX_PUSH_PERMILLE = 1000
 
-# What a byte of register PRESENT_TEMPERATURE and one of PRESENT_VOLTAGE hold.
+# Greatest values of registers PRESENT_TEMPERATURE and PRESENT_VOLTAGE.
 MAX_TEMPERATURE_C = 255
 MAX_VOLTAGE_V = 25.5
 
@@ -75,20 +68,22 @@ MAX_STATUS = 255
 # Longer than anything waits for a reply.
 MAX_DELAY_S = 10.0
 
-# FTDI's adapters hold bytes back for 16 ms.
+# FTDI's adapters delay bytes by 16 ms.
 MAX_USB_FRAME_MS = 100
 
-# An hour of holding in a second.
+# An hour of heating in a second.
 MAX_HEAT_RATE = 3600
+
+PLUGGED_RENAMED = "renamed"
 
 
 class Adapter(Protocol):
-    """The USB adapter, as commands change it.
+    """USB adapter, as far as commands change it.
 
     Attributes:
-        port: the port's own name.
-        frozen: whether it neither takes nor gives bytes.
-        frame_s: replies are handed on at multiples of this time [s]; 0 hands them on at once.
+        port: name of the port.
+        frozen: True while it neither takes nor delivers bytes.
+        frame_s: interval at multiples of which replies are delivered [s]; 0 delivers them at once.
     """
 
     port: str
@@ -96,29 +91,69 @@ class Adapter(Protocol):
     frame_s: float
 
     def plug_in(self, *, renamed: bool = False) -> None:
-        """Offer the port, under another name if ``renamed``; one that is there already stays."""
+        """Create the port, under another name if ``renamed``, unless it is there."""
 
     def unplug(self) -> None:
-        """Take the port away."""
+        """Remove the port."""
 
 
 @dataclass(frozen=True)
 class Emulation:
-    """All that commands can change."""
+    """Servo bus and adapter, the targets of commands."""
 
     bus: ServoBus
     adapter: Adapter
 
 
+Change = Callable[[Emulation], None]
+
+
+def answer(line: bytes, emulation: Emulation) -> bytes:
+    """Carry out one line of commands and return the line that answers it."""
+    try:
+        command = json_object(line)
+        changes = check(command, emulation.bus)
+    except ValueError as error:
+        return _line({"error": str(error)})
+    for change in changes:
+        change(emulation)
+    emulation.bus.record_command(command)
+    return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in command else {"ok": True})
+
+
+def check(command: Mapping[str, object], bus: ServoBus) -> list[Change]:
+    """Check a command and return the changes that carry it out; nothing is changed yet.
+
+    Raises:
+        ValueError: there is no such command, or not with this value.
+    """
+    return [_change(name, value, bus) for name, value in command.items()]
+
+
+def json_object(line: bytes) -> dict[str, object]:
+    """Parse a line of JSON.
+
+    Raises:
+        ValueError: it is not a JSON object.
+    """
+    try:
+        command = json.loads(line)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"no JSON at column {error.colno}: {error.msg}") from error
+    if not isinstance(command, dict):
+        raise ValueError(f"a command is a JSON object, not {command!r}")  # noqa: TRY004 - refused input like the rest
+    return command
+
+
 @dataclass(frozen=True)
 class Number:
-    """A number for the whole emulation.
+    """Command that takes a number for the whole emulation.
 
     Attributes:
-        lowest: least that makes sense.
-        highest: most.
-        put: what to do with it.
-        meaning: what it is.
+        lowest: least value.
+        highest: greatest value.
+        put: applies the value.
+        meaning: noun for the value in errors.
     """
 
     lowest: float
@@ -129,13 +164,13 @@ class Number:
 
 @dataclass(frozen=True)
 class Value:
-    """A number for one servo.
+    """Command that takes a number for single servos.
 
     Attributes:
-        lowest: least that makes sense.
-        highest: most.
-        put: what to do with it.
-        end: what null does, where that makes sense.
+        lowest: least value.
+        highest: greatest value.
+        put: applies the value.
+        end: applies null; None where null is no value.
     """
 
     lowest: float
@@ -235,10 +270,10 @@ def _status(servo: Servo, status: float) -> None:
 
 VALUES: Mapping[str, Value] = MappingProxyType(
     {
-        "obstacle": Value(0, MAX_TICKS, _obstacle, lambda servo: servo.plant.block(None)),
+        "obstacle": Value(0, MAX_TICK, _obstacle, lambda servo: servo.plant.block(None)),
         "push": Value(-MAX_PUSH_PERMILLE, MAX_PUSH_PERMILLE, _push),
-        "hand": Value(0, MAX_TICKS, _hand, _let_go),
-        "jump": Value(-MAX_TICKS, MAX_TICKS, _jump),
+        "hand": Value(0, MAX_TICK, _hand, _let_go),
+        "jump": Value(-MAX_TICK, MAX_TICK, _jump),
         "temperature": Value(0, MAX_TEMPERATURE_C, _temperature),
         "voltage": Value(0, MAX_VOLTAGE_V, _voltage),
         "status": Value(0, MAX_STATUS, _status),
@@ -257,52 +292,6 @@ def _frozen(emulation: Emulation, on: bool) -> None:
 SWITCHES: Mapping[str, Callable[[Emulation, bool], None]] = MappingProxyType(
     {"stall_behind_missing": _stall_behind_missing, "frozen": _frozen}
 )
-
-
-Change = Callable[[Emulation], None]
-
-PLUGGED_RENAMED = "renamed"
-
-
-def answer(line: bytes, emulation: Emulation) -> bytes:
-    """Carry out one line of commands and return the line that answers it."""
-    try:
-        command = json_object(line)
-        changes = check(command, emulation.bus)
-    except ValueError as error:
-        return _line({"error": str(error)})
-    for change in changes:
-        change(emulation)
-    emulation.bus.record_command(command)
-    return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in command else {"ok": True})
-
-
-def check(command: Mapping[str, object], bus: ServoBus) -> list[Change]:
-    """Check a command and return the changes that carry it out; nothing is changed yet.
-
-    Raises:
-        ValueError: there is no such command, or not with this value.
-    """
-    return [_change(name, value, bus) for name, value in command.items()]
-
-
-def json_object(line: bytes) -> dict[str, object]:
-    """Parse a line of JSON.
-
-    Raises:
-        ValueError: it is no JSON, or no object.
-    """
-    try:
-        command = json.loads(line)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"no JSON at column {error.colno}: {error.msg}") from error
-    if not isinstance(command, dict):
-        raise ValueError(f"a command is a JSON object, not {command!r}")  # noqa: TRY004 - refused input like the rest
-    return command
-
-
-def _line(reply: Mapping[str, object]) -> bytes:
-    return json.dumps(reply).encode() + b"\n"
 
 
 def _change(name: str, value: object, bus: ServoBus) -> Change:
@@ -331,6 +320,7 @@ def _for_servos(name: str, value: object, bus: ServoBus) -> Change:
         raise ValueError(f"{name} takes a list of servo ids out of {list(servos)}, not {value!r}")
 
     def carry_out(emulation: Emulation) -> None:
+        """Apply the checked command."""
         for servo_id in value:
             FOR_SERVOS[name](emulation, servos[servo_id])
 
@@ -344,6 +334,7 @@ def _values(name: str, kind: Value, value: object, bus: ServoBus) -> Change:
     changes = [_value(name, kind, servos[servo_id], one) for servo_id, one in value.items()]
 
     def carry_out(emulation: Emulation) -> None:
+        """Apply the checked command."""
         for change in changes:
             change(emulation)
 
@@ -370,3 +361,13 @@ def _plugged(value: object) -> Change:
     if value is False:
         return lambda emulation: emulation.adapter.unplug()
     return lambda emulation: emulation.adapter.plug_in(renamed=value == PLUGGED_RENAMED)
+
+
+def _checked(name: str, value: object, lowest: float, highest: float, meaning: str) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not lowest <= value <= highest:
+        raise ValueError(f"{name} is {meaning} from {lowest:g} to {highest:g}, not {value!r}")
+    return float(value)
+
+
+def _line(reply: Mapping[str, object]) -> bytes:
+    return json.dumps(reply).encode() + b"\n"

@@ -1,4 +1,4 @@
-"""What goes wrong on the emulated bus, by chance or on command."""
+"""Faults of the emulated bus, random or on command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from robot.hardware.feetech.packets import HEADER, checksum
 
-# Faults that strike each packet with a probability, and what they do; field of Faults, option and live command alike.
+# Random faults and their effects on a packet; each is a field of Faults, an option and a live command.
 PROBABILITIES: Mapping[str, str] = MappingProxyType(
     {
         "drop": "lose a reply",
@@ -23,7 +23,7 @@ PROBABILITIES: Mapping[str, str] = MappingProxyType(
     }
 )
 
-# Longer than the driver waits for a reply: what is delayed comes when the next question has been asked.
+# Longer than the host waits for a reply: a delayed one arrives after the next instruction.
 DELAY_S = 0.02
 
 MAX_NOISE_BYTES = 8
@@ -34,15 +34,15 @@ SERVO_IDS = range(0xFD)
 
 @dataclass
 class Faults:
-    """Probabilities of faults and servos cut off; may be changed while the bus runs.
+    """Probabilities of faults, and servos off the bus; may be changed while the bus runs.
 
     Attributes:
-        drop: see ``PROBABILITIES`` for this and all others that are probabilities.
-        delay_s: how long a delayed reply takes longer [s].
-        offline: ids of servos that neither hear nor speak.
-        stall_behind_missing: whether a sync read ends at the first servo that does not answer, as some firmware is
-            said to do; else those behind it answer in its stead.
-        random: where chance comes from.
+        drop: see ``PROBABILITIES`` for this and the other probabilities.
+        delay_s: delay of a delayed reply [s].
+        offline: ids of servos that neither receive nor reply.
+        stall_behind_missing: True if a sync read ends at the first servo that does not reply, as some firmware is said
+            to do; otherwise those behind it reply in its slot.
+        random: random generator of the faults.
     """
 
     drop: float = 0.0
@@ -60,19 +60,19 @@ class Faults:
 
     @property
     def by_chance(self) -> bool:
-        """True while any fault may strike by chance."""
+        """True while any probability is above 0."""
         return any(getattr(self, name) > 0.0 for name in PROBABILITIES)
 
     def loses_instruction(self) -> bool:
-        """Choose whether an instruction is lost."""
+        """Draw; return True when an instruction is lost."""
         return self._happens(self.lose_instruction)
 
     def hold_up_s(self) -> float:
-        """Choose how much later the host gets a reply [s]."""
+        """Draw the delay of a reply [s]."""
         return self.delay_s if self._happens(self.delay) else 0.0
 
-    def strike(self, packet: bytes) -> bytes:
-        """Choose what arrives of a reply."""
+    def apply(self, packet: bytes) -> bytes:
+        """Apply random faults to a reply; return the bytes that arrive."""
         if self._happens(self.drop):
             return b""
         if self._happens(self.wrong_id):

@@ -1,12 +1,36 @@
-"""The temperature of a servo's motor. Pure; time is passed in.
-
-The moving half of a servo: motor, gear, and whatever pushes against the joint. Pure; time is passed in.
-"""
+"""Plant of a servo: motor and gear under external loads, and the motor's temperature. Pure: time is passed in."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+# STS3215 C001 without load at 6 V: 0.238 s per 60 deg.
+NO_LOAD_TICKS_S = 2867.0
+
+STALL_CURRENT_A = 2.4
+
+# Fast enough for the stiffest position gain to stay stable.
+SUBSTEP_S = 0.002
+
+# A process that was suspended does not catch up.
+MAX_STEP_S = 0.1
+
+# A slower joint counts as at rest: this is a tick in a quarter of an hour.
+REST_TICKS_S = 1e-3
+
+# Duty that a position error of one tick calls for, per unit of the P gain: the factory's gain of 32 follows
+# with a lag of 20 ms and stalls at 5 deg, lerobot's 16 with twice that.
+DUTY_PERMILLE_PER_TICK_AND_GAIN = 0.5
+
+# A relaxed gear of 1:345 hardly turns under the weight of the arm: 5 ticks/s (0.4 deg/s) at the shoulder.
+DROOP_TICKS_S_PER_PERMILLE = 0.08
+
+# A hand turns a free joint with ease: a push like half the motor's torque makes a turn in four seconds.
+PUSH_TICKS_S_PER_PERMILLE = 2.0
+
+# Speed of a joint moved by hand, 130 deg/s.
+HAND_TICKS_S = 1500.0
 
 AMBIENT_C = 32.0
 
@@ -17,61 +41,14 @@ KELVIN_PER_A2 = 60.0
 TIME_CONSTANT_S = 600.0
 
 
-@dataclass
-class Motor:
-    """The motor as a body that is warmed by its current and cooled by the air.
-
-    Attributes:
-        temperature_c: of the housing [degC].
-        rate: how much faster than life it warms and cools.
-    """
-
-    temperature_c: float = AMBIENT_C
-    rate: float = 1.0
-
-    def step(self, duration_s: float, current_a: float) -> None:
-        """Let time pass [s]."""
-        target_c = AMBIENT_C + KELVIN_PER_A2 * current_a * current_a
-        share = min(1.0, duration_s * self.rate / TIME_CONSTANT_S)
-        self.temperature_c += (target_c - self.temperature_c) * share
-
-
-# STS3215 C001 without load at 6 V: 0.238 s per 60 deg.
-NO_LOAD_TICKS_S = 2867.0
-
-# Fast enough for the stiffest position gain to stay stable.
-SUBSTEP_S = 0.002
-
-# A joint slower than this creeps by a tick in a quarter of an hour: it rests.
-REST_TICKS_S = 1e-3
-
-# After the process was suspended the arm goes on from where it was rather than catching up.
-MAX_STEP_S = 0.1
-
-# Duty that a position error of one tick calls for, per unit of the P gain: the factory's gain of 32 follows
-# with a lag of 20 ms and stalls at 5 deg, lerobot's 16 with twice that.
-DUTY_PERMILLE_PER_TICK_AND_GAIN = 0.5
-
-# A gear of 1:345 hardly turns by the weight of the arm: 5 ticks/s (0.4 deg/s) at the shoulder.
-DROOP_TICKS_S_PER_PERMILLE = 0.08
-
-# A hand turns a free joint with ease: a push like half the motor's torque makes a turn in four seconds.
-PUSH_TICKS_S_PER_PERMILLE = 2.0
-
-# A person moves a joint this fast, 130 deg/s.
-HAND_TICKS_S = 1500.0
-
-STALL_CURRENT_A = 2.4
-
-
 @dataclass(frozen=True)
 class Drive:
-    """What the registers ask of the motor.
+    """Command of the registers to the motor.
 
     Attributes:
-        goal_ticks: position to go to.
-        velocity_ticks_s: fastest the profile may go.
-        acceleration_ticks_s2: how fast its velocity may change.
+        goal_ticks: goal position.
+        velocity_ticks_s: velocity limit of the profile.
+        acceleration_ticks_s2: acceleration limit of the profile.
         torque_permille: largest duty [0.1 %]; 0 leaves the joint free.
         p_gain: register P_GAIN.
     """
@@ -85,18 +62,18 @@ class Drive:
 
 @dataclass
 class Plant:
-    """One joint.
+    """Joint driven by one servo.
 
     Attributes:
-        position_ticks: where it is, as the encoder counts.
+        position_ticks: position, as the encoder counts.
         lower_stop_ticks: mechanical end.
         upper_stop_ticks: mechanical end.
-        gravity_permille: duty that carries the joint's weight; what carries less sinks against its sign.
-        push_permille: push from outside, in the motor's duty that would do the same.
-        hand_ticks: where a hand that is stronger than the motor brings the joint; None lets it go.
-        velocity_ticks_s: how fast it moves.
-        duty_permille: what the motor gives [0.1 %].
-        at_rest: whether the joint stayed where it is in the latest step, and stays there until something changes.
+        gravity_permille: duty that balances the joint's weight; with less the joint sinks against its sign.
+        push_permille: external push, as the motor duty of the same force.
+        hand_ticks: position to which a hand, stronger than the motor, moves the joint; None for no hand.
+        velocity_ticks_s: velocity.
+        duty_permille: motor duty [0.1 %].
+        at_rest: True if the joint did not move in the latest step, and will not until something changes.
     """
 
     position_ticks: float
@@ -117,11 +94,11 @@ class Plant:
 
     @property
     def current_a(self) -> float:
-        """Motor current [A]: what the duty drives against the voltage that the turning motor induces."""
+        """Motor current [A], driven by the duty against the back-EMF of the turning motor."""
         return (self.duty_permille / 1000.0 - self.velocity_ticks_s / NO_LOAD_TICKS_S) * STALL_CURRENT_A
 
     def block(self, obstacle_ticks: float | None) -> None:
-        """Put an obstacle in the joint's way, on the side where it is seen from here; None takes it away."""
+        """Put an obstacle at a tick, above or below the present position; None removes it."""
         lower, upper = self.lower_stop_ticks, self.upper_stop_ticks
         if obstacle_ticks is None:
             self._walls_ticks = (lower, upper)
@@ -131,8 +108,8 @@ class Plant:
             self._walls_ticks = (max(lower, obstacle_ticks), upper)
 
     def step(self, duration_s: float, drive: Drive) -> None:
-        """Let time pass [s]."""
-        # All that can move the joint; a joint that rested under it rests on, and costs nothing.
+        """Advance by ``duration_s`` [s]."""
+        # Everything that can move the joint; while it is unchanged a joint at rest stays so, and costs nothing.
         under = (
             drive,
             self.position_ticks,
@@ -175,7 +152,7 @@ class Plant:
         self.position_ticks = reached
 
     def _advance_profile(self, dt_s: float, drive: Drive) -> None:
-        """Move the internal goal: accelerate, cruise, and brake so as to stop at the goal."""
+        """Advance the internal goal along a trapezoidal profile."""
         distance = drive.goal_ticks - self._profile_ticks
         speed = min(drive.velocity_ticks_s, math.sqrt(2.0 * drive.acceleration_ticks_s2 * abs(distance)))
         change = math.copysign(speed, distance) - self._profile_velocity_ticks_s
@@ -186,3 +163,22 @@ class Plant:
             return
         self._profile_ticks += velocity * dt_s
         self._profile_velocity_ticks_s = velocity
+
+
+@dataclass
+class Motor:
+    """Motor temperature: heated by the current, cooled by the air.
+
+    Attributes:
+        temperature_c: temperature of the housing [degC].
+        rate: factor by which it warms and cools faster than a real one.
+    """
+
+    temperature_c: float = AMBIENT_C
+    rate: float = 1.0
+
+    def step(self, duration_s: float, current_a: float) -> None:
+        """Advance by ``duration_s`` [s] at a current [A]."""
+        target_c = AMBIENT_C + KELVIN_PER_A2 * current_a * current_a
+        share = min(1.0, duration_s * self.rate / TIME_CONSTANT_S)
+        self.temperature_c += (target_c - self.temperature_c) * share

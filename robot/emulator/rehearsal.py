@@ -1,4 +1,4 @@
-"""Rehearsals: timed live commands, such as the motions of a hand. Pure; time is passed in.
+"""Rehearsals: timed live commands, such as the motions of a hand. Pure: time is passed in.
 
 A script is a text file with one JSON object a line: live commands (:mod:`robot.emulator.control`) and their time
 ``at_s`` from the start of the script [s]. A line without a command only marks a time, such as the end of a pause::
@@ -20,20 +20,20 @@ from robot.emulator.control import check, json_object
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.servo_bus import ServoBus
 
-# A day: later is a mistake of the unit.
+# A day; a later time is likely a mistaken unit.
 MAX_AT_S = 86_400.0
 
-# A script that is repeated takes at least this long [s], or it would fill the loop that plays it.
+# Shortest duration of a repeated script [s]: a shorter one would keep the loop that plays it busy.
 MIN_REPEATED_S = 0.1
 
-# Time from the host's first byte to what a ready-made rehearsal is about: a person reads the question of
+# Time from the host's first byte to the first event of a ready-made rehearsal: a person reads the question of
 # `armbridge calibrate` and presses Enter, a server takes the arm over.
 LEAD_S = 10.0
 
 # A hand rests at each end, so that readings every 20 ms see the joint there even when the machine is busy.
 REST_S = 1.0
 
-# Most of what the default torque limit (800) holds against; the position loop gives way by 30 ticks.
+# Most of the load that the default torque limit (800) can hold; the position loop gives way by 30 ticks.
 PUSH_PERMILLE = 500
 PUSH_S = 5.0
 
@@ -47,11 +47,11 @@ OBSTACLE_S = 30.0
 
 @dataclass(frozen=True)
 class TimedCommand:
-    """A live command and its time.
+    """Live command with a time.
 
     Attributes:
         at_s: time from the start of the script [s].
-        command: as :func:`robot.emulator.control.check` takes it.
+        command: command for :func:`robot.emulator.control.check`.
     """
 
     at_s: float
@@ -59,14 +59,14 @@ class TimedCommand:
 
 
 class Rehearsal:
-    """Commands that become due one by one.
+    """Schedule of timed commands.
 
     Args:
-        commands: in the order of their times; none for no rehearsal.
-        repeats: start again after the last command.
+        commands: in the order of their times; may be empty.
+        repeats: True to start again after the last command.
 
     Raises:
-        ValueError: they take no time, and shall be repeated.
+        ValueError: they are to be repeated, but shorter than :data:`MIN_REPEATED_S`.
     """
 
     def __init__(self, commands: Sequence[TimedCommand] = (), *, repeats: bool = False) -> None:
@@ -79,7 +79,7 @@ class Rehearsal:
         self._next = 0
 
     def start(self, now_s: float) -> None:
-        """Begin, unless it has begun."""
+        """Start at a monotonic time [s], unless it has started."""
         if self._start_s is None:
             self._start_s = now_s
 
@@ -104,11 +104,11 @@ def read_script(path: Path, bus: ServoBus) -> tuple[TimedCommand, ...]:
 
     Args:
         path: the file.
-        bus: the servos that the commands may name.
+        bus: servo bus that its commands may change.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: a line is no command with a time later than that of the line before; names file and line.
+        ValueError: a line is not a command with a time later than the line before; the text names file and line.
     """
     commands: list[TimedCommand] = []
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):
@@ -137,9 +137,9 @@ def _timed_command(line: bytes, previous_s: float | None, bus: ServoBus) -> Time
 
 
 def sweep(calibration: Calibration) -> tuple[TimedCommand, ...]:
-    """Hold the arm in its middle pose, then bring every joint from stop to stop and back to the middle.
+    """Move the arm by hand to its middle pose, then every joint from stop to stop and back, as for ``calibrate``.
 
-    ``armbridge calibrate`` asks for this. The joint that turns freely stays in the middle.
+    The joint that turns freely stays in the middle.
     """
     joints = calibration.joints
     swept = [joint for joint in joints if joint.joint != FREE_TURNING_JOINT]

@@ -1,9 +1,4 @@
-"""A servo's register file: 87 bytes, of which those of the EPROM outlive a power cut.
-
-What a servo does to protect itself: the status bits, and how much torque they leave. Pure; time is passed in.
-
-One STS3215 servo: its registers, the plant that they drive, and the protection that comes between.
-"""
+"""Emulated STS3215 servo: its registers, the plant that they drive, and its protection. Pure: time is passed in."""
 
 from __future__ import annotations
 
@@ -15,6 +10,7 @@ from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Motor, Plant
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     LAYOUT,
+    MODEL_STS3215,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,
     Area,
@@ -25,13 +21,37 @@ from robot.hardware.feetech.registers import (
 )
 from robot.hardware.interface import StatusFlag
 
-# The last documented address is 86; whatever is asked beyond reads as zero.
+# The SO-101's usual supply [V].
+SUPPLY_V = 5.0
+
+# Register ACCELERATION 0 means the greatest one; lerobot writes this value to the limit register.
+MAX_ACCELERATION = 254
+
+# Register MOVING is 0 for a slower joint.
+STANDSTILL_TICKS_S = 3.0
+
+# This value in register TORQUE_ENABLE makes the present position the middle; torque stays as it was.
+TORQUE_ENABLE_MAKES_MIDDLE = 128
+MIDDLE_TICKS = 2048
+
+# Heat and protection change slowly: interval of their steps, and that of a joint at rest.
+PROTECTION_STEP_S = 0.01
+RESTING_PROTECTION_STEP_S = 0.04
+
+PERMILLE_PER_PERCENT = 10
+PROTECTION_TIME_UNIT_S = 0.01
+
+# Factory value of register 38, which is not emulated.
+OVERCURRENT_TIME_S = 2.0
+
+FULL_DUTY_PERMILLE = 1000.0
+
+# The last documented address is 86; addresses beyond it read as zero.
 MEMORY_BYTES = 87
 
-MODEL_STS3215 = 777
 FIRMWARE_MAJOR_MINOR = bytes([3, 10])
 
-# Feetech's memory table V3.6, what a new servo holds; angle limits and id are the arm's.
+# Values of a new servo, from Feetech's memory table V3.6; angle limits and id are the arm's.
 FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
     {
         Register.RESPONSE_LEVEL: 1,
@@ -56,7 +76,7 @@ FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
     }
 )
 
-# EPROM ends where SRAM begins, also between the documented registers.
+# The EPROM ends where the SRAM begins, including addresses that are not documented.
 _EPROM_ADDRESSES = range(Register.ID, Register.TORQUE_ENABLE)
 _READ_ONLY_ADDRESSES = frozenset(
     register + offset
@@ -69,225 +89,22 @@ _REGISTER_AT: Mapping[int, Register] = MappingProxyType(
 )
 
 
-class Memory:
-    """The registers of one servo, from power-up on.
-
-    Args:
-        eprom: what its EPROM holds; registers not named are 0.
-    """
-
-    def __init__(self, eprom: Mapping[Register, int]) -> None:
-        self._bytes = bytearray(MEMORY_BYTES)
-        self._values: dict[Register, int] = {}  # decoded once: the bus asks for them at every packet
-        self._bytes[0:2] = FIRMWARE_MAJOR_MINOR
-        for register, value in {Register.MODEL_NUMBER: MODEL_STS3215, **eprom}.items():
-            self.set(register, value)
-        self._backup = self._eprom = self._present_eprom()
-        self.power_up()
-
-    def power_up(self) -> None:
-        """Start as after a power cut: EPROM as last stored, torque off, goal 0, the torque limit as in EPROM."""
-        self._bytes[:] = self._eprom + bytes(MEMORY_BYTES - len(self._eprom))
-        self._values.clear()
-        self.set(Register.TORQUE_LIMIT, self.value(Register.MAX_TORQUE))
-        self.set(Register.LOCK, 1)
-
-    def value(self, register: Register) -> int:
-        """Value of a register."""
-        value = self._values.get(register)
-        if value is None:
-            value = decode(register, bytes(self._bytes[register : register + LAYOUT[register].size]))
-            self._values[register] = value
-        return value
-
-    def set(self, register: Register, value: int) -> None:
-        """Set a register, read-only or not."""
-        self._bytes[register : register + LAYOUT[register].size] = encode(register, value)
-        self._values[register] = value
-
-    def show(self, register: Register, value: int) -> None:
-        """Set a measured register, which shows its largest value when it cannot hold the true one."""
-        if self._values.get(register) == value:
-            return
-        lowest, highest = value_range(register)
-        self.set(register, max(lowest, min(highest, value)))
-
-    def read(self, address: int, length: int) -> bytes:
-        """Read bytes; what lies beyond the memory is zero."""
-        return bytes(self._bytes[address : address + length]).ljust(length, b"\0")
-
-    def write(self, address: int, data: bytes) -> bool:
-        """Write bytes as an instruction does; returns whether any register may hold another value now.
-
-        Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK is 0.
-        """
-        # A goal is told a hundred times a second, also while the arm rests.
-        if self._bytes[address : address + len(data)] == data:
-            return False
-        unlocked = self._bytes[Register.LOCK] == 0
-        for at, byte in enumerate(data, start=address):
-            if Register.ID <= at < MEMORY_BYTES and at not in _READ_ONLY_ADDRESSES:
-                self._bytes[at] = byte
-                if at in _REGISTER_AT:
-                    self._values.pop(_REGISTER_AT[at], None)
-        if unlocked:
-            self.store()
-        return True
-
-    def store(self) -> None:
-        """Let the EPROM as it is outlive a power cut, locked or not."""
-        self._eprom = self._present_eprom()
-
-    def back_up(self) -> None:
-        """Keep the EPROM as it is for :meth:`restore`."""
-        self._backup = self._present_eprom()
-
-    def restore(self) -> None:
-        """Bring back the EPROM last backed up, or what it held at first; the id stays."""
-        servo_id = self.value(Register.ID)
-        self._bytes[: len(self._backup)] = self._backup
-        self._values.clear()
-        self.set(Register.ID, servo_id)
-        self.store()
-
-    def _present_eprom(self) -> bytes:
-        return bytes(self._bytes[: _EPROM_ADDRESSES.stop])
-
-
-# Register 38's factory value; what the register says is not followed.
-OVERCURRENT_TIME_S = 2.0
-
-FULL_DUTY_PERMILLE = 1000.0
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """What the EPROM says of protection.
-
-    Attributes:
-        voltage_v: lowest and highest supply [V].
-        temperature_c: highest [degC].
-        overload_permille: duty from which the overload timer runs [0.1 %].
-        overload_s: how long it may [s].
-        protective_permille: duty left after an overload [0.1 %].
-        current_a: greatest [A].
-        unloading: complaints that take torque away.
-    """
-
-    voltage_v: tuple[float, float]
-    temperature_c: float
-    overload_permille: float
-    overload_s: float
-    protective_permille: float
-    current_a: float
-    unloading: StatusFlag
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What the servo measures of itself.
-
-    Attributes:
-        duty_permille: what the motor gives, signed [0.1 %].
-        current_a: signed [A].
-        temperature_c: [degC].
-        voltage_v: [V].
-    """
-
-    duty_permille: float
-    current_a: float
-    temperature_c: float
-    voltage_v: float
-
-
-class Protection:
-    """Timers and latches of one servo.
-
-    Overload and overcurrent stay until torque is switched off, or until power is if ``latches``; the rest last as
-    long as their cause.
-
-    Attributes:
-        latches: whether switching torque off does not clear an overload.
-        forced: complaints made from outside, in force until taken back.
-        status: the complaints, as in register STATUS.
-    """
-
-    def __init__(self) -> None:
-        self.latches = False
-        self.forced = self.status = self._latched = StatusFlag(0)
-        self._overload_s = self._overcurrent_s = 0.0
-
-    def step(self, duration_s: float, measured: Measured, limits: Thresholds) -> None:
-        """Let time pass [s] under what is measured at its end."""
-        overloaded = abs(measured.duty_permille) >= limits.overload_permille
-        self._overload_s = self._overload_s + duration_s if overloaded else 0.0
-        self._overcurrent_s = self._overcurrent_s + duration_s if abs(measured.current_a) > limits.current_a else 0.0
-        if self._overload_s > limits.overload_s:
-            self._latched |= StatusFlag.OVERLOAD
-        if self._overcurrent_s > OVERCURRENT_TIME_S:
-            self._latched |= StatusFlag.CURRENT
-        self.status = self._latched | self.forced
-        if not limits.voltage_v[0] <= measured.voltage_v <= limits.voltage_v[1]:
-            self.status |= StatusFlag.VOLTAGE
-        if measured.temperature_c > limits.temperature_c:
-            self.status |= StatusFlag.TEMPERATURE
-
-    def duty_left_permille(self, limits: Thresholds) -> float:
-        """Largest duty that the complaints leave [0.1 %]."""
-        effective = self.status & limits.unloading
-        if effective & ~StatusFlag.OVERLOAD:
-            return 0.0
-        return limits.protective_permille if effective else FULL_DUTY_PERMILLE
-
-    def torque_off(self) -> None:
-        """Torque was switched off: what that clears is cleared."""
-        if not self.latches:
-            self.power_up()
-
-    def power_up(self) -> None:
-        """Power came on: nothing is remembered."""
-        self._overload_s = self._overcurrent_s = 0.0
-        self.status &= ~self._latched | self.forced
-        self._latched = StatusFlag(0)
-
-
-# The SO-101's usual supply [V].
-SUPPLY_V = 5.0
-
-# Acceleration 0 means the most the servo has; lerobot writes this to its limit register.
-MAX_ACCELERATION = 254
-
-# A joint slower than this stands still as far as register MOVING is concerned.
-STANDSTILL_TICKS_S = 3.0
-
-# TORQUE_ENABLE with this value makes the present position the middle, and drives nothing.
-TORQUE_ENABLE_MAKES_MIDDLE = 128
-MIDDLE_TICKS = 2048
-
-# Heat and protection change slowly: they are looked after once in a while, of a joint at rest less often.
-UPKEEP_S = 0.01
-RESTING_UPKEEP_S = 0.04
-
-PERMILLE_PER_PERCENT = 10
-PROTECTION_TIME_UNIT_S = 0.01
-
-
 class Servo:
-    """A servo on the bus, from power-up on.
+    """Servo on the bus, from power-up on.
 
     Args:
-        servo_id: its id.
-        plant: the joint that it moves, in encoder ticks.
+        servo_id: register ID.
+        plant: joint that it moves, in encoder ticks.
         angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT, in ticks of PRESENT_POSITION.
         homing_offset_ticks: register HOMING_OFFSET.
 
     Attributes:
-        powers_up_holding: whether the next power-up leaves torque on, at the position where it is.
-        motor: its temperature, which may be set.
-        protection: its complaints; some may be forced on it.
-        voltage_v: its supply [V], which may be set.
-        changes: count of the writes that changed a register.
-        servo_id: the id it answers to.
+        powers_up_holding: True if power-ups leave torque on, at the present position.
+        motor: temperature of the motor, which may be set.
+        protection: timers, latches and error bits, some of which may be forced.
+        voltage_v: supply [V], which may be set.
+        changes: number of writes that changed a register.
+        servo_id: register ID.
         baudrate_code: register BAUD_RATE.
     """
 
@@ -306,7 +123,8 @@ class Servo:
             Register.HOMING_OFFSET: homing_offset_ticks,
         }
         self._memory = Memory({**FACTORY_EPROM, **arm})
-        self._unkept_s = 0.0
+        # Time since the latest step of heat and protection.
+        self._unprotected_s = 0.0
         self.changes = 0
         self._shown: tuple[object, ...] | None = None
         self.power_up()
@@ -314,11 +132,11 @@ class Servo:
     def power_up(self, *, holding: bool = False) -> None:
         """Start as after a power cut: EPROM as last stored, torque off.
 
-        The goal is 0, wherever the arm is: who switches torque on without setting it sees the arm jump. Only a servo
-        that powers up holding has the goal where it is.
+        The goal is 0 at any position: switching torque on without setting it makes the arm jump. Only a servo that
+        powers up holding has its position as the goal.
 
         Args:
-            holding: whether it does so this time, whatever :attr:`powers_up_holding` says.
+            holding: True to power up holding this time, whatever :attr:`powers_up_holding` says.
         """
         self._memory.power_up()
         self._kept: tuple[int, bytes] | None = None
@@ -330,7 +148,7 @@ class Servo:
 
     @property
     def visible(self) -> tuple[object, ...]:
-        """All that its measured registers depend on; the same as before means that they read the same."""
+        """Everything that its measured registers depend on; while it is unchanged they read the same."""
         plant = self.plant
         return (
             plant.position_ticks,
@@ -344,7 +162,7 @@ class Servo:
 
     @property
     def error(self) -> int:
-        """The ERR byte of its replies."""
+        """ERR byte of its replies."""
         return int(self.protection.status)
 
     @property
@@ -353,18 +171,18 @@ class Servo:
         return round(self.plant.position_ticks) - self.value(Register.HOMING_OFFSET)
 
     def value(self, register: Register) -> int:
-        """Value of a register other than the measured ones."""
+        """Return the value of a register other than the measured ones."""
         return self._memory.value(register)
 
     def step(self, duration_s: float) -> None:
-        """Let time pass [s]."""
+        """Advance by ``duration_s`` [s]."""
         self.plant.step(duration_s, self._drive)
-        self._unkept_s += duration_s
-        if self._unkept_s >= (RESTING_UPKEEP_S if self.plant.at_rest else UPKEEP_S):
-            self.keep_up()
+        self._unprotected_s += duration_s
+        if self._unprotected_s >= (RESTING_PROTECTION_STEP_S if self.plant.at_rest else PROTECTION_STEP_S):
+            self.update_protection()
 
     def read(self, address: int, length: int) -> bytes:
-        """Read memory; what lies beyond it is zero."""
+        """Read memory; addresses beyond it are zero."""
         self._measure()
         return self._memory.read(address, length)
 
@@ -386,18 +204,18 @@ class Servo:
             self._drive = self._drive_from_registers()
 
     def keep_write(self, address: int, data: bytes) -> None:
-        """Keep a write until :meth:`take_kept_write`; only the last one is kept."""
+        """Buffer a write (REG_WRITE) until :meth:`take_kept_write`; only the last one is kept."""
         self._kept = (address, data)
 
     def take_kept_write(self) -> tuple[int, bytes] | None:
-        """Carry out the write that was kept and return it; None if there is none."""
+        """Carry out the buffered write and return it; None if there is none."""
         kept, self._kept = self._kept, None
         if kept is not None:
             self.write(*kept)
         return kept
 
     def make_middle(self) -> None:
-        """Choose the homing offset, for good, so that the present position reads 2048, or as near as it reaches."""
+        """Store the homing offset with which the present position reads 2048, or as near as the register allows."""
         lowest, highest = value_range(Register.HOMING_OFFSET)
         offset = round(self.plant.position_ticks) - MIDDLE_TICKS
         self._memory.set(Register.HOMING_OFFSET, max(lowest, min(highest, offset)))
@@ -405,17 +223,17 @@ class Servo:
         self._follow_registers()
 
     def back_up(self) -> None:
-        """Keep the EPROM for :meth:`restore`."""
+        """Back the EPROM up for :meth:`restore`."""
         self._memory.back_up()
 
     def restore(self) -> None:
-        """Bring back the EPROM last backed up, or the first; the id stays."""
+        """Restore the EPROM of the latest backup, or the initial one; the id stays."""
         self._memory.restore()
         self._follow_registers()
 
-    def keep_up(self) -> None:
-        """Let motor and protection follow what happened, now."""
-        plant, duration_s, self._unkept_s = self.plant, self._unkept_s, 0.0
+    def update_protection(self) -> None:
+        """Bring motor temperature and protection up to the present."""
+        plant, duration_s, self._unprotected_s = self.plant, self._unprotected_s, 0.0
         self.motor.step(duration_s, plant.current_a)
         measured = Measured(plant.duty_permille, plant.current_a, self.motor.temperature_c, self.voltage_v)
         before = self.protection.status
@@ -424,7 +242,7 @@ class Servo:
             self._drive = self._drive_from_registers()
 
     def _measure(self) -> None:
-        """Bring the read-only registers up to date; those of an arm at rest are."""
+        """Bring the read-only registers up to date."""
         plant, drive, memory = self.plant, self._drive, self._memory
         seen = self.visible
         if seen == self._shown:
@@ -472,3 +290,182 @@ class Servo:
             torque_permille=torque_left if torque_on else 0,
             p_gain=self.value(Register.P_GAIN),
         )
+
+
+class Memory:
+    """Register file of one servo: 87 bytes, of which the EPROM outlives a power cut.
+
+    Args:
+        eprom: values of the EPROM; registers not named are 0.
+    """
+
+    def __init__(self, eprom: Mapping[Register, int]) -> None:
+        self._bytes = bytearray(MEMORY_BYTES)
+        self._values: dict[Register, int] = {}  # decoded once: the bus asks for them at every packet
+        self._bytes[0:2] = FIRMWARE_MAJOR_MINOR
+        for register, value in {Register.MODEL_NUMBER: MODEL_STS3215, **eprom}.items():
+            self.set(register, value)
+        self._backup = self._eprom = self._present_eprom()
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Start as after a power cut: EPROM as last stored, torque off, goal 0, the torque limit as in EPROM."""
+        self._bytes[:] = self._eprom + bytes(MEMORY_BYTES - len(self._eprom))
+        self._values.clear()
+        self.set(Register.TORQUE_LIMIT, self.value(Register.MAX_TORQUE))
+        self.set(Register.LOCK, 1)
+
+    def value(self, register: Register) -> int:
+        """Return the value of a register."""
+        value = self._values.get(register)
+        if value is None:
+            value = decode(register, bytes(self._bytes[register : register + LAYOUT[register].size]))
+            self._values[register] = value
+        return value
+
+    def set(self, register: Register, value: int) -> None:
+        """Set a register, read-only or not."""
+        self._bytes[register : register + LAYOUT[register].size] = encode(register, value)
+        self._values[register] = value
+
+    def show(self, register: Register, value: int) -> None:
+        """Set a measured register; a value beyond its range saturates."""
+        if self._values.get(register) == value:
+            return
+        lowest, highest = value_range(register)
+        self.set(register, max(lowest, min(highest, value)))
+
+    def read(self, address: int, length: int) -> bytes:
+        """Read bytes; addresses beyond the memory are zero."""
+        return bytes(self._bytes[address : address + length]).ljust(length, b"\0")
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Write bytes as an instruction does.
+
+        Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK is 0.
+
+        Returns:
+            True when a register may have changed.
+        """
+        # Goals are written a hundred times a second, also while the arm rests.
+        if self._bytes[address : address + len(data)] == data:
+            return False
+        unlocked = self._bytes[Register.LOCK] == 0
+        for at, byte in enumerate(data, start=address):
+            if Register.ID <= at < MEMORY_BYTES and at not in _READ_ONLY_ADDRESSES:
+                self._bytes[at] = byte
+                if at in _REGISTER_AT:
+                    self._values.pop(_REGISTER_AT[at], None)
+        if unlocked:
+            self.store()
+        return True
+
+    def store(self) -> None:
+        """Store the present EPROM, locked or not, so that it outlives a power cut."""
+        self._eprom = self._present_eprom()
+
+    def back_up(self) -> None:
+        """Back the present EPROM up for :meth:`restore`."""
+        self._backup = self._present_eprom()
+
+    def restore(self) -> None:
+        """Restore the EPROM of the latest backup, or the initial one; the id stays."""
+        servo_id = self.value(Register.ID)
+        self._bytes[: len(self._backup)] = self._backup
+        self._values.clear()
+        self.set(Register.ID, servo_id)
+        self.store()
+
+    def _present_eprom(self) -> bytes:
+        return bytes(self._bytes[: _EPROM_ADDRESSES.stop])
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Thresholds of the protection, from the EPROM.
+
+    Attributes:
+        voltage_v: lowest and highest supply [V].
+        temperature_c: highest temperature [degC].
+        overload_permille: duty from which the overload timer runs [0.1 %].
+        overload_s: time after which the overload latches [s].
+        protective_permille: duty left after an overload [0.1 %].
+        current_a: greatest current [A].
+        unloading: error bits that cut torque.
+    """
+
+    voltage_v: tuple[float, float]
+    temperature_c: float
+    overload_permille: float
+    overload_s: float
+    protective_permille: float
+    current_a: float
+    unloading: StatusFlag
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measurements of the servo.
+
+    Attributes:
+        duty_permille: motor duty, signed [0.1 %].
+        current_a: motor current, signed [A].
+        temperature_c: temperature of the motor [degC].
+        voltage_v: supply [V].
+    """
+
+    duty_permille: float
+    current_a: float
+    temperature_c: float
+    voltage_v: float
+
+
+class Protection:
+    """Timers and latches of one servo's protection, and the torque that its error bits leave.
+
+    Overload and overcurrent last until torque is switched off, or until a power cycle if ``latches``; the other errors
+    last as long as their cause.
+
+    Attributes:
+        latches: True if switching torque off does not clear an overload.
+        forced: error bits forced by a command.
+        status: error bits, register STATUS.
+    """
+
+    def __init__(self) -> None:
+        self.latches = False
+        self.forced = self.status = self._latched = StatusFlag(0)
+        self._overload_s = self._overcurrent_s = 0.0
+
+    def step(self, duration_s: float, measured: Measured, limits: Thresholds) -> None:
+        """Advance by ``duration_s`` [s] with the measurements at its end."""
+        overloaded = abs(measured.duty_permille) >= limits.overload_permille
+        self._overload_s = self._overload_s + duration_s if overloaded else 0.0
+        self._overcurrent_s = self._overcurrent_s + duration_s if abs(measured.current_a) > limits.current_a else 0.0
+        if self._overload_s > limits.overload_s:
+            self._latched |= StatusFlag.OVERLOAD
+        if self._overcurrent_s > OVERCURRENT_TIME_S:
+            self._latched |= StatusFlag.CURRENT
+        self.status = self._latched | self.forced
+        if not limits.voltage_v[0] <= measured.voltage_v <= limits.voltage_v[1]:
+            self.status |= StatusFlag.VOLTAGE
+        if measured.temperature_c > limits.temperature_c:
+            self.status |= StatusFlag.TEMPERATURE
+
+    def duty_left_permille(self, limits: Thresholds) -> float:
+        """Return the largest duty that the error bits leave [0.1 %]."""
+        effective = self.status & limits.unloading
+        if effective & ~StatusFlag.OVERLOAD:
+            return 0.0
+        return limits.protective_permille if effective else FULL_DUTY_PERMILLE
+
+    def torque_off(self) -> None:
+        """Clear the latches that switching torque off clears."""
+        if not self.latches:
+            self.power_up()
+
+    def power_up(self) -> None:
+        """Clear timers and latches."""
+        self._overload_s = self._overcurrent_s = 0.0
+        self.status &= ~self._latched | self.forced
+        self._latched = StatusFlag(0)

@@ -1,8 +1,7 @@
-"""The servos' side of the wire format: instructions cut out of the host's bytes, status packets built.
+"""Emulated servo bus: timing and losses on the half-duplex wire, instruction packets parsed, status packets built.
 
-What each instruction of the protocol does to the servos that hear it.
-
-The wire of the emulated bus: who speaks when, what is lost on it, and the servos at its end.
+:class:`ServoBus` takes the host's bytes and returns the replies; :func:`execute` carries out one instruction on the
+servos that receive it.
 """
 
 from __future__ import annotations
@@ -28,16 +27,202 @@ from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.packets import HEADER, LENGTH_OVERHEAD, checksum, wire_time_s
 from robot.hardware.feetech.registers import Register
 
-# A packet that stays unfinished this long was cut off, and does not swallow the next one.
+BAUDRATE = 1_000_000
+
+# Register BAUD_RATE (Feetech's memory table V3.6).
+BAUDRATES: Mapping[int, int] = MappingProxyType(
+    dict(enumerate((1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)))
+)
+
+# Instructions of Feetech's protocol manual without a name in its SDK.
+INST_RESTORE = 0x06
+INST_REBOOT = 0x08
+INST_BACKUP = 0x09
+INST_RESET = 0x0A
+INST_CALIBRATE = 0x0B
+
+# Instructions that change nothing.
+READING = (INST_PING, INST_READ, INST_SYNC_READ)
+
+# A packet that is incomplete for so long was cut off, and is dropped so that it does not swallow the next one.
 PARTIAL_PACKET_S = 0.005
 
 # Header, id, LEN and checksum.
 _FRAME_BYTES = 5
 
+# Time from the end of the packet before to the start of a reply.
+TURNAROUND_S = 20e-6
+RETURN_DELAY_UNIT_S = 2e-6
+
+# A survey sends some dozens of different requests.
+MAX_ANSWERED = 64
+
+# Interval of updating the weight, which changes slowly with the pose.
+WEIGHING_S = 0.01
+
+
+class ServoBus:
+    """Servos of an arm on one wire.
+
+    Args:
+        servos: in the order of their ids.
+        faults: faults of the bus, which may be changed while it runs.
+        now_s: monotonic time [s].
+        log: record of the writes; None for no record.
+        weigh: loads the servos with the links' weight at the present pose; None for an arm without weight.
+        wire_time: True to emulate the time of bytes on the wire; otherwise replies are complete at once, and cannot
+            collide.
+
+    Attributes:
+        servos: as given.
+        faults: as given.
+    """
+
+    def __init__(
+        self,
+        servos: Sequence[Servo],
+        faults: Faults,
+        now_s: float,
+        log: WriteLog | None = None,
+        weigh: Callable[[], None] | None = None,
+        *,
+        wire_time: bool = True,
+    ) -> None:
+        self.servos = tuple(servos)
+        self.faults = faults
+        self._log = log
+        self._weigh = weigh or (lambda: None)
+        self._weigh()
+        self._weighed_s = now_s
+        self._wire_time = wire_time
+        self._parser = InstructionParser()
+        self._now_s = now_s
+        self._wire_free_s = self._given_s = now_s
+        self._on_wire: list[Reply] = []
+        # Every tick of an arm at rest repeats a request: requests since the last change, and their replies.
+        self._answered: dict[tuple[bytes, int], bytes] = {}
+        self._visible: list[tuple[object, ...]] = []
+
+    def advance(self, now_s: float) -> None:
+        """Advance the servos to the monotonic time ``now_s`` [s]."""
+        if now_s <= self._now_s:
+            return
+        for servo in self.servos:
+            servo.step(now_s - self._now_s)
+        self._now_s = now_s
+        if now_s - self._weighed_s >= WEIGHING_S and not all(servo.plant.at_rest for servo in self.servos):
+            self._weighed_s = now_s
+            self._weigh()
+        visible = [servo.visible for servo in self.servos]
+        if visible != self._visible:
+            self._visible = visible
+            self._answered.clear()
+
+    def receive(self, data: bytes, now_s: float, baudrate: int = BAUDRATE) -> list[Reply]:
+        """Receive bytes from the host.
+
+        Bytes that collide with replies still on the wire are lost, and so is the rest of those replies. Instructions
+        that arrive together wait for the replies to the one before: the gaps between them are not known here.
+
+        Args:
+            data: bytes from the host.
+            now_s: monotonic time [s].
+            baudrate: baud rate of the host; 0 for one that no servo has.
+
+        Returns:
+            Replies; they may be cut by a collision until they have passed the wire.
+        """
+        self.advance(now_s)
+        if self._on_wire and now_s < self._on_wire[-1].end_s:
+            for reply in self._on_wire:
+                reply.collide(now_s)
+            return []
+        self._on_wire = []
+        if baudrate == 0:
+            return []
+        request = data, baudrate
+        if not self._parser.begun and (again := self._answered.get(request)) is not None:
+            due_s = max(now_s, self._given_s)
+            return [Reply(now_s, wire_time_s(1, baudrate), now_s, due_s, again)] if again else []
+        changes = sum(servo.changes for servo in self.servos)
+        instructions = self._parser.feed(data, now_s)
+        for instruction in instructions:
+            self._wire_free_s = max(now_s, self._wire_free_s) + self._takes_s(instruction.byte_count, baudrate)
+            if not self.faults.loses_instruction():
+                self._execute(instruction, baudrate)
+        # A request that changed a register may have another reply the next time, or none after a change of the id.
+        unchanged = changes == sum(servo.changes for servo in self.servos)
+        whole = [instruction.byte_count for instruction in instructions] == [len(data)]
+        if whole and unchanged and not (self._wire_time or self._log is not None or self.faults.by_chance):
+            if len(self._answered) >= MAX_ANSWERED:
+                self._answered.clear()
+            self._answered[request] = b"".join(reply.data for reply in self._on_wire)
+        return self._on_wire
+
+    def record_command(self, command: Mapping[str, object]) -> None:
+        """Record a live command among the writes, and bring everything up to date that it may have changed."""
+        self._answered.clear()
+        for servo in self.servos:
+            servo.update_protection()
+        if self._log is not None:
+            self._log.record_command(self._now_s, command, self.servos)
+
+    def _execute(self, instruction: Instruction, baudrate: int) -> None:
+        """Carry out an instruction on the servos that receive it, and put their replies on the wire."""
+        hearers = [servo for servo in self.servos if self._hears(servo, baudrate)]
+        effects = execute(instruction, hearers, stall_behind_missing=self.faults.stall_behind_missing)
+        if instruction.code not in READING:
+            self._answered.clear()
+        for effect in effects:
+            for answer in effect.answers:
+                self._reply(answer, baudrate)
+            if self._log is not None and effect.written:
+                self._log.record_write(self._now_s, instruction.code, effect.address, effect.written, self.servos)
+
+    def _hears(self, servo: Servo, baudrate: int) -> bool:
+        return BAUDRATES.get(servo.baudrate_code) == baudrate and servo.servo_id not in self.faults.offline
+
+    def _reply(self, answer: Answer, baudrate: int) -> None:
+        servo = answer.servo
+        delay_s = TURNAROUND_S + servo.value(Register.RETURN_DELAY) * RETURN_DELAY_UNIT_S if self._wire_time else 0.0
+        start_s = self._wire_free_s + delay_s
+        packet = status_packet(servo.servo_id, servo.error, answer.data)
+        arriving = self.faults.apply(packet)
+        self._wire_free_s = start_s + self._takes_s(max(len(packet), len(arriving)), baudrate)
+        self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
+        self._on_wire.append(Reply(start_s, wire_time_s(1, baudrate), self._wire_free_s, self._given_s, arriving))
+
+    def _takes_s(self, byte_count: int, baudrate: int) -> float:
+        return wire_time_s(byte_count, baudrate) if self._wire_time else 0.0
+
+
+@dataclass
+class Reply:
+    """Reply on its way to the host; times are monotonic [s].
+
+    Attributes:
+        start_s: time of its first bit on the wire.
+        byte_s: wire time of each byte.
+        end_s: time of its last bit.
+        due_s: time from which the host may have it; later than ``end_s`` if it is delayed.
+        data: bytes of the packet.
+    """
+
+    start_s: float
+    byte_s: float
+    end_s: float
+    due_s: float
+    data: bytes
+
+    def collide(self, now_s: float) -> None:
+        """Drop the bytes that have not passed the wire: the host sends as well, so that their frames are broken."""
+        passed = int((now_s - self.start_s) / self.byte_s)
+        self.data = self.data[: max(0, passed)]
+
 
 @dataclass(frozen=True)
 class Instruction:
-    """A sound packet from the host."""
+    """Valid instruction packet."""
 
     servo_id: int
     code: int
@@ -45,18 +230,12 @@ class Instruction:
 
     @property
     def byte_count(self) -> int:
-        """Bytes of the packet on the wire."""
+        """Number of bytes of the packet on the wire."""
         return len(self.parameters) + LENGTH_OVERHEAD + _FRAME_BYTES - 1
 
 
-def status_packet(servo_id: int, error: int, data: bytes = b"") -> bytes:
-    """Build a servo's reply."""
-    body = bytes([servo_id, len(data) + LENGTH_OVERHEAD, error]) + data
-    return HEADER + body + bytes([checksum(body)])
-
-
 class InstructionParser:
-    """Cuts the host's bytes into instructions; what is not sound is skipped."""
+    """Parser of the host's bytes; invalid packets are skipped."""
 
     def __init__(self) -> None:
         self._buffer = b""
@@ -64,7 +243,7 @@ class InstructionParser:
 
     @property
     def begun(self) -> bool:
-        """True while the bytes left over may be the beginning of an instruction."""
+        """True while the remaining bytes may be the beginning of an instruction."""
         return self._buffer.startswith(HEADER[:1])
 
     def feed(self, data: bytes, now_s: float) -> list[Instruction]:
@@ -93,17 +272,15 @@ class InstructionParser:
         return Instruction(servo_id=body[0], code=body[2], parameters=body[3:])
 
 
-# Codes of Feetech's protocol manual that its SDK has no names for.
-INST_RESTORE = 0x06
-INST_REBOOT = 0x08
-INST_BACKUP = 0x09
-INST_RESET = 0x0A
-INST_CALIBRATE = 0x0B
+def status_packet(servo_id: int, error: int, data: bytes = b"") -> bytes:
+    """Build a servo's reply."""
+    body = bytes([servo_id, len(data) + LENGTH_OVERHEAD, error]) + data
+    return HEADER + body + bytes([checksum(body)])
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a servo has to say: the data of its status packet."""
+    """Data of a servo's status packet."""
 
     servo: Servo
     data: bytes = b""
@@ -111,12 +288,12 @@ class Answer:
 
 @dataclass
 class Effect:
-    """What an instruction did.
+    """Effect of an instruction.
 
     Attributes:
-        answers: in the order in which they are given.
-        address: where was written.
-        written: servo id to the bytes that it took there; several addresses need several effects.
+        answers: status packets, in the order of sending.
+        address: first register written.
+        written: servo id to the bytes written there; several addresses need several effects.
     """
 
     answers: list[Answer] = field(default_factory=list)
@@ -125,12 +302,12 @@ class Effect:
 
 
 def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_missing: bool = False) -> list[Effect]:
-    """Do what the host says.
+    """Carry out an instruction.
 
     Args:
         instruction: anything; what makes no sense does nothing.
         servos: those that hear it.
-        stall_behind_missing: whether a sync read ends at the first servo that does not answer.
+        stall_behind_missing: True if a sync read ends at the first servo that does not reply.
     """
     parameters = instruction.parameters
     hearers = [servo for servo in servos if instruction.servo_id in (servo.servo_id, BROADCAST_ID)]
@@ -155,7 +332,7 @@ def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_m
     return []
 
 
-# The arm's joints turn less than once: there is no count of turns for INST_RESET to forget.
+# The arm's joints turn less than once: there is no count of turns for INST_RESET to clear.
 _MAINTENANCE: Mapping[int, Callable[[Servo], None]] = MappingProxyType(
     {
         INST_RESTORE: Servo.restore,
@@ -214,174 +391,3 @@ def _sync_write(servos: Sequence[Servo], parameters: bytes) -> Effect:
             present[servo_id].write(address, data)
             effect.written[servo_id] = data
     return effect
-
-
-BAUDRATE = 1_000_000
-
-# Register BAUD_RATE (Feetech's memory table V3.6).
-BAUDRATES: Mapping[int, int] = MappingProxyType(
-    dict(enumerate((1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)))
-)
-
-# From the end of what a servo waits for to the start of its reply.
-TURNAROUND_S = 20e-6
-RETURN_DELAY_UNIT_S = 2e-6
-
-# Instructions that change nothing.
-READING = (INST_PING, INST_READ, INST_SYNC_READ)
-
-# A survey asks some dozens of different questions.
-MAX_ANSWERED = 64
-
-# Weight changes with the pose, and that slowly.
-WEIGHING_S = 0.01
-
-
-@dataclass
-class Reply:
-    """Bytes for the host.
-
-    Attributes:
-        start_s: when their first bit is on the wire (monotonic [s]).
-        byte_s: how long each takes [s].
-        end_s: when all have passed it.
-        due_s: when the host may have them; later than ``end_s`` if the adapter holds them up.
-        data: the bytes.
-    """
-
-    start_s: float
-    byte_s: float
-    end_s: float
-    due_s: float
-    data: bytes
-
-    def talk_over(self, now_s: float) -> None:
-        """Lose what has not yet passed the wire: with the host speaking as well, no byte is framed right."""
-        passed = int((now_s - self.start_s) / self.byte_s)
-        self.data = self.data[: max(0, passed)]
-
-
-class ServoBus:
-    """All servos of the arm on one wire.
-
-    Args:
-        servos: in the order of their ids.
-        faults: may be changed while the bus runs.
-        now_s: monotonic time [s].
-        log: where writes are recorded, if anywhere.
-        weigh: sets the servos' loads by the pose; without it the arm weighs nothing.
-        wire_time: whether bytes take their time on the wire; else replies are there as soon as they are asked for, and
-            nobody can talk over them.
-    """
-
-    def __init__(
-        self,
-        servos: Sequence[Servo],
-        faults: Faults,
-        now_s: float,
-        log: WriteLog | None = None,
-        weigh: Callable[[], None] | None = None,
-        *,
-        wire_time: bool = True,
-    ) -> None:
-        self.servos = tuple(servos)
-        self.faults = faults
-        self._log = log
-        self._weigh = weigh or (lambda: None)
-        self._weigh()
-        self._weighed_s = now_s
-        self._wire_time = wire_time
-        self._parser = InstructionParser()
-        self._now_s = now_s
-        self._wire_free_s = self._given_s = now_s
-        self._on_wire: list[Reply] = []
-        # Of an arm at rest every tick asks and tells the same: requests since the last change, and their replies.
-        self._answered: dict[tuple[bytes, int], bytes] = {}
-        self._visible: list[tuple[object, ...]] = []
-
-    def advance(self, now_s: float) -> None:
-        """Let the servos move until ``now_s``."""
-        if now_s <= self._now_s:
-            return
-        for servo in self.servos:
-            servo.step(now_s - self._now_s)
-        self._now_s = now_s
-        if now_s - self._weighed_s >= WEIGHING_S and not all(servo.plant.at_rest for servo in self.servos):
-            self._weighed_s = now_s
-            self._weigh()
-        visible = [servo.visible for servo in self.servos]
-        if visible != self._visible:
-            self._visible = visible
-            self._answered.clear()
-
-    def receive(self, data: bytes, now_s: float, baudrate: int = BAUDRATE) -> list[Reply]:
-        """Take bytes from the host.
-
-        What comes while servos still answer what came before is lost on the wire, and spoils their replies. Of
-        instructions that come together each waits for the replies to the one before: how far apart the host sent
-        them cannot be seen here.
-
-        Returns:
-            The replies. They may yet be spoilt until they have passed the wire.
-        """
-        self.advance(now_s)
-        if self._on_wire and now_s < self._on_wire[-1].end_s:
-            for reply in self._on_wire:
-                reply.talk_over(now_s)
-            return []
-        self._on_wire = []
-        if baudrate == 0:
-            return []
-        request = data, baudrate
-        if not self._parser.begun and (again := self._answered.get(request)) is not None:
-            due_s = max(now_s, self._given_s)
-            return [Reply(now_s, wire_time_s(1, baudrate), now_s, due_s, again)] if again else []
-        changes = sum(servo.changes for servo in self.servos)
-        instructions = self._parser.feed(data, now_s)
-        for instruction in instructions:
-            self._wire_free_s = max(now_s, self._wire_free_s) + self._takes_s(instruction.byte_count, baudrate)
-            if not self.faults.loses_instruction():
-                self._obey(instruction, baudrate)
-        # What changes a register may be answered otherwise the next time: a new id or baud rate is not heard again.
-        unchanged = changes == sum(servo.changes for servo in self.servos)
-        whole = [instruction.byte_count for instruction in instructions] == [len(data)]
-        if whole and unchanged and not (self._wire_time or self._log is not None or self.faults.by_chance):
-            if len(self._answered) >= MAX_ANSWERED:
-                self._answered.clear()
-            self._answered[request] = b"".join(reply.data for reply in self._on_wire)
-        return self._on_wire
-
-    def record_command(self, command: Mapping[str, object]) -> None:
-        """Note a live command, which may have changed anything, and put it on record among the writes."""
-        self._answered.clear()
-        for servo in self.servos:
-            servo.keep_up()
-        if self._log is not None:
-            self._log.record_command(self._now_s, command, self.servos)
-
-    def _obey(self, instruction: Instruction, baudrate: int) -> None:
-        hearers = [servo for servo in self.servos if self._hears(servo, baudrate)]
-        effects = execute(instruction, hearers, stall_behind_missing=self.faults.stall_behind_missing)
-        if instruction.code not in READING:
-            self._answered.clear()
-        for effect in effects:
-            for answer in effect.answers:
-                self._reply(answer, baudrate)
-            if self._log is not None and effect.written:
-                self._log.record_write(self._now_s, instruction.code, effect.address, effect.written, self.servos)
-
-    def _hears(self, servo: Servo, baudrate: int) -> bool:
-        return BAUDRATES.get(servo.baudrate_code) == baudrate and servo.servo_id not in self.faults.offline
-
-    def _reply(self, answer: Answer, baudrate: int) -> None:
-        servo = answer.servo
-        delay_s = TURNAROUND_S + servo.value(Register.RETURN_DELAY) * RETURN_DELAY_UNIT_S if self._wire_time else 0.0
-        start_s = self._wire_free_s + delay_s
-        packet = status_packet(servo.servo_id, servo.error, answer.data)
-        arriving = self.faults.strike(packet)
-        self._wire_free_s = start_s + self._takes_s(max(len(packet), len(arriving)), baudrate)
-        self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
-        self._on_wire.append(Reply(start_s, wire_time_s(1, baudrate), self._wire_free_s, self._given_s, arriving))
-
-    def _takes_s(self, byte_count: int, baudrate: int) -> float:
-        return wire_time_s(byte_count, baudrate) if self._wire_time else 0.0

@@ -1,4 +1,4 @@
-"""A record of every write that the servos took, for checks that look at the driver from the servos' side."""
+"""Log of every write to the servos, for checks of the host from the servos' side."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ _NAMES: Mapping[int, str] = MappingProxyType(
 
 
 class WriteLog:
-    """One JSON line per write instruction or live command, flushed at once.
+    """Log file with one JSON line for each write instruction or live command, flushed at once.
 
     ============== ===========================================================================
     ``t``           time of the bus: of the control loop it runs in, or the machine's monotonic clock [s]
     ``machine_t``   the machine's monotonic clock, the same in every process [s]
     ``instruction`` "write", "sync_write", "action" (of kept writes), or "command"
-    ``address``     first register written; null of a command
-    ``data``        servo id to the bytes that it took; empty of a command
+    ``address``     first register written; null for a command
+    ``data``        servo id to the bytes written; empty for a command
     ``registers``   servo id to the registers wholly written by these bytes, name to value
-    ``command``     the live command; of a command only
+    ``command``     the live command; for a command only
     ``present``     servo id to PRESENT_POSITION [ticks]
     ``torque``      servo id to TORQUE_ENABLE
     ``goal``        servo id to GOAL_POSITION [ticks]
     ``limit``       servo id to TORQUE_LIMIT [0.1 %]
-    ``status``      servo id to its complaints, the bits of register STATUS
+    ``status``      servo id to its error bits, register STATUS
     ============== ===========================================================================
 
     The last five are of all servos, after the write.
 
     Args:
-        path: the file.
-        append: whether to go on with a file that is there, instead of replacing it.
+        path: path of the file.
+        append: True to append to an existing file instead of replacing it.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
 
     def __init__(self, path: Path, *, append: bool = False) -> None:

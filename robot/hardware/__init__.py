@@ -1,1 +1,1 @@
-"""Actuators of an arm behind one interface: Feetech's servos on a serial port or emulated, and the ideal arm."""
+"""Hardware interface of an arm: Feetech's servos on a serial port or emulated, and the ideal arm."""

@@ -1,4 +1,4 @@
-"""Descriptions of an arm's hardware, as the server gives them to the arm process."""
+"""Configuration of an arm's hardware, one class for each kind."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ class FeetechConfig:
     """Feetech servos on a serial port.
 
     Attributes:
+        simulated: False.
         calibration: servos of the joints, whose order is that of every array.
         port: serial device, ``socket://host:port``, USB id or ``auto``.
     """
@@ -26,11 +27,11 @@ class FeetechConfig:
     port: str
 
     def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
-        """Joints that have a servo."""
+        """Return the joints that have a servo."""
         return tuple(joint.joint for joint in self.calibration.joints)
 
     def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> FeetechConfig:  # noqa: ARG002 - see below
-        """The same: servos stay where they are when the process that drives them ends."""
+        """Return the same: servos stay where they are when the arm process ends."""
         return self
 
 
@@ -39,15 +40,17 @@ class EmulatedConfig:
     """Feetech servos emulated inside the arm process.
 
     Attributes:
+        simulated: True.
+        port: name in place of a port.
         calibration: as of :class:`FeetechConfig`; its ranges are the joints' mechanical stops.
         drop: probability that a reply is lost.
         corrupt: probability that a reply has a wrong byte.
-        seed: of these faults.
-        write_log: file that gets a line of JSON for every write to a servo.
-        control: path of a Unix socket that takes the emulator's live commands (:mod:`robot.emulator.control`).
+        seed: seed of these faults.
+        write_log: log file with a line of JSON for every write to a servo; None for no log.
+        control: path of a Unix socket for the emulator's live commands (:mod:`robot.emulator.control`).
         start_rad: joint -> position at the start [rad]; joints not named start at 0.
-        driven: whether the servos start with torque on, as an arm process leaves them.
-        resumes: whether the servos were there before, in an arm process that has ended.
+        driven: True if the servos start with torque on, as an arm process leaves them.
+        resumes: True if the servos existed before, in an arm process that has ended.
     """
 
     simulated: ClassVar[bool] = True
@@ -64,25 +67,27 @@ class EmulatedConfig:
     resumes: bool = False
 
     def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
-        """Joints that have a servo."""
+        """Return the joints that have a servo."""
         return tuple(joint.joint for joint in self.calibration.joints)
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> EmulatedConfig:
-        """Servos as an arm process that has ended left them: real ones would have stayed.
+        """Return the servos as an arm process that has ended left them: real ones would have stayed.
 
         Args:
-            position_rad: joint -> position that the process told last [rad]; those it did not tell stay.
-            driven: whether their torque was on.
+            position_rad: joint -> position that the process reported last [rad]; other joints keep their start.
+            driven: True if their torque was on.
         """
         return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven, resumes=True)
 
 
 @dataclass(frozen=True)
 class IdealConfig:
-    """Joints without actuators: they follow their goals.
+    """Joints without actuators, which follow their goals.
 
     Attributes:
-        lag_s: time constant with which they do [s]; 0 follows within one tick.
+        simulated: True.
+        port: name in place of a port.
+        lag_s: time constant with which they follow [s]; 0 follows within one tick.
         start_rad: as of :class:`EmulatedConfig`; a joint whose range excludes 0 starts at its nearer limit.
         driven: as of :class:`EmulatedConfig`.
     """
@@ -95,11 +100,11 @@ class IdealConfig:
     driven: bool = False
 
     def joint_names(self, robot: RobotModel) -> tuple[str, ...]:
-        """Every movable joint of the robot."""
+        """Return every movable joint of the robot."""
         return tuple(joint.name for joint in robot.movable_joints)
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> IdealConfig:
-        """Joints as an arm process that has ended left them; see :meth:`EmulatedConfig.resumed`."""
+        """Return the joints as an arm process that has ended left them; see :meth:`EmulatedConfig.resumed`."""
         return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
 
 

@@ -1,7 +1,7 @@
-"""The ideal arm: any number of joints, revolute or prismatic, that follow their goals; no servos, no bus, no weight.
+"""Ideal arm: any number of joints, revolute or prismatic, that follow their goals, without servos, bus or weight.
 
-Not modelled: inertia, load, gravity, contact, heat, supply. Those are NaN or zero in its readings, and the guards that
-look at them are at rest. The emulated servos (:mod:`robot.emulator`) have them, for the SO-101.
+Not modelled: inertia, load, gravity, contact, heat, supply. They are NaN or zero in its readings, so that the guards on
+them never trip. The emulated servos (:mod:`robot.emulator`) model load, gravity, heat and supply of the SO-101.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from robot.hardware.config import IdealConfig
 from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.trajectory import Vector
 
-# A relaxed arm that takes this long to be relaxed behaves as one with servos does to whoever watches it [s].
+# Duration of relaxing, so that a client sees the same sequence of states as with servos [s].
 RELAX_S = 0.5
 
 
 class IdealArm(HardwareInterface):
-    """Joints that follow their goals with a lag, within their velocity limits; its own source.
+    """Joints that follow their goals with a first-order lag; hardware and its source in one.
 
-    Each follows as a first-order lag does: in a time dt it covers the share 1 - exp(-dt / lag) of the way to its goal,
-    and no more than its velocity limit allows.
+    In a time dt each joint covers the share 1 - exp(-dt / lag) of the way to its goal, and no more than its velocity
+    limit allows.
 
     Args:
-        config: lag and start.
+        config: lag and start positions.
         joint_names: order of every array.
         bounds: limits of the joints.
         clock: time of the control loop [s].
@@ -59,13 +59,13 @@ class IdealArm(HardwareInterface):
         return self
 
     def survey(self) -> Steps[Survey]:
-        """Find every joint as it is."""
+        """Report every joint as it is."""
         yield 0.0
         goal_rad = np.where(self._on, self._goal_rad, np.nan)
         return Survey(self._bounds, self._on.copy(), goal_rad, np.full(len(self._on), np.inf))
 
     def read(self) -> Measured | None:
-        """Let the joints move until now, and read them."""
+        """Advance the joints to the present, and read them."""
         self._advance(self._clock())
         return Measured(
             position_rad=self._position_rad,
@@ -80,23 +80,23 @@ class IdealArm(HardwareInterface):
         )
 
     def write_goals(self, goal_rad: Vector) -> None:
-        """Give the joints their goals."""
+        """Set the joints' goals."""
         self._goal_rad = goal_rad
 
     def write_torque_shares(self, torque_share: Vector) -> None:
         """Do nothing: an ideal joint needs no torque."""
 
     def check(self, stamp_s: float) -> Fault | None:  # noqa: ARG002 - the interface's signature
-        """Find nothing: nobody else can change an ideal joint."""
+        """Return None: no other program can change an ideal joint."""
         return None
 
     def driven(self) -> Steps[Flags]:
-        """Tell which joints follow their goals."""
+        """Report the joints that follow their goals."""
         yield 0.0
         return self._on.copy()
 
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
-        """Let joints follow their goals, from where they are."""
+        """Let joints follow their goals, beginning at their positions."""
         yield 0.0
         for joint in joints:
             if not self._on[joint]:
@@ -106,37 +106,37 @@ class IdealArm(HardwareInterface):
         return np.where(self._on, self._goal_rad, self._position_rad)
 
     def relax(self, torque_share: Vector) -> Steps[list[str]]:  # noqa: ARG002 - the interface's signature
-        """Take the joints' torque away after a while; nothing pulls them anywhere."""
+        """Switch torque off after :data:`RELAX_S`; the joints have no weight, so they stay."""
         yield RELAX_S
         return (yield from self.switch_off())
 
     def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
-        """Take joints' torque away; that always works."""
+        """Switch torque off, which always succeeds."""
         yield 0.0
         self._on[slice(None) if joints is None else list(joints)] = False
         return []
 
     def cut_torque(self) -> Steps[list[str]]:
-        """Take all torque away with the first step."""
+        """Switch all torque off with the first step."""
         self._on[:] = False
         yield 0.0
         return []
 
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:  # noqa: ARG002 - likewise
-        """Find nothing to clear."""
+        """Do nothing: an ideal joint has no overload."""
         yield 0.0
         return self._goal_rad if hold else None
 
     def condition(self, joint: int) -> Condition:
-        """Condition of an ideal joint, which is well."""
+        """Return the condition of an ideal joint, which is always good."""
         return Condition("ideal joint", bool(self._on[joint]), 0.0, 0)
 
     def label(self, joint: int) -> str:
-        """Name a joint."""
+        """Return the joint's name."""
         return self.joint_names[joint]
 
     def close(self) -> None:
-        """Let go of the joints, which stay as they are."""
+        """Do nothing: the joints stay as they are."""
 
     def _advance(self, now_s: float) -> None:
         elapsed_s, self._at_s = now_s - self._at_s, now_s

@@ -1,12 +1,11 @@
-"""Sequences that share the hardware with the 100 Hz tick: each step is one transaction, or a wait.
+"""Hardware interface between the controller and an arm's actuators, as in ros2_control.
 
-A sequence is a generator. It yields before every transaction, so that nothing holds up a tick or an emergency stop
-for longer than one of them, and the number it yields is how long it wants to wait first [s].
+All values are in SI units and arrays of shape (joints,), in the order of ``joint_names``; prismatic joints are in
+metres where names say radians. Ticks, registers and packets are confined to the implementations.
 
-The seam between the controller and an arm's actuators, as ros2_control's hardware interface is one.
-
-Everything that crosses it is in SI units and arrays of shape (joints,), in the order of ``joint_names``; prismatic
-joints are in metres where names say radians. Ticks, registers and packets live below it.
+Operations of several transactions are sequences (:data:`Steps`): generators that share the hardware with the 100 Hz
+tick. A sequence yields before every transaction, so that none holds up a tick or an emergency stop for longer than one
+of them; the number it yields is the time to wait first [s].
 """
 
 from __future__ import annotations
@@ -29,36 +28,19 @@ from robot.trajectory import Vector
 Result = TypeVar("Result")
 Steps: TypeAlias = Generator[float, None, Result]
 
-
-def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
-    """Carry out a sequence on hardware that nobody else uses, as the command line does; returns what it returns.
-
-    Args:
-        steps: the sequence; what it raises is raised.
-        wait: waits for so long [s].
-    """
-    while True:
-        try:
-            wait_s = next(steps)
-        except StopIteration as end:
-            result: Result = end.value
-            return result
-        wait(wait_s)
-
-
 Flags: TypeAlias = NDArray[np.bool_]
 
 # Round trips of the last second at 100 Hz.
 ROUND_TRIPS_KEPT = 100
 
-# No joint turns by so much in a cycle (300 ticks of an STS3215, 46 rad/s); longer gaps allow for the free speed of an
+# No joint turns this far in a cycle (300 ticks of an STS3215, 46 rad/s); longer gaps allow for the free speed of an
 # STS3215 at 7.4 V.
 JUMP_RAD = 0.46
 FREE_SPEED_RAD_S = 5.5
 
 
 class StatusFlag(IntFlag):
-    """Complaints of an actuator; the values are the bits of register STATUS of Feetech's STS3215."""
+    """Error flags of an actuator; the values are the bits of register STATUS of Feetech's STS3215."""
 
     VOLTAGE = 1
     ENCODER = 2
@@ -69,22 +51,22 @@ class StatusFlag(IntFlag):
 
 
 def status_names(status: int) -> list[str]:
-    """Name the flags of a status word, lowest first; bits that are not documented are left out."""
+    """Return the names of the flags in a status word, lowest first; undocumented bits are left out."""
     return [str(flag.name).lower() for flag in StatusFlag if status & flag]
 
 
 class Measured(NamedTuple):
-    """The last good reading of every joint, each of shape (joints,); NaN where the hardware does not measure it.
+    """Latest good reading of every joint, each of shape (joints,); NaN where the hardware does not measure it.
 
     Attributes:
-        position_rad: [rad].
-        velocity_rad_s: [rad/s].
+        position_rad: position [rad].
+        velocity_rad_s: velocity [rad/s].
         load: share of full motor duty, signed.
         current_a: motor current, signed [A].
         voltage_v: supply [V].
-        temperature_c: of the motors [degC].
+        temperature_c: temperature of the motors [degC].
         status: bits of :class:`StatusFlag`.
-        age_s: how old the readings are [s].
+        age_s: age of the readings [s].
         stamp_s: wall-clock time of the tick [s since the epoch], one number.
     """
 
@@ -101,13 +83,13 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True)
 class Survey:
-    """Actuators as they were found; nothing was written to them.
+    """Result of surveying the actuators, to which nothing was written.
 
     Attributes:
-        bounds: the soft limits, narrowed to what the actuators' own limits let them reach.
-        driven: joints whose torque is on.
-        goal_rad: where those are told to be, NaN for the others [rad].
-        max_voltage_v: highest supply that each may have; infinite where there is no such limit [V].
+        bounds: soft limits, narrowed to the actuators' own limits.
+        driven: True for joints whose torque is on, shape (joints,).
+        goal_rad: goals of those, NaN for the others, shape (joints,) [rad].
+        max_voltage_v: highest supply of each; infinite where there is no such limit, shape (joints,) [V].
     """
 
     bounds: JointBounds
@@ -118,12 +100,12 @@ class Survey:
 
 @dataclass
 class BusCounters:
-    """Events on the bus since it was opened.
+    """Counters of the bus since it was opened.
 
     Attributes:
         sent: instructions written.
         replies: valid replies received.
-        timeouts: replies that were expected and did not come, or not soundly.
+        timeouts: replies that were expected and missing or invalid.
         discarded_bytes: bytes that belonged to no valid reply.
         retries: instructions repeated because the servo gave no valid reply.
     """
@@ -137,14 +119,14 @@ class BusCounters:
 
 @dataclass(frozen=True)
 class Condition:
-    """One actuator's condition beyond its readings.
+    """Condition of one actuator beyond its readings.
 
     Attributes:
         hardware_id: its name in diagnostics, as ``servo 3``.
-        torque_enabled: whether its torque was found on when it was last looked at; None before.
+        torque_enabled: True if its torque was on when it was last read back; None before.
         age_s: time since its last good reading, infinite before the first [s].
         silent_cycles: cycles in which it did not answer.
-        warnings: findings of the survey that a person should look after, a sentence each.
+        warnings: warnings of the survey, a sentence each.
     """
 
     hardware_id: str
@@ -179,33 +161,33 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def survey(self) -> Steps[Survey]:
-        """Find every actuator, and what it is doing; writes nothing.
+        """Survey every actuator without writing to it.
 
         Raises:
-            StartupError: actuators that cannot be taken over as they are; says which, and what to do.
-            NoReply: an actuator fell silent on the way.
+            StartupError: actuators cannot be taken over in their present state; the text says which, and what to do.
+            NoReply: an actuator stopped answering.
             DescriptionError: an actuator's own limits leave nothing of its joint's range.
         """
 
     @abstractmethod
     def read(self) -> Measured | None:
-        """Read every joint once; None until each has been heard."""
+        """Read every joint once; return None until each has answered."""
 
     @abstractmethod
     def write_goals(self, goal_rad: Vector) -> None:
-        """Tell the joints their goals, shape (joints,) [rad]."""
+        """Write the joints' goals, shape (joints,) [rad]."""
 
     @abstractmethod
     def write_torque_shares(self, torque_share: Vector) -> None:
-        """Bound the torque that each joint may use, shape (joints,); what it has been told already is not repeated.
+        """Write the joints' torque limits where they have changed.
 
         Args:
-            torque_share: shares of full motor duty, 0 to 1.
+            torque_share: shares of full motor duty, 0 to 1, shape (joints,).
         """
 
     @abstractmethod
     def check(self, stamp_s: float) -> Fault | None:
-        """Look whether the joint whose turn it is still is as it was told, at most one a call.
+        """Check one joint's actuator, in turn, against what was written to it; None when it agrees or none is due.
 
         Args:
             stamp_s: wall-clock time for the fault [s since the epoch].
@@ -213,30 +195,31 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def driven(self) -> Steps[Flags]:
-        """Ask every joint whether its torque is on, shape (joints,).
+        """Read the joints whose torque is on, shape (joints,).
 
         Raises:
-            NoReply: a joint does not say.
+            NoReply: a joint does not answer.
         """
 
     @abstractmethod
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
-        """Bring joints to hold where they are, without a jump; those that hold already keep their goals.
+        """Switch torque on without a jump; joints that hold already keep their goals.
 
         Args:
-            joints: places in the arrays; the others are only looked at.
+            joints: indices in the arrays; the others are only read.
 
         Returns:
-            The goals of all joints; for one that is not held, where it is, shape (joints,) [rad].
+            Goals of all joints, positions for those that do not hold, shape (joints,) [rad].
 
         Raises:
-            StartupError: the arm moves, stands outside its limits or does not obey; what was relaxed is relaxed again.
+            StartupError: the arm moves, stands outside its limits or does not take a value; joints relaxed before are
+                relaxed again.
             NoReply: a joint does not answer; as above.
         """
 
     @abstractmethod
     def relax(self, torque_share: Vector) -> Steps[list[str]]:
-        """Lower the torque, then switch it off and see that it is.
+        """Lower the torque, then switch it off and verify that.
 
         Args:
             torque_share: shares to begin with, shape (joints,).
@@ -247,10 +230,13 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
-        """Switch torque off and see that it is; returns labels of the joints that may still be driven.
+        """Switch torque off and verify that.
 
         Args:
-            joints: places in the arrays; None for all.
+            joints: indices in the arrays; None for all.
+
+        Returns:
+            Labels of the joints that may still be driven.
         """
 
     @abstractmethod
@@ -262,25 +248,44 @@ class HardwareInterface(ABC):
         """Clear latched overloads: torque off, and on again at the present position.
 
         Args:
-            joints: places of the overloaded joints.
-            hold: whether the arm holds; else torque is off at the end.
+            joints: indices of the overloaded joints.
+            hold: True if the arm holds; otherwise torque is off at the end.
 
         Returns:
-            The goals of all joints, shape (joints,) [rad]; None where nothing holds.
+            Goals of all joints, shape (joints,) [rad]; None when nothing holds.
 
         Raises:
-            StartupError: a joint does not do as it is told.
+            StartupError: a joint does not take a value.
             NoReply: a joint does not answer.
         """
 
     @abstractmethod
     def condition(self, joint: int) -> Condition:
-        """Condition of the joint at a place in the arrays."""
+        """Return the condition of the joint at an index of the arrays."""
 
     @abstractmethod
     def label(self, joint: int) -> str:
-        """Name a joint for people, with whatever tells its actuator."""
+        """Return a label of the joint and its actuator for people."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the actuators; they keep doing what they were told."""
+        """Release the actuators; they keep their goals."""
+
+
+def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
+    """Run a sequence to its end, on hardware without a control loop, as the command line does.
+
+    Args:
+        steps: the sequence; its exceptions propagate.
+        wait: waits for a time [s].
+
+    Returns:
+        Result of the sequence.
+    """
+    while True:
+        try:
+            wait_s = next(steps)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+        wait(wait_s)

@@ -1,4 +1,4 @@
-"""Opening an arm's hardware by its description."""
+"""Hardware sources: from an arm's configuration to its open hardware."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from robot.messages import ArmConfig
 
 
 class HardwareSource(Protocol):
-    """Hardware that can be opened, and again when it was lost."""
+    """Source of hardware, which can be opened again when it was lost."""
 
     def open(self) -> HardwareInterface:
         """Open the hardware.
 
         Raises:
-            RobotError: it is not there, or cannot be used.
+            RobotError: it is missing or cannot be used.
         """
 
 
 def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
-    """Make the source of an arm's hardware; a back end's libraries are imported only where it is used.
+    """Build the source of an arm's hardware; a back end's libraries are imported only where it is used.
 
     Args:
-        config: the arm.
+        config: configuration of the arm.
         clock: time of the control loop.
 
     Raises:
-        OSError: the log or the control socket of emulated servos cannot be made.
+        OSError: the log or the control socket of emulated servos cannot be created.
     """
     joint_names = config.hardware.joint_names(config.robot)
     bounds = JointBounds.of(config.robot, joint_names)

@@ -9,7 +9,7 @@ import textwrap
 
 from robot.calibration import SO101_JOINTS
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
-from robot.commissioning.experiments import EXPERIMENTS, Bench, Experiment, ask
+from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
 from robot.commissioning.scan import scan
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.hardware.feetech.bus import Bus
@@ -83,7 +83,7 @@ def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         if present:
             findings += _measure(bus, present, options.cycles, terminal)
         if options.servo in present and not options.read_only:
-            findings += _experiment(Bench(bus, options.servo, present), terminal, yes=options.yes)
+            findings += _experiment(ServoRig(bus, options.servo, present), terminal, yes=options.yes)
     terminal.tell(_as_json(findings) if options.json else _as_text(findings))
     problems = any(finding.verdict is Verdict.PROBLEM for finding in findings)
     return ExitCode.PROBLEMS if problems else ExitCode.DONE
@@ -97,21 +97,21 @@ def _measure(bus: Bus, ids: tuple[int, ...], cycles: int, terminal: Terminal) ->
     return [*findings, judge_long_reads(LONG_READ_ADDRESS, LONG_READ_BYTES, silent)]
 
 
-def _experiment(bench: Bench, terminal: Terminal, *, yes: bool) -> list[Finding]:
+def _experiment(rig: ServoRig, terminal: Terminal, *, yes: bool) -> list[Finding]:
     findings = []
     for experiment in EXPERIMENTS:
-        if _agreed(experiment, bench, terminal, yes=yes):
+        if _agreed(experiment, rig, terminal, yes=yes):
             terminal.say(f"asking: {experiment.name} ...")
-            findings.append(ask(experiment, bench))
+            findings.append(run_experiment(experiment, rig))
         else:
             findings.append(Finding(experiment.name, Verdict.OPEN, "not asked"))
     return findings
 
 
-def _agreed(experiment: Experiment, bench: Bench, terminal: Terminal, *, yes: bool) -> bool:
+def _agreed(experiment: Experiment, rig: ServoRig, terminal: Terminal, *, yes: bool) -> bool:
     if yes:
         return not experiment.needs_hands
-    driven = f" (servo {bench.servo_id})" if experiment.switches_torque else ""
+    driven = f" (servo {rig.servo_id})" if experiment.switches_torque else ""
     return terminal.confirm(f"{experiment.name}: {experiment.does}{driven}. Go on?")
 
 

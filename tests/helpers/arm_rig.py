@@ -104,7 +104,7 @@ class ArmRig:
         self.clock.advance(PERIOD_S)
         self.pacer.start_tick(self.clock())
         if self.alive:
-            self.supervisor.obey(Heartbeat())
+            self.supervisor.handle(Heartbeat())
         self.supervisor.tick(self.pacer, server_gone=False)
 
     def run(self, seconds: float) -> None:
@@ -123,7 +123,7 @@ class ArmRig:
     def begin(self, order: Order) -> int:
         """Give an order; returns its number."""
         self._numbers += 1
-        self.supervisor.obey(Command(self._numbers, order))
+        self.supervisor.handle(Command(self._numbers, order))
         return self._numbers
 
     def answer(self, number: int) -> CommandDone | None:
@@ -140,7 +140,7 @@ class ArmRig:
         return answer
 
     def execute(self, trajectory: Trajectory, motion_id: int = 1, **options: Any) -> None:
-        self.supervisor.obey(Execute(motion_id, trajectory, **options))
+        self.supervisor.handle(Execute(motion_id, trajectory, **options))
 
     def torque(self) -> list[int]:
         """Register TORQUE_ENABLE of every servo."""

@@ -79,7 +79,7 @@ class SteeredArm:
             self.answers.append(answer)
             # The answer reaches the arm a tick later.
             self.tracking.advance(TICK_S)
-            self.tracking.wish(np.array([answer.velocity_rad_s[name] for name in self._names]))
+            self.tracking.set_target(np.array([answer.velocity_rad_s[name] for name in self._names]))
             self.tracking.advance(TICK_S)
             self.tips_m.append(self.tip_m)
             self.joints_rad.append(self.tracking.position_rad)

@@ -76,14 +76,14 @@ def to(position_rad: float, duration_s: float = 1.0, start_rad: float = 0.0) -> 
     return smooth_move({"shoulder_pan": (start_rad, position_rad)}, duration_s)
 
 
-async def test_a_trajectory_is_played_and_its_end_told(rig: ArmOnServos) -> None:
+async def test_a_trajectory_is_played_and_its_end_reported(rig: ArmOnServos) -> None:
     ended = await rig.arm.execute(to(0.6))
     assert ended.outcome is Outcome.REACHED
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
     assert rig.pan_rad == pytest.approx(0.6, abs=0.05)
 
 
-async def test_states_tell_mode_motion_and_progress(rig: ArmOnServos) -> None:
+async def test_states_report_mode_motion_and_progress(rig: ArmOnServos) -> None:
     await rig.arm.execute(to(0.6))
     moving = [state for state in rig.states if state.mode is Mode.MOVING]
     assert len({state.motion_id for state in moving}) == 1
@@ -101,8 +101,10 @@ async def test_measured_velocity_is_the_slope_of_measured_position(rig: ArmOnSer
     assert first.position_rad is not None
     assert last.position_rad is not None
     slope = (last.position_rad[0] - first.position_rad[0]) / (last.clock_s - first.clock_s)
-    told = sum(float(state.velocity_rad_s[0]) for state in middle if state.velocity_rad_s is not None) / len(middle)
-    assert told == pytest.approx(slope, rel=0.2)
+    mean_rad_s = sum(float(state.velocity_rad_s[0]) for state in middle if state.velocity_rad_s is not None) / len(
+        middle
+    )
+    assert mean_rad_s == pytest.approx(slope, rel=0.2)
 
 
 async def test_a_stop_ends_the_motion_on_the_way(rig: ArmOnServos) -> None:
@@ -134,7 +136,7 @@ async def test_an_order_is_answered_with_the_state_that_shows_it(rig: ArmOnServo
         assert rig.arm.state.mode is mode
 
 
-async def test_an_order_that_cannot_be_carried_out_says_why(rig: ArmOnServos) -> None:
+async def test_an_order_that_cannot_be_carried_out_has_a_reason(rig: ArmOnServos) -> None:
     await rig.arm.order(Order.EMERGENCY_STOP)
     refused = await rig.arm.order(Order.ENABLE)
     assert not refused.done
@@ -202,7 +204,7 @@ async def test_limits_of_time_are_counted_on_the_clock_of_a_starved_arm(
     assert (await asyncio.wait_for(relaxing, SOON_S)).done
 
 
-async def test_its_condition_is_told_once_a_second(rig: ArmOnServos) -> None:
+async def test_its_health_is_reported_once_a_second(rig: ArmOnServos) -> None:
     await rig.until(lambda: len(rig.health) >= 2)
     assert rig.health[1].stamp_s - rig.health[0].stamp_s > 0.5
     assert [joint.joint for joint in rig.health[0].joints] == [joint.joint for joint in CALIBRATION.joints]
@@ -310,7 +312,7 @@ async def test_who_asks_while_the_arm_is_being_started_waits_for_it(tmp_path: Pa
     await made.arm.close()
 
 
-async def test_who_waits_for_an_arm_that_does_not_start_waits_no_longer_than_told() -> None:
+async def test_the_wait_for_an_arm_that_does_not_start_ends_at_its_timeout() -> None:
     arm = Arm(CONFIG, lambda _state: None)
     await arm.launch()
     await asyncio.wait_for(arm.until_started(0.02), 1.0)
@@ -334,7 +336,7 @@ async def test_a_number_that_cannot_be_does_not_end_the_arm_process() -> None:
     await arm.close()
 
 
-async def test_a_port_that_does_not_exist_is_told_and_tried_again() -> None:
+async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
     states: list[ArmState] = []
     arm = Arm(replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/does-not-exist")), states.append)
     await arm.start(SOON_S)

@@ -77,7 +77,7 @@ async def place(request: pytest.FixtureRequest) -> AsyncIterator[Place]:
 
 @pytest.mark.asyncio(loop_scope="module")
 class TestArmContract:
-    """What holds for every arm; each test leaves it holding where it was found, or near."""
+    """Contract of every arm; each test leaves it holding where it was, or near."""
 
     async def test_an_arm_that_holds_is_at_its_goals(self, place: Place) -> None:
         state = place.arm.state
@@ -85,7 +85,7 @@ class TestArmContract:
         assert state.position_rad is not None
         assert abs(state.goal_rad - state.position_rad).max() < STILL_RAD
 
-    async def test_a_motion_arrives_and_its_end_is_told_once(self, place: Place) -> None:
+    async def test_a_motion_arrives_and_its_end_is_reported_once(self, place: Place) -> None:
         start = place.held()
         before = len(place.arm.ended)
         there = await place.answer(place.arm.execute(place.move(REACH_RAD)))
@@ -96,7 +96,7 @@ class TestArmContract:
         numbers = [ended.motion_id for ended in place.arm.ended[before:]]
         assert len(numbers) == len(set(numbers)) == 2
 
-    async def test_states_follow_each_other_and_tell_of_the_motion(self, place: Place) -> None:
+    async def test_states_follow_each_other_and_report_the_motion(self, place: Place) -> None:
         before = len(place.arm.states)
         await place.answer(place.arm.execute(place.move(REACH_RAD)))
         await place.answer(place.arm.execute(place.move(-REACH_RAD)))

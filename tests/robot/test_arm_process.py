@@ -17,79 +17,79 @@ from robot.processes import StartedChild
 CONFIG = ArmConfig(model.builtin(), FeetechConfig(Calibration.nominal(), "/dev/does-not-exist"))
 
 
-class Desk:
-    """A process and all that it told."""
+class ProcessRig:
+    """An arm process and its messages."""
 
     def __init__(self, started: StartedChild | None = None) -> None:
-        self.told: list[Any] = []
+        self.messages: list[Any] = []
         self.exits = 0
-        self.process = ArmProcess(self.told.append, self._exited, started)
+        self.process = ArmProcess(self.messages.append, self._exited, started)
 
     def _exited(self) -> None:
         self.exits += 1
 
-    async def until_told(self, kind: type) -> Any:
+    async def until_message(self, kind: type) -> Any:
         async with asyncio.timeout(10.0):
-            while not (found := [message for message in self.told if isinstance(message, kind)]):
+            while not (found := [message for message in self.messages if isinstance(message, kind)]):
                 await asyncio.sleep(0.005)
         return found[0]
 
 
 @pytest.fixture
-async def desk() -> AsyncIterator[Desk]:
-    made = Desk()
+async def rig() -> AsyncIterator[ProcessRig]:
+    made = ProcessRig()
     await made.process.launch()
     yield made
     await made.process.kill()
 
 
-async def test_an_order_that_comes_before_the_configuration_is_kept_for_it(desk: Desk) -> None:
-    assert desk.process.order(Command(1, Order.EMERGENCY_STOP))
-    assert not desk.process.drives
-    desk.process.configure(CONFIG)
-    answer = await desk.until_told(CommandDone)
+async def test_an_order_that_comes_before_the_configuration_is_kept_for_it(rig: ProcessRig) -> None:
+    assert rig.process.order(Command(1, Order.EMERGENCY_STOP))
+    assert not rig.process.configured
+    rig.process.configure(CONFIG)
+    answer = await rig.until_message(CommandDone)
     assert (answer.number, answer.done) == (1, False)
     assert "not connected" in answer.message
 
 
-async def test_orders_are_kept_up_to_a_bound(desk: Desk) -> None:
-    kept = [desk.process.order(Command(number, Order.ENABLE)) for number in range(MAX_EARLY_ORDERS + 1)]
+async def test_orders_are_kept_up_to_a_bound(rig: ProcessRig) -> None:
+    kept = [rig.process.order(Command(number, Order.ENABLE)) for number in range(MAX_EARLY_ORDERS + 1)]
     assert kept == [True] * MAX_EARLY_ORDERS + [False]
 
 
-async def test_what_is_said_before_the_configuration_does_not_take_its_place(desk: Desk) -> None:
-    desk.process.send("hello")
-    desk.process.configure(CONFIG)
-    assert "/dev/does-not-exist" in (await desk.until_told(ArmState)).reason
+async def test_what_is_said_before_the_configuration_does_not_take_its_place(rig: ProcessRig) -> None:
+    rig.process.send("hello")
+    rig.process.configure(CONFIG)
+    assert "/dev/does-not-exist" in (await rig.until_message(ArmState)).reason
 
 
 async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first() -> None:
     started = start_arm_process()
-    desk = Desk(started)
-    await desk.process.launch()
+    rig = ProcessRig(started)
+    await rig.process.launch()
     try:
-        assert desk.process.pid == started.process.pid
-        desk.process.configure(CONFIG)
-        await desk.until_told(ArmState)
-        await desk.process.kill()
-        await desk.process.launch()
-        assert desk.process.pid != started.process.pid
+        assert rig.process.pid == started.process.pid
+        rig.process.configure(CONFIG)
+        await rig.until_message(ArmState)
+        await rig.process.kill()
+        await rig.process.launch()
+        assert rig.process.pid != started.process.pid
     finally:
-        await desk.process.kill()
+        await rig.process.kill()
 
 
-async def test_a_process_that_has_died_takes_no_orders(desk: Desk) -> None:
-    desk.process.configure(CONFIG)
-    await desk.process.kill()
-    assert (desk.exits, desk.process.drives) == (1, False)
-    assert not desk.process.order(Command(1, Order.ENABLE))
-    desk.process.configure(CONFIG)
-    assert not desk.process.drives
+async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:
+    rig.process.configure(CONFIG)
+    await rig.process.kill()
+    assert (rig.exits, rig.process.configured) == (1, False)
+    assert not rig.process.order(Command(1, Order.ENABLE))
+    rig.process.configure(CONFIG)
+    assert not rig.process.configured
 
 
-async def test_a_process_that_was_never_configured_ends_at_once(desk: Desk) -> None:
-    await asyncio.wait_for(desk.process.end(60.0), 2.0)
-    assert desk.exits == 1
+async def test_a_process_that_was_never_configured_ends_at_once(rig: ProcessRig) -> None:
+    await asyncio.wait_for(rig.process.end(60.0), 2.0)
+    assert rig.exits == 1
 
 
 async def test_setpoints_go_out_under_the_streams_number_until_it_has_ended() -> None:

@@ -233,7 +233,7 @@ def test_an_id_is_found_under_both_names_that_lerobot_gave_the_robot(home, tmp_p
     assert find_calibration("left", home) == path
 
 
-def test_an_id_that_lerobot_does_not_know_is_refused_with_the_places_looked_at(home, tmp_path):
+def test_an_id_unknown_to_lerobot_is_refused_with_the_paths_tried(home, tmp_path):
     with pytest.raises(CalibrationError, match=r"so_follower/left\.json or .*so101_follower/left\.json"):
         find_calibration("left", home)
 

@@ -38,7 +38,7 @@ def pair() -> Iterator[tuple[Channel, Channel]]:
         yield Channel(ours), Channel(theirs)
 
 
-def test_a_channel_waits_no_longer_than_told(pair: tuple[Channel, Channel]) -> None:
+def test_a_channel_waits_no_longer_than_its_timeout(pair: tuple[Channel, Channel]) -> None:
     assert pair[0].receive(0.0) == []
     assert pair[0].receive(0.01) == []
 

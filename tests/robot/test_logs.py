@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from robot import logs
-from robot.logs import CALM_S, MAX_CHANGED_LOGGERS, JsonFormatter, LoggerLevel, PlainFormatter, Repeats
+from robot.logs import MAX_CHANGED_LOGGERS, JsonFormatter, LoggerLevel, LogLimiter, PlainFormatter
 
 ROOT = Path(__file__).parents[2]
 
@@ -29,7 +29,7 @@ def as_json(made: logging.LogRecord) -> dict[str, Any]:
     return fields
 
 
-def test_a_json_line_tells_when_who_and_what() -> None:
+def test_a_json_line_has_time_process_and_message() -> None:
     made = record("%s is hot", "elbow_flex")
     fields = as_json(made)
     time = datetime.fromisoformat(fields.pop("time"))
@@ -62,7 +62,7 @@ SECRETS = {
 
 
 @pytest.mark.parametrize("text", SECRETS.values(), ids=SECRETS.keys())
-def test_a_token_is_blotted_out_whoever_logs_it(text: str) -> None:
+def test_a_token_is_blotted_out_in_every_format(text: str) -> None:
     made = record("%s", text, error=ValueError(text))
     for line in (PlainFormatter().format(made), JsonFormatter("server").format(made)):
         assert "s3cret" not in line
@@ -107,11 +107,11 @@ def test_a_traceback_stays_below_its_plain_line() -> None:
     assert below == ["ValueError: two"]
 
 
-def test_what_a_client_has_made_very_long_is_cut_and_its_length_told() -> None:
+def test_a_very_long_message_is_cut_and_its_length_noted() -> None:
     made = record("no group %s", "x" * 5_000_000)
-    for told in (PlainFormatter().format(made), as_json(made)["message"]):
-        assert len(told) < logs.MAX_MESSAGE_CHARACTERS + 100
-        assert told.endswith("... (5000009 characters)")
+    for line in (PlainFormatter().format(made), as_json(made)["message"]):
+        assert len(line) < logs.MAX_MESSAGE_CHARACTERS + 100
+        assert line.endswith("... (5000009 characters)")
 
 
 NAME = "armbridge.test_log_levels"
@@ -143,7 +143,7 @@ def test_a_change_holds_here_and_in_children_from_before_and_after() -> None:
     assert (before.heard, after.heard) == (changes, changes[1:])
 
 
-def test_a_child_that_nobody_keeps_is_forgotten() -> None:
+def test_an_unreferenced_child_is_forgotten() -> None:
     count = len(logs._followers)
     child = Child()
     logs.follow(child)
@@ -158,34 +158,36 @@ def test_not_more_loggers_are_changed_than_there_may_be() -> None:
     assert logs.change(changes[0])
 
 
-def test_the_first_and_then_every_power_of_two_is_told() -> None:
-    repeats = Repeats()
-    assert [count for count in range(1, 70) if repeats.due(0.0)] == [1, 2, 4, 8, 16, 32, 64]
+def test_a_burst_of_lines_is_due_and_then_the_rate() -> None:
+    limiter = LogLimiter(burst=3, lines_per_s=0.5)
+    assert [limiter.due("elbow", 0.0) for _ in range(5)] == [True, True, True, False, False]
+    assert [limiter.due("elbow", 2.0) for _ in range(2)] == [True, False]
 
 
-def test_what_happened_once_needs_no_note() -> None:
-    repeats = Repeats()
-    repeats.due(0.0)
-    assert repeats.note == ""
+def test_the_bucket_never_holds_more_than_the_burst() -> None:
+    limiter = LogLimiter(burst=2, lines_per_s=1.0)
+    assert [limiter.due("elbow", now_s) for now_s in (0.0, 1e6, 1e6, 1e6)] == [True, True, True, False]
 
 
-def test_what_happened_again_is_told_with_its_count() -> None:
-    repeats = Repeats()
-    for _ in range(4):
-        repeats.due(0.0)
-    assert repeats.note == " (4 times so far)"
+def test_keys_are_limited_independently() -> None:
+    limiter = LogLimiter(burst=1, lines_per_s=0.0)
+    assert limiter.due("elbow", 0.0)
+    assert limiter.due("wrist", 0.0)
+    assert not limiter.due("elbow", 1e9)
 
 
-def test_what_was_not_told_is_counted_as_well() -> None:
-    repeats = Repeats()
-    for _ in range(3):
-        repeats.due(0.0)
-    assert repeats.count == 3
+def test_suppressed_lines_are_counted_up_to_the_next_due_one() -> None:
+    limiter = LogLimiter(burst=1, lines_per_s=1.0)
+    assert limiter.suppressed("elbow") == 0
+    for now_s in (0.0, 0.1, 0.2):
+        limiter.due("elbow", now_s)
+    assert limiter.suppressed("elbow") == 0
+    assert limiter.due("elbow", 1.5)
+    assert limiter.suppressed("elbow") == 2
+    assert limiter.due("elbow", 2.6)
+    assert limiter.suppressed("elbow") == 0
 
 
-def test_what_has_been_calm_for_long_is_told_as_the_first_time() -> None:
-    repeats = Repeats()
-    for _ in range(3):
-        repeats.due(0.0)
-    assert repeats.due(CALM_S + 1.0)
-    assert repeats.note == ""
+def test_the_note_gives_the_number_of_suppressed_lines() -> None:
+    assert logs.suppressed_note(0) == ""
+    assert logs.suppressed_note(2) == " (2 more lines like this were left out before)"

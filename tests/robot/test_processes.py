@@ -58,7 +58,7 @@ async def test_a_signal_that_is_for_the_server_does_not_end_a_child() -> None:
     await child.kill()
 
 
-async def test_the_end_of_a_child_is_told_once() -> None:
+async def test_the_end_of_a_child_is_reported_once() -> None:
     exited = asyncio.Event()
     child = await start_echo([], exited)
     os.kill(child.pid, signal.SIGKILL)
@@ -86,7 +86,7 @@ async def test_a_child_that_does_not_end_is_ended_by_force() -> None:
 
 
 @pytest.mark.parametrize("garbage", [b"\xff\xff\xff\xff", b"\x04\x00\x00\x00what"], ids=["huge", "no pickle"])
-async def test_a_child_that_sends_garbage_is_ended_and_its_end_told(garbage: bytes) -> None:
+async def test_a_child_that_sends_garbage_is_ended_and_its_end_reported(garbage: bytes) -> None:
     exited = asyncio.Event()
     child = Child(StartedChild(ECHO), lambda _message: None, exited.set)
     await child.connect()
@@ -96,7 +96,7 @@ async def test_a_child_that_sends_garbage_is_ended_and_its_end_told(garbage: byt
     assert child.ending == "SIGKILL"
 
 
-async def test_how_a_child_ended_is_told() -> None:
+async def test_how_a_child_ended_is_reported() -> None:
     exited = asyncio.Event()
     child = await start_echo([], exited)
     assert child.ending == "it still runs"

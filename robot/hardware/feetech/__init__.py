@@ -1,1 +1,1 @@
-"""Feetech's serial bus servos: port, packets, registers, and how they are surveyed, switched on and relaxed."""
+"""Feetech's serial bus servos: port, packets, registers, survey, and switching torque on and off."""

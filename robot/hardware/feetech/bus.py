@@ -1,15 +1,16 @@
-"""The servo bus: instructions out, replies in, and never a wrong reading marked good.
+"""Servo bus: instructions out, replies in, and no wrong reading taken for a good one.
 
-Packets are built by ``scservo_sdk``; replies are received here, since the SDK takes stale bytes for answers.
-One servo speaks at a time on this half-duplex line and replies come in the order of the questions, but
-nothing in a reply says which question it answers. So questions are told apart by how many bytes they ask for:
+Packets are sent by ``scservo_sdk``; replies are received here, since the SDK takes stale bytes for replies.
+The line is half-duplex and replies come in the order of the instructions, but nothing in a reply identifies the
+instruction that it answers. So instructions are distinguished by the number of bytes that they ask for:
 
 * A single read asks for 3 to 14 bytes, another number each time, and uses the first one or two.
 * A sync read asks for at least 15, and after any disturbance for another number than before.
 
-A late or repeated reply then has the wrong length for the present question and is skipped.
+A late or repeated reply then has the wrong length for the present instruction and is skipped.
 
-Single reads and verified writes of one servo, as steps that share the bus with the 100 Hz tick.
+Reads and verified writes of one servo are also available as sequences (:func:`read`, :func:`read_block`,
+:func:`write_verified`), which share the bus with the 100 Hz tick.
 """
 
 from __future__ import annotations
@@ -43,10 +44,13 @@ from robot.hardware.feetech.port import QUIET_S, BusPort, open_port
 from robot.hardware.feetech.registers import LAYOUT, Register, decode, encode
 from robot.hardware.interface import BusCounters, Steps
 
-# How often one servo is asked before it counts as silent: single packets get lost while others draw current.
+# Attempts before a servo counts as silent: single packets get lost while others draw current.
 ATTEMPTS = 3
 
-# A line that will not fall quiet is used all the same; the parser rejects what does not fit.
+# Attempts of a sequence: five lost packets in a row mean that no servo is there.
+STEP_ATTEMPTS = 5
+
+# A line that does not fall quiet is used after this time; the parser rejects what does not fit.
 QUIET_LIMIT_S = 0.03
 
 # Lengths of single reads, all longer than any register and shorter than any sync read.
@@ -60,28 +64,31 @@ SYNC_READ_PADDINGS = 16
 # The telemetry block has 15 bytes and the control block 16: even paddings keep their lengths apart, always.
 SYNC_READ_PADDING_STEP = 2
 
-# No reply is this late: a line undisturbed for as long is safe to use without padding again.
+# No reply is this late: a line undisturbed for so long is safe without padding.
 CALM_S = 1.0
 
 # Ids that a servo can have; 254 is the broadcast.
 SERVO_IDS = range(254)
 
-# All servos hear a broadcast ping, and each replies when those with lower ids have had their time. How long that is no
-# document says; lerobot waits 3 ms for each of 252 ids.
+# Every servo replies to a broadcast ping after the time slots of those with lower ids. No document states the length of
+# a slot; lerobot waits 3 ms for each of 252 ids.
 PING_SLOT_S = 0.003
 
-# More than 20 ms of wire time; who sends that much in answer to one question is no servo.
+# More than 20 ms of wire time: no servo sends that much in reply to one instruction.
 MAX_BURST_BYTES = 2048
 
 LITTLE_ENDIAN = 0
 
 
 class Bus:
-    """Six servos, or any number, behind one port.
+    """Bus of any number of servos on one port.
 
     Args:
         port: an open port, which the bus closes.
         clock: monotonic time of the port [s].
+
+    Attributes:
+        counters: events since the bus was opened.
     """
 
     def __init__(self, port: BusPort, clock: Callable[[], float] = time.monotonic) -> None:
@@ -89,13 +96,13 @@ class Bus:
         self._port = port
         self._clock = clock
         self._sdk = PacketHandler(LITTLE_ENDIAN)
-        self._disturbed = True  # who knows what an earlier process left on the line
+        self._disturbed = True  # an earlier process may have left replies on the line
         self._disturbed_s = self._last_byte_s = clock()
         self._line_free_s = self._last_byte_s
         self._read_lengths = cycle(READ_LENGTHS)
         self._padding = 0
         self._padding_is_safe = True
-        # The latest replies and what they were found to be: an arm at rest says the same again and again.
+        # The latest replies and their frames: those of an arm at rest repeat.
         self._replied: tuple[bytes, tuple[int, ...], int] = (b"", (), 0)
         self._replied_frames: dict[int, StatusFrame] = {}
         self._written: dict[int, bytes] = {}
@@ -104,33 +111,33 @@ class Bus:
 
     @classmethod
     def open(cls, port: str, baudrate: int = 1_000_000) -> Bus:
-        """Open a port and put the bus on it; see ``robot.hardware.feetech.port.open_port`` for what it raises."""
+        """Open the bus on a serial port; raises as :func:`robot.hardware.feetech.port.open_port`."""
         return cls(open_port(port, baudrate))
 
     def close(self) -> None:
-        """Close the port; the servos keep doing what they were told."""
+        """Close the port; the servos keep their goals."""
         self._port.closePort()
 
     def ping(self, servo_id: int, attempts: int = ATTEMPTS) -> int:
-        """Find out whether a servo is there.
+        """Ping a servo.
 
         Returns:
             Its model number, 777 for an STS3215.
 
         Raises:
-            NoReply: it is not, or not soundly connected.
+            NoReply: it is missing, or badly connected.
             PortLost: the port is gone.
         """
         self._ask_one(servo_id, INST_PING, (), attempts)
         return self.read(servo_id, Register.MODEL_NUMBER, attempts)
 
     def broadcast_ping(self) -> dict[int, int]:
-        """Ask who is there; takes 0.8 s.
+        """Ping all servos; takes 0.8 s.
 
-        Two servos with the same id speak at once: what they say counts as ``discarded_bytes``.
+        Two servos with the same id reply at once: their bytes count as ``discarded_bytes``.
 
         Returns:
-            The error byte of each servo whose reply was sound, by its id.
+            Error byte of each servo with a valid reply, by its id.
 
         Raises:
             PortLost: the port is gone.
@@ -151,9 +158,9 @@ class Bus:
         """Read one register.
 
         Args:
-            servo_id: the servo to ask.
-            register: what to read.
-            attempts: how often to ask; a silent servo costs up to 9 ms each time.
+            servo_id: id of the servo.
+            register: register to read.
+            attempts: number of attempts; a silent servo costs up to 9 ms each time.
 
         Raises:
             NoReply: the servo gave no valid reply.
@@ -172,7 +179,7 @@ class Bus:
     def write(self, servo_id: int, register: Register, value: int, attempts: int = ATTEMPTS) -> None:
         """Write one register and wait for the acknowledgement.
 
-        An acknowledgement has no content to check: what matters for safety must be read back.
+        An acknowledgement has no content to check: values that matter for safety must be read back.
 
         Raises:
             NoReply: the servo did not acknowledge; it may have taken the value.
@@ -185,12 +192,12 @@ class Bus:
         """Read the same block of several servos in one transaction.
 
         Args:
-            ids: in the order in which they shall answer.
+            ids: in the order of the replies.
             address: first register of the block.
             length: bytes of the block.
 
         Returns:
-            The valid replies that came in time, by id; a servo that is missing did not answer soundly.
+            Valid replies that came in time, by id.
 
         Raises:
             PortLost: the port is gone.
@@ -208,7 +215,7 @@ class Bus:
 
         Args:
             address: first register of the block.
-            data_by_id: bytes for each servo, all of one length; not to be changed afterwards.
+            data_by_id: bytes for each servo, all of one length; the dict must not be changed afterwards.
 
         Raises:
             PortLost: the port is gone.
@@ -222,7 +229,7 @@ class Bus:
         self._send(self._written_packet)
 
     def broadcast_torque_off(self) -> None:
-        """Switch every servo's torque off, at once: whoever speaks is talked over, and nobody acknowledges.
+        """Switch every servo's torque off at once, over replies in progress and without acknowledgement.
 
         Raises:
             PortLost: the port is gone.
@@ -244,7 +251,7 @@ class Bus:
             self.counters.retries += 1
 
     def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Send an instruction and collect the replies: the one way in which anything is received."""
+        """Send an instruction and collect its replies."""
         self._send(packet)
         received, frames = self._collect(ids, data_length)
         replies = len(frames)
@@ -257,7 +264,7 @@ class Bus:
         return frames
 
     def _collect(self, ids: Sequence[int], data_length: int) -> tuple[bytes, dict[int, StatusFrame]]:
-        """Receive until every servo has answered, the replies have stopped, or their time is over."""
+        """Receive until every servo has replied, the replies have stopped, or their time is over."""
         whole_bytes = status_bytes(data_length, len(ids))
         deadline_s = self._line_free_s + wire_time_s(whole_bytes, self._port.baudrate) + self._port.latency_s
         received = b""
@@ -276,7 +283,7 @@ class Bus:
         return received, frames or self._parse(received, ids, data_length)
 
     def _parse(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Find the replies; the same dict as before for the same bytes in answer to the same question."""
+        """Parse replies; the same bytes as before, in reply to the same instruction, give the same dict."""
         replied = received, tuple(ids), data_length
         if replied != self._replied:
             self._replied, self._replied_frames = replied, parse_status_frames(received, ids, data_length)
@@ -301,7 +308,7 @@ class Bus:
         self._padding_is_safe = False
 
     def _choose_padding(self) -> int:
-        """Choose the bytes that tell a sync read from those whose replies may still come."""
+        """Choose the padding that distinguishes a sync read from those whose replies may still come."""
         if self._clock() - self._disturbed_s > CALM_S:
             self._padding = 0
         elif not self._padding_is_safe:
@@ -310,7 +317,7 @@ class Bus:
         return self._padding * SYNC_READ_PADDING_STEP
 
     def _await_quiet(self) -> None:
-        """Discard what nobody asked for, and after a disturbance wait until no more comes."""
+        """Discard unexpected bytes, and after a disturbance wait until no more come."""
         limit_s = self._clock() + QUIET_LIMIT_S
         while True:
             wait_s = max(0.0, self._last_byte_s + QUIET_S - self._clock()) if self._disturbed else 0.0
@@ -325,12 +332,8 @@ class Bus:
         self._disturbed = False
 
 
-# Single packets get lost while other servos draw current; five in a row mean that nobody is there.
-STEP_ATTEMPTS = 5
-
-
 def read(bus: Bus, servo_id: int, register: Register) -> Steps[int]:
-    """Read one register.
+    """Read one register, as a sequence.
 
     Raises:
         NoReply: the servo gave no valid reply.
@@ -344,7 +347,7 @@ def read(bus: Bus, servo_id: int, register: Register) -> Steps[int]:
 
 
 def read_block(bus: Bus, servo_id: int, address: int, length: int) -> Steps[StatusFrame]:
-    """Read a block of registers of one servo.
+    """Read a block of registers of one servo, as a sequence.
 
     Raises:
         NoReply: the servo gave no valid reply.
@@ -359,7 +362,7 @@ def read_block(bus: Bus, servo_id: int, address: int, length: int) -> Steps[Stat
 
 
 def write_verified(bus: Bus, servo_id: int, register: Register, value: int) -> Steps[None]:
-    """Write a register until it reads back: the reply to a write that worked may be lost as well.
+    """Write a register until it reads back, as a sequence: the reply to a write that worked may be lost.
 
     Raises:
         StartupError: the servo keeps another value.

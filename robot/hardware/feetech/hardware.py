@@ -1,6 +1,7 @@
-"""The last good reading of every servo, how old it is, and whom to ask next.
+"""Feetech servos as hardware of the controller: radians and shares towards it, ticks and registers on the bus.
 
-Feetech servos as the controller's hardware: radians and shares above, ticks and registers below.
+A servo that does not answer must not hold up the others: :class:`ServoWatch` keeps the latest good reading of each, and
+chooses the servos to read in a cycle.
 """
 
 from __future__ import annotations
@@ -48,120 +49,38 @@ from robot.hardware.interface import (
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# A servo that has missed this many reads in a row is asked less often: waiting for it costs half of a period. As many
-# as make its reading stale, so that it is not taken for lost because it was not asked.
+# A servo that has missed this many reads in a row is read less often: waiting for it costs half of a period. As many as
+# make its reading stale, so that it never counts as lost because it was not read.
 MISSES_UNTIL_SILENT = 10
 ASK_SILENT_EVERY = 10
 
-# Where none speaks, waiting for all of them takes most of a period. The cycles in between have room for sequences: an
-# emergency stop must be able to say that nobody confirms it.
+# When none replies, waiting for all of them takes most of a period. The cycles in between leave time for sequences: an
+# emergency stop must be able to report that no servo confirms it.
 ASK_ALL_EVERY = 3
 
 
-class _Seen(NamedTuple):
-    """One servo's last good reading."""
-
-    reading: Telemetry
-    status: int
-
-
-class ServoWatch:
-    """Keeps the servos' readings.
+class SerialServos:
+    """Servos of an arm on a serial port, as a hardware source.
 
     Args:
-        servos: the arm's servos.
+        config: port and calibration.
+        bounds: soft limits of the joints.
+        guard_limits: torque limits.
+        clock: time of the control loop [s].
     """
 
-    def __init__(self, servos: ServoMap) -> None:
-        self._servos = servos
-        self._seen: dict[int, _Seen] = {}
-        self._read_at_s: dict[int, float] = {}
-        self._frames: Mapping[int, StatusFrame] = {}
-        self._measured: Measured | None = None
-        self._cycle = 0
-        self._misses_in_row = dict.fromkeys(servos.ids, 0)
-        self._doubted: set[int] = set()
-        self.silent_cycles = dict.fromkeys(servos.ids, 0)
+    def __init__(
+        self, config: FeetechConfig, bounds: JointBounds, guard_limits: GuardLimits, clock: Callable[[], float]
+    ) -> None:
+        self._config = config
+        self._bounds = bounds
+        self._guard_limits = guard_limits
+        self._clock = clock
 
-    @property
-    def complete(self) -> bool:
-        """Whether every servo has answered at least once."""
-        return len(self._seen) == len(self._servos.ids)
-
-    def ids_to_ask(self) -> list[int]:
-        """Servos to ask in this cycle: silent ones last, and only now and then."""
-        self._cycle += 1
-        silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
-        speaking = [servo for servo in self._servos.ids if servo not in silent]
-        every = ASK_SILENT_EVERY if speaking else ASK_ALL_EVERY
-        return speaking if self._cycle % every else speaking + silent
-
-    def is_silent(self, servo_id: int) -> bool:
-        """Whether a servo has missed so many reads in a row that it is asked less often."""
-        return self._misses_in_row[servo_id] >= MISSES_UNTIL_SILENT
-
-    def take(self, asked: list[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
-        """Keep what one block read brought.
-
-        A reply that tells of a jump no joint can make may be another servo's with a disturbed id: it counts as none
-        the first time. Told twice in a row, it is what the servo means.
-
-        Args:
-            asked: the servos that were asked.
-            frames: the replies that came, each with the telemetry block.
-            now_s: monotonic time at which they were asked: no reading is newer than it seems [s].
-        """
-        if frames is self._frames and len(frames) == len(self._servos.ids) and not self._doubted:
-            # The same bytes as in the last cycle, which were believed.
-            self._read_at_s = dict.fromkeys(self._servos.ids, now_s)
-            return
-        self._frames, self._measured = frames, None
-        readings = {servo: parse_telemetry(frame.data) for servo, frame in frames.items()}
-        jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
-        believed = readings.keys() - (jumped - self._doubted)
-        self._doubted = (self._doubted - frames.keys()) | (jumped - believed)
-        for servo in believed:
-            self._seen[servo] = _Seen(readings[servo], readings[servo].status | frames[servo].error)
-            self._read_at_s[servo] = now_s
-            self._misses_in_row[servo] = 0
-        for servo in self._servos.ids:
-            if servo not in believed:
-                self._misses_in_row[servo] += servo in asked
-                self.silent_cycles[servo] += 1
-
-    def _jumps(self, servo_id: int, reading: Telemetry, now_s: float) -> bool:
-        """Whether a servo cannot have turned from its last reading to this one."""
-        seen = self._seen.get(servo_id)
-        if seen is None:
-            return False
-        way_rad = abs(reading.position_ticks - seen.reading.position_ticks) * RAD_PER_TICK
-        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
-
-    def age_s(self, servo_id: int, now_s: float) -> float:
-        """Time since a servo's last good reply [s]; endless when there was none."""
-        read_at_s = self._read_at_s.get(servo_id)
-        return float("inf") if read_at_s is None else now_s - read_at_s
-
-    def measured(self, now_s: float, stamp_s: float) -> Measured:
-        """All readings as arrays; every servo must have answered once."""
-        age_s = np.array([now_s - self._read_at_s[servo] for servo in self._servos.ids])
-        if self._measured is not None:
-            return self._measured._replace(age_s=age_s, stamp_s=stamp_s)
-        seen = [self._seen[servo] for servo in self._servos.ids]
-        readings = [each.reading for each in seen]
-        # From plain numbers: each operation on arrays costs more than all the arithmetic for six joints.
-        self._measured = Measured(
-            position_rad=np.array(self._servos.positions_rad([reading.position_ticks for reading in readings])),
-            velocity_rad_s=np.array(self._servos.velocities_rad_s([reading.velocity_ticks_s for reading in readings])),
-            load=np.array([reading.load_permille / 1000.0 for reading in readings]),
-            current_a=np.array([reading.current_a for reading in readings]),
-            voltage_v=np.array([reading.voltage_v for reading in readings]),
-            temperature_c=np.array([float(reading.temperature_c) for reading in readings]),
-            status=np.array([each.status for each in seen]),
-            age_s=age_s,
-            stamp_s=stamp_s,
-        )
-        return self._measured
+    def open(self) -> HardwareInterface:
+        """Open the port; see :func:`robot.hardware.feetech.port.open_port` for the errors."""
+        bus = Bus.open(resolve_port(self._config.port))
+        return FeetechHardware(bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
 
 
 class FeetechHardware(HardwareInterface):
@@ -171,13 +90,13 @@ class FeetechHardware(HardwareInterface):
         bus: the bus, which this closes.
         calibration: joints, whose order is that of every array, and their servos.
         bounds: soft limits of the joints.
-        guard_limits: how hard the servos may push.
+        guard_limits: torque limits.
         clock: time of the control loop [s].
-        simulated: whether the servos are emulated, with no cable or supply to look after.
+        simulated: True for emulated servos, without cable and supply to check.
 
     Attributes:
         bus: as given.
-        servos: joints and servos side by side.
+        servos: conversion between joints and servos.
     """
 
     def __init__(
@@ -208,7 +127,7 @@ class FeetechHardware(HardwareInterface):
         self._share_permille: dict[int, int] = {}
 
     def survey(self) -> Steps[Survey]:
-        """Find the servos; see :meth:`HardwareInterface.survey`."""
+        """Survey the servos; see :meth:`HardwareInterface.survey`."""
         self._found.update((yield from survey(self.bus, self.servos, simulated=self._simulated)))
         found = [self._found[servo] for servo in self.servos.ids]
         own_limits = {servo: each.angle_limits_ticks for servo, each in self._found.items()}
@@ -224,7 +143,7 @@ class FeetechHardware(HardwareInterface):
         )
 
     def read(self) -> Measured | None:
-        """Read the servos' telemetry in one transaction; silent ones are asked less often."""
+        """Read the servos' telemetry in one transaction; silent ones are read less often."""
         asked = self._watch.ids_to_ask()
         if asked:
             started_s = self._clock()
@@ -234,26 +153,26 @@ class FeetechHardware(HardwareInterface):
         return self._watch.measured(self._clock(), time.time()) if self._watch.complete else None
 
     def write_goals(self, goal_rad: Vector) -> None:
-        """Write the goals, also while the arm rests: a servo may have missed them."""
+        """Write the goals, also unchanged ones: a servo may have missed them."""
         goals = goal_rad.tolist()
         if goals != self._goal_rad:
             self._goal_rad, self._goal_blocks = goals, self.servos.goal_blocks(goal_rad)
         self.bus.sync_write(GOAL_ADDRESS, self._goal_blocks)
 
     def write_torque_shares(self, torque_share: Vector) -> None:
-        """Write the torque limits that servos have not been told yet."""
+        """Write the torque limits that have changed."""
         changed = self._checks.limits_to_write(self._permille(torque_share))
         if changed:
             data = {servo: encode(Register.TORQUE_LIMIT, limit) for servo, limit in changed.items()}
             self.bus.sync_write(Register.TORQUE_LIMIT, data)
 
     def check(self, stamp_s: float) -> Fault | None:
-        """Read back the registers of the servo whose turn it is."""
+        """Read back the registers of one servo, in turn."""
         servo = self._checks.due()
         if servo is None or self._watch.is_silent(servo):
             return None
         frame = self.bus.sync_read((servo,), CONTROL_ADDRESS, CONTROL_BYTES).get(servo)
-        return None if frame is None else self._checks.judge(servo, parse_control(frame.data), stamp_s)
+        return None if frame is None else self._checks.check(servo, parse_control(frame.data), stamp_s)
 
     def driven(self) -> Steps[Flags]:
         """Read every servo's TORQUE_ENABLE."""
@@ -265,7 +184,7 @@ class FeetechHardware(HardwareInterface):
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
         """Switch torque on; see :mod:`robot.hardware.feetech.torque`."""
         goals = yield from torque.enable(self.bus, self.servos, self._limits, self._ids(joints))
-        self._checks.told(torque.full_torque(self.servos))
+        self._checks.expect(torque.full_torque(self.servos))
         return self.servos.rad_from_ticks(goals)
 
     def relax(self, torque_share: Vector) -> Steps[list[str]]:
@@ -278,11 +197,11 @@ class FeetechHardware(HardwareInterface):
         return self._labels((yield from torque.switch_off(self.bus, ids)))
 
     def cut_torque(self) -> Steps[list[str]]:
-        """Broadcast torque off, then look servo by servo."""
+        """Broadcast torque off, then verify it servo by servo."""
         return self._labels((yield from torque.emergency_stop(self.bus, self.servos)))
 
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
-        """Switch torque off and on again; a firmware whose latch that does not clear needs a power cycle."""
+        """Switch torque off and on again; a firmware with which the overload stays latched needs a power cycle."""
         overloaded = self._ids(joints)
         for servo in overloaded:
             yield from torque.clear_overload(self.bus, self.servos, self._limits, servo)
@@ -293,11 +212,11 @@ class FeetechHardware(HardwareInterface):
         goals = {}
         for servo in self.servos.ids:
             goals[servo] = (yield from read_control(self.bus, servo)).goal_ticks
-        self._checks.told(torque.full_torque(self.servos))
+        self._checks.expect(torque.full_torque(self.servos))
         return self.servos.rad_from_ticks(goals)
 
     def condition(self, joint: int) -> Condition:
-        """Condition of one servo."""
+        """Return the condition of one servo."""
         servo = self.servos.ids[joint]
         return Condition(
             hardware_id=f"servo {servo}",
@@ -308,11 +227,11 @@ class FeetechHardware(HardwareInterface):
         )
 
     def label(self, joint: int) -> str:
-        """Name a joint and its servo's id."""
+        """Return the joint's name with its servo's id."""
         return self.servos.label(self.servos.ids[joint])
 
     def close(self) -> None:
-        """Close the bus; the servos keep doing what they were told."""
+        """Close the bus; the servos keep their goals."""
         self.bus.close()
 
     def _ids(self, joints: Sequence[int]) -> list[int]:
@@ -322,7 +241,7 @@ class FeetechHardware(HardwareInterface):
         return [self.servos.label(servo) for servo in servo_ids]
 
     def _permille(self, torque_share: Vector) -> dict[int, int]:
-        """Register TORQUE_LIMIT by servo id; the same object while the shares are the same, which is nearly always."""
+        """Convert shares to register TORQUE_LIMIT by servo id; the same object while the shares are unchanged."""
         share = torque_share.tolist()
         if share != self._share:
             limits = zip(self.servos.ids, share, strict=True)
@@ -330,25 +249,110 @@ class FeetechHardware(HardwareInterface):
         return self._share_permille
 
 
-class SerialServos:
-    """Servos of an arm, wherever their adapter is plugged in.
+class ServoWatch:
+    """Readings of the servos, their ages, and the servos to read next.
 
     Args:
-        config: port and calibration.
-        bounds: soft limits of the joints.
-        guard_limits: how hard the servos may push.
-        clock: time of the control loop [s].
+        servos: servos of the arm.
+
+    Attributes:
+        silent_cycles: cycles without a reading, by servo id.
     """
 
-    def __init__(
-        self, config: FeetechConfig, bounds: JointBounds, guard_limits: GuardLimits, clock: Callable[[], float]
-    ) -> None:
-        self._config = config
-        self._bounds = bounds
-        self._guard_limits = guard_limits
-        self._clock = clock
+    def __init__(self, servos: ServoMap) -> None:
+        self._servos = servos
+        self._seen: dict[int, _Seen] = {}
+        self._read_at_s: dict[int, float] = {}
+        self._frames: Mapping[int, StatusFrame] = {}
+        self._measured: Measured | None = None
+        self._cycle = 0
+        self._misses_in_row = dict.fromkeys(servos.ids, 0)
+        self._doubted: set[int] = set()
+        self.silent_cycles = dict.fromkeys(servos.ids, 0)
 
-    def open(self) -> HardwareInterface:
-        """Open the port; see :func:`robot.hardware.feetech.port.open_port` for the errors."""
-        bus = Bus.open(resolve_port(self._config.port))
-        return FeetechHardware(bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
+    @property
+    def complete(self) -> bool:
+        """True when every servo has answered at least once."""
+        return len(self._seen) == len(self._servos.ids)
+
+    def ids_to_ask(self) -> list[int]:
+        """Choose the servos to read in this cycle: silent ones last, and only now and then."""
+        self._cycle += 1
+        silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
+        speaking = [servo for servo in self._servos.ids if servo not in silent]
+        every = ASK_SILENT_EVERY if speaking else ASK_ALL_EVERY
+        return speaking if self._cycle % every else speaking + silent
+
+    def is_silent(self, servo_id: int) -> bool:
+        """Return True for a servo that has missed so many reads in a row that it is read less often."""
+        return self._misses_in_row[servo_id] >= MISSES_UNTIL_SILENT
+
+    def take(self, asked: list[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
+        """Take the replies to one block read.
+
+        A reading with a jump that no joint can make may be another servo's with a disturbed id: the first one is
+        ignored, a second one in a row is believed.
+
+        Args:
+            asked: servos that were asked.
+            frames: valid replies, each with the telemetry block.
+            now_s: monotonic time at which they were asked, so that no reading is older than its age [s].
+        """
+        if frames is self._frames and len(frames) == len(self._servos.ids) and not self._doubted:
+            # The same bytes as in the last cycle, whose readings were believed.
+            self._read_at_s = dict.fromkeys(self._servos.ids, now_s)
+            return
+        self._frames, self._measured = frames, None
+        readings = {servo: parse_telemetry(frame.data) for servo, frame in frames.items()}
+        jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
+        believed = readings.keys() - (jumped - self._doubted)
+        self._doubted = (self._doubted - frames.keys()) | (jumped - believed)
+        for servo in believed:
+            self._seen[servo] = _Seen(readings[servo], readings[servo].status | frames[servo].error)
+            self._read_at_s[servo] = now_s
+            self._misses_in_row[servo] = 0
+        for servo in self._servos.ids:
+            if servo not in believed:
+                self._misses_in_row[servo] += servo in asked
+                self.silent_cycles[servo] += 1
+
+    def _jumps(self, servo_id: int, reading: Telemetry, now_s: float) -> bool:
+        """Return True when a servo cannot have turned from its last reading to this one."""
+        seen = self._seen.get(servo_id)
+        if seen is None:
+            return False
+        way_rad = abs(reading.position_ticks - seen.reading.position_ticks) * RAD_PER_TICK
+        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
+
+    def age_s(self, servo_id: int, now_s: float) -> float:
+        """Return the time since a servo's last good reply [s]; infinite when there was none."""
+        read_at_s = self._read_at_s.get(servo_id)
+        return float("inf") if read_at_s is None else now_s - read_at_s
+
+    def measured(self, now_s: float, stamp_s: float) -> Measured:
+        """Return all readings as arrays; every servo must have answered once."""
+        age_s = np.array([now_s - self._read_at_s[servo] for servo in self._servos.ids])
+        if self._measured is not None:
+            return self._measured._replace(age_s=age_s, stamp_s=stamp_s)
+        seen = [self._seen[servo] for servo in self._servos.ids]
+        readings = [each.reading for each in seen]
+        # From plain numbers: an operation on arrays costs more than all the arithmetic for six joints.
+        self._measured = Measured(
+            position_rad=np.array(self._servos.positions_rad([reading.position_ticks for reading in readings])),
+            velocity_rad_s=np.array(self._servos.velocities_rad_s([reading.velocity_ticks_s for reading in readings])),
+            load=np.array([reading.load_permille / 1000.0 for reading in readings]),
+            current_a=np.array([reading.current_a for reading in readings]),
+            voltage_v=np.array([reading.voltage_v for reading in readings]),
+            temperature_c=np.array([float(reading.temperature_c) for reading in readings]),
+            status=np.array([each.status for each in seen]),
+            age_s=age_s,
+            stamp_s=stamp_s,
+        )
+        return self._measured
+
+
+class _Seen(NamedTuple):
+    """Latest good reading of one servo."""
+
+    reading: Telemetry
+    status: int

@@ -1,4 +1,4 @@
-"""The wire format of the servo bus: instruction packets out, status packets in. Pure, no port.
+"""Packets of the servo bus: instructions built, status packets parsed. Pure, without a port.
 
 Instruction ``FF FF ID LEN INST P.. CHK``, status ``FF FF ID LEN ERR D.. CHK``; LEN counts what follows it,
 CHK is the inverted sum of everything from ID on (Feetech SCS/STS protocol).
@@ -31,10 +31,12 @@ BITS_PER_BYTE = 10
 
 
 class StatusFrame(NamedTuple):
-    """A servo's valid reply.
+    """Valid reply of a servo.
 
     Attributes:
-        error: the ERR byte, bits of ``robot.hardware.interface.StatusFlag``; set bits do not make the data wrong.
+        servo_id: id of the servo.
+        error: ERR byte, bits of ``robot.hardware.interface.StatusFlag``; set bits do not make the data wrong.
+        data: bytes of the registers.
     """
 
     servo_id: int
@@ -48,7 +50,7 @@ def checksum(body: bytes) -> int:
 
 
 def instruction_packet(servo_id: int, instruction: int, parameters: Sequence[int] = ()) -> list[int]:
-    """Lay out an instruction as ``scservo_sdk`` wants it: header and checksum are left for its ``txPacket``.
+    """Build an instruction for ``txPacket`` of ``scservo_sdk``, which adds header and checksum.
 
     Raises:
         ValueError: the packet would be longer than the SDK sends.
@@ -60,7 +62,7 @@ def instruction_packet(servo_id: int, instruction: int, parameters: Sequence[int
 
 
 def sync_write_parameters(address: int, data_by_id: dict[int, bytes]) -> list[int]:
-    """Lay out the parameters of SYNC_WRITE.
+    """Build the parameters of SYNC_WRITE.
 
     Raises:
         ValueError: there is no data, or the servos' data differ in length.
@@ -80,33 +82,32 @@ def status_bytes(data_length: int, replies: int = 1) -> int:
 
 
 def wire_time_s(byte_count: int, baudrate: int) -> float:
-    """Time that bytes take on the wire [s]."""
+    """Compute the time of bytes on the wire [s]."""
     return byte_count * BITS_PER_BYTE / baudrate
 
 
 def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-    """Find the replies of the expected servos in all that came since the instruction.
+    """Find the replies of the expected servos in the bytes received since the instruction.
 
-    What is not certain is left out: a frame counts only if its header, id, LEN and checksum fit, nothing in
-    it looks like the start of another reply (the sign of a truncated one that swallowed its neighbour),
-    another header or nothing follows it, the servo does not contradict itself, and it answers in its turn: of two
-    frames in the wrong order one bears the id of another servo, and which one nobody knows. Noise between frames is
-    skipped.
+    A frame counts only if its header, id, LEN and checksum fit, it contains no start of another reply (the sign of a
+    truncated one that swallowed its neighbour), it is followed by another header or nothing, its servo has not sent a
+    different one, and it is in turn: of two frames in the wrong order either may have a disturbed id, so both are left
+    out. Noise between frames is skipped.
 
     Args:
-        received: every byte since the instruction; call again with more when a reply is missing.
-        expected_ids: the servos asked, in the order in which they answer.
-        data_length: bytes of data asked of each.
+        received: all bytes since the instruction; call again with more when a reply is missing.
+        expected_ids: servos asked, in the order of their replies.
+        data_length: bytes of data in each reply.
 
     Returns:
-        The frames by servo id.
+        Frames by servo id.
     """
     frames = _parse_clean(received, expected_ids, data_length)
     return _parse_disturbed(received, expected_ids, data_length) if frames is None else frames
 
 
 def _parse_clean(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame] | None:
-    """The replies of all servos in their turn, or None if anything else could be among or in them."""
+    """Parse the replies of all servos in turn; return None if anything else could be among or in them."""
     size = status_bytes(data_length)
     # As many headers as replies: none is hidden in the data.
     if len(received) != size * len(expected_ids) or received.count(HEADER) != len(expected_ids):
@@ -124,7 +125,7 @@ def _parse_clean(received: bytes, expected_ids: Sequence[int], data_length: int)
 
 
 def _parse_disturbed(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-    """Find the sound replies among whatever else came."""
+    """Find the valid replies among other bytes."""
     frames: dict[int, StatusFrame] = {}
     contradicted: set[int] = set()
     at = received.find(HEADER)
@@ -141,7 +142,7 @@ def _parse_disturbed(received: bytes, expected_ids: Sequence[int], data_length: 
 
 
 def _out_of_turn(ids: Sequence[int], expected_ids: Sequence[int]) -> set[int]:
-    """Those of some ids that are in the wrong order with any other."""
+    """Return the ids that are in the wrong order with any other."""
     turns = [expected_ids.index(servo_id) for servo_id in ids]
     if turns == sorted(turns):
         return set()
@@ -153,7 +154,7 @@ def _out_of_turn(ids: Sequence[int], expected_ids: Sequence[int]) -> set[int]:
 
 
 def _frame_at(received: bytes, at: int, expected_ids: Collection[int], data_length: int) -> StatusFrame | None:
-    """Read the frame whose header is at ``at``, or None if there is no sound one."""
+    """Parse the frame whose header is at ``at``; return None if it is invalid."""
     end = at + status_bytes(data_length)
     if end > len(received):
         return None
@@ -169,7 +170,7 @@ def _frame_at(received: bytes, at: int, expected_ids: Collection[int], data_leng
 
 
 def _holds_header(payload: bytes, expected_ids: Collection[int], length: int) -> bool:
-    """Whether another expected reply seems to start inside the payload."""
+    """Return True when another expected reply seems to start inside the payload."""
     at = payload.find(HEADER)
     while at >= 0:
         start = payload[at + 2 : at + 4]

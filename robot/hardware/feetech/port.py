@@ -1,10 +1,8 @@
-"""Finding the serial port of the arm's USB adapter, under whatever name it was asked for.
+"""Serial port of the servo bus, found by name, USB id or ``auto``; every operation ends in bounded time.
 
-A serial port that fails in clear words and never waits for ever.
-
-``scservo_sdk`` writes its packets through a ``PortHandler``. Its own never discards stale input, may share
-the device with another process, has no write timeout and stays locked after an exception; ``SerialPort`` is
-one that does better. It is read without the SDK, by ``receive``.
+``scservo_sdk`` writes its packets through a ``PortHandler``. Its own never discards stale input, may share the device
+with another process, has no write timeout and stays locked after an exception; :class:`SerialPort` does better. Replies
+are read without the SDK, by :meth:`SerialPort.receive`.
 """
 
 from __future__ import annotations
@@ -33,74 +31,38 @@ AUTO = "auto"
 # CH343 of the Waveshare Bus Servo Adapter A, and CH340 of the FE-URT-1.
 ADAPTERS = frozenset({(0x1A86, 0x55D3), (0x1A86, 0x7523)})
 
-# Names that stay the same when the adapter is plugged in anew, or after another one.
+# Device names that do not depend on the order in which adapters were plugged in.
 STABLE_NAMES = Path("/dev/serial/by-id")
 
 _USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
-
-def resolve_port(port: str) -> str:
-    """The device to open.
-
-    Args:
-        port: a path or URL, which is taken as it is; ``auto`` for the one adapter plugged in; or the USB id of an
-            adapter, as ``1a86:55d3`` or ``usb:1a86:55d3``.
-
-    Raises:
-        PortError: no such adapter is plugged in, or more than one.
-    """
-    if port == AUTO:
-        return _only(port, ADAPTERS)
-    if usb_id := _USB_ID.fullmatch(port):
-        return _only(port, frozenset({(int(usb_id[1], 16), int(usb_id[2], 16))}))
-    return port
-
-
-def _only(port: str, usb_ids: frozenset[tuple[int, int]]) -> str:
-    found = [_stable_name(info.device) for info in list_ports.comports() if (info.vid, info.pid) in usb_ids]
-    if len(found) == 1:
-        return found[0]
-    known = ", ".join(f"{vid:04x}:{pid:04x}" for vid, pid in sorted(usb_ids))
-    problem = f"is ambiguous among {', '.join(found)}: name one" if found else "found no servo adapter plugged in"
-    raise PortError(port, f"{problem} (USB ids {known})")
-
-
-def _stable_name(device: str) -> str:
-    """The link to a device that keeps its name, if there is one."""
-    if STABLE_NAMES.is_dir():
-        for link in sorted(STABLE_NAMES.iterdir()):
-            if link.resolve() == Path(device).resolve():
-                return str(link)
-    return device
-
-
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
 WRITE_TIMEOUT_S = 0.1
 
-# How long a port without a file descriptor is read at a stretch.
+# Timeout of a read from a port without a file descriptor.
 BLOCKING_READ_S = 0.004
 
 # More than any burst of replies: six telemetry blocks have 126 bytes.
 READ_BYTES = 4096
 
-# Clearing ends even if a device sends faster than it is read.
+# Bound on clearing the input of a device that sends faster than it is read.
 MAX_CLEARING_READS = 16
 
-# How late replies may come through the host's own serial port (USB frames, scheduling), through a pseudo terminal,
-# whose bytes a busy machine's kernel carries over when it has nothing better to do, and through a network.
+# Latency of replies through the host's own serial port (USB frames, scheduling), through a pseudo terminal, whose bytes
+# the kernel of a busy machine delays, and through a network.
 LOCAL_LATENCY_S = 0.005
 TERMINAL_LATENCY_S = 0.02
 NETWORK_LATENCY_S = 0.05
 
-# A burst of replies that stops for this long has ended: three USB frames of 1 ms; a pseudo terminal may stop in between
-# for as long as its kernel has other work.
+# A burst of replies that stops for this long has ended: three USB frames of 1 ms, and more for a pseudo terminal, which
+# may pause while the kernel has other work.
 QUIET_S = 0.003
 TERMINAL_QUIET_S = 0.01
 
-# Pseudo terminals: their other end keeps them open, and with that a claim whose owner has died.
+# Pseudo terminals are not claimed: their other end would keep the claim of a process that has died.
 PSEUDO_TERMINALS = "/dev/pts/"
 
-# What an unplugged adapter raises; ``termios.error`` is not an OSError.
+# Errors of an unplugged adapter; ``termios.error`` is not an OSError.
 DEVICE_ERRORS = (OSError, termios.error)
 
 _NOT_FOUND = frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV})
@@ -109,15 +71,15 @@ _BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
 
 
 class BusPort(Protocol):
-    """Port of a servo bus: what :class:`robot.hardware.feetech.bus.Bus` and ``scservo_sdk`` ask of one.
+    """Port of a servo bus, as :class:`robot.hardware.feetech.bus.Bus` and ``scservo_sdk`` use it.
 
     Attributes:
-        port_name: its name in errors.
+        port_name: name in errors.
         baudrate: bits per second.
         is_using: the SDK's lock.
-        latency_s: time that a reply may take beyond its time on the wire [s].
+        latency_s: time that a reply may take beyond its wire time [s].
         quiet_s: pause after which a burst of replies counts as ended [s].
-        discarded_bytes: input thrown away so far because nobody had asked for it.
+        discarded_bytes: unexpected input bytes discarded so far.
     """
 
     port_name: str
@@ -131,21 +93,38 @@ class BusPort(Protocol):
         """Discard the input that has arrived."""
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        """Write a packet; returns the number of bytes written.
+        """Write a packet; return the number of bytes written.
 
         Raises:
             PortLost: the port is gone.
         """
 
     def receive(self, timeout_s: float, /) -> bytes:
-        """Return the bytes that have arrived, as soon as some have; none after ``timeout_s``.
+        """Return bytes as soon as some have arrived; none after ``timeout_s`` [s].
 
         Raises:
             PortLost: the port is gone.
         """
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
-        """Close the port; one that is gone closes as well."""
+        """Close the port, even if it is gone."""
+
+
+def resolve_port(port: str) -> str:
+    """Find the device to open.
+
+    Args:
+        port: path or URL, which is returned unchanged; ``auto`` for the one adapter plugged in; or the USB id of an
+            adapter, as ``1a86:55d3`` or ``usb:1a86:55d3``.
+
+    Raises:
+        PortError: no such adapter is plugged in, or more than one.
+    """
+    if port == AUTO:
+        return _only(port, ADAPTERS)
+    if usb_id := _USB_ID.fullmatch(port):
+        return _only(port, frozenset({(int(usb_id[1], 16), int(usb_id[2], 16))}))
+    return port
 
 
 def open_port(port: str, baudrate: int) -> SerialPort:
@@ -169,12 +148,15 @@ def open_port(port: str, baudrate: int) -> SerialPort:
 
 
 class SerialPort(PortHandler):
-    """The port that ``scservo_sdk`` writes to and the bus reads from.
+    """Serial port to which ``scservo_sdk`` writes, and from which the bus reads.
+
+    Args:
+        port_name: device path, or a pyserial URL.
 
     Attributes:
-        latency_s: what a reply may take beyond its time on the wire [s].
-        quiet_s: how long a burst of replies may stop before it counts as ended [s].
-        discarded_bytes: input thrown away so far because nobody had asked for it.
+        latency_s: time that a reply may take beyond its wire time [s].
+        quiet_s: pause after which a burst of replies counts as ended [s].
+        discarded_bytes: unexpected input bytes discarded so far.
     """
 
     def __init__(self, port_name: str) -> None:
@@ -202,7 +184,7 @@ class SerialPort(PortHandler):
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
-        """Close the device; a device that is gone closes as well."""
+        """Close the device, even if it is gone."""
         self.is_open = False
         if self._descriptor is not None:
             self._poll.unregister(self._descriptor)
@@ -240,7 +222,7 @@ class SerialPort(PortHandler):
         return written
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return what has arrived, as soon as something has; nothing after ``timeout_s``.
+        """Return bytes as soon as some have arrived; none after ``timeout_s`` [s].
 
         Raises:
             PortLost: the device is gone.
@@ -260,7 +242,7 @@ class SerialPort(PortHandler):
         return data
 
     def _write_at_once(self, data: bytes) -> int:
-        """Write what the device takes now; returns how many bytes."""
+        """Write what the device takes at once; return the number of bytes."""
         if self._descriptor is None:
             return 0
         try:
@@ -285,6 +267,24 @@ class SerialPort(PortHandler):
         return self.ser
 
 
+def _only(port: str, usb_ids: frozenset[tuple[int, int]]) -> str:
+    found = [_stable_name(info.device) for info in list_ports.comports() if (info.vid, info.pid) in usb_ids]
+    if len(found) == 1:
+        return found[0]
+    known = ", ".join(f"{vid:04x}:{pid:04x}" for vid, pid in sorted(usb_ids))
+    problem = f"is ambiguous among {', '.join(found)}: name one" if found else "found no servo adapter plugged in"
+    raise PortError(port, f"{problem} (USB ids {known})")
+
+
+def _stable_name(device: str) -> str:
+    """Return the stable link to a device, or the device itself without one."""
+    if STABLE_NAMES.is_dir():
+        for link in sorted(STABLE_NAMES.iterdir()):
+            if link.resolve() == Path(device).resolve():
+                return str(link)
+    return device
+
+
 def _open_line(port: str, baudrate: int) -> serial.Serial:
     try:
         return serial.serial_for_url(
@@ -299,7 +299,7 @@ def _open_line(port: str, baudrate: int) -> serial.Serial:
 
 
 def _refusal(port: str, code: int | None, reason: str) -> PortError:
-    """Choose the error for a port that did not open."""
+    """Return the error for a port that could not be opened."""
     if code in _NOT_FOUND:
         return PortNotFound(port)
     if code in _PERMISSION:
@@ -310,12 +310,12 @@ def _refusal(port: str, code: int | None, reason: str) -> PortError:
 
 
 def _claim(descriptor: int) -> None:
-    """Keep out programs that do not look at pyserial's lock, until the device is closed; no terminal, no claim."""
+    """Keep out programs that ignore pyserial's lock, until the device is closed; only terminals support this."""
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
 
 def _ask_for_low_latency(line: serial.Serial) -> None:
-    """Ask the driver not to collect input for 16 ms, as FTDI's does; most others refuse, and need not."""
+    """Ask the kernel not to collect input for 16 ms, as FTDI's driver does; other drivers reject this, and need not."""
     with contextlib.suppress(ValueError, NotImplementedError, AttributeError):
         line.set_low_latency_mode(True)

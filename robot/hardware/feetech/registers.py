@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 
 class Area(Enum):
-    """Where a register lives."""
+    """Memory area of a register."""
 
     READ_ONLY = "read only"
     EPROM = "EPROM"
@@ -74,11 +74,12 @@ class Register(IntEnum):
 
 @dataclass(frozen=True)
 class Layout:
-    """How a register is stored.
+    """Storage of a register.
 
     Attributes:
         size: bytes, 1 or 2.
-        sign_bit: bit that says the value is negative; None for an unsigned register.
+        area: memory area.
+        sign_bit: bit that marks a negative value; None for an unsigned register.
     """
 
     size: int
@@ -136,6 +137,9 @@ LAYOUT: Mapping[Register, Layout] = MappingProxyType(
     }
 )
 
+# Register MODEL_NUMBER of an STS3215.
+MODEL_STS3215 = 777
+
 TELEMETRY_ADDRESS = Register.PRESENT_POSITION
 TELEMETRY_BYTES = 15
 
@@ -153,7 +157,7 @@ TICKS_S2_PER_ACCELERATION_UNIT = 100
 
 @cache
 def value_range(register: Register) -> tuple[int, int]:
-    """Lowest and highest value that a register can hold."""
+    """Return the lowest and highest value that a register can hold."""
     layout = LAYOUT[register]
     if layout.sign_bit is None:
         return 0, (1 << 8 * layout.size) - 1
@@ -162,7 +166,7 @@ def value_range(register: Register) -> tuple[int, int]:
 
 
 def encode(register: Register, value: int) -> bytes:
-    """Turn a value into the bytes of its register.
+    """Encode a value as the bytes of its register.
 
     Raises:
         ValueError: the register cannot hold the value.
@@ -176,7 +180,7 @@ def encode(register: Register, value: int) -> bytes:
 
 
 def decode(register: Register, data: bytes) -> int:
-    """Turn the bytes of a register into its value.
+    """Decode the bytes of a register.
 
     Raises:
         ValueError: ``data`` is not as long as the register.
@@ -191,25 +195,25 @@ def decode(register: Register, data: bytes) -> int:
     return -magnitude if raw >> layout.sign_bit & 1 else magnitude
 
 
-# The telemetry block in one piece, read hundreds of times a second; the one byte without a name is the async flag.
+# The telemetry block as one struct, parsed hundreds of times a second; the byte without a name is the async flag.
 _TELEMETRY = struct.Struct("<HHHBBBBBHH")
 _SIGN_10, _SIGN_15 = 1 << 10, 1 << 15
 
 
-# Six hundred a second; frozen ones take three times as long to make.
+# Six hundred are created a second, and a frozen one takes three times as long.
 @dataclass(slots=True)
 class Telemetry:
-    """What a servo measures, from one read of its registers 56 to 70.
+    """Measurements of a servo, registers 56 to 70.
 
     Attributes:
         position_ticks: present position, 4096 ticks per turn.
         velocity_ticks_s: present velocity [ticks/s].
         load_permille: motor duty, signed [0.1 %].
         voltage_v: supply [V].
-        temperature_c: of the motor's housing [deg C].
+        temperature_c: temperature of the motor's housing [degC].
         status: bits of :class:`robot.hardware.interface.StatusFlag`.
-        moving: whether the servo is on its way to a goal.
-        goal_ticks_echo: the goal it follows.
+        moving: True while the servo is on its way to a goal.
+        goal_ticks_echo: goal that it follows.
         current_a: motor current, signed [A].
     """
 
@@ -225,7 +229,7 @@ class Telemetry:
 
 
 def parse_telemetry(data: bytes) -> Telemetry:
-    """Read the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on.
+    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on.
 
     Raises:
         ValueError: ``data`` has another length.
@@ -251,10 +255,10 @@ def parse_telemetry(data: bytes) -> Telemetry:
 
 @dataclass(frozen=True)
 class Control:
-    """Commands that a servo holds, from one read of its registers 40 to 55.
+    """Commands that a servo holds, registers 40 to 55.
 
     Attributes:
-        torque_on: whether its motor is driven.
+        torque_on: True while its motor is driven.
         acceleration: register ACCELERATION, 0 after power-up.
         goal_ticks: register GOAL_POSITION.
         torque_limit_permille: register TORQUE_LIMIT, MAX_TORQUE after power-up.
@@ -267,7 +271,7 @@ class Control:
 
 
 def parse_control(data: bytes) -> Control:
-    """Read the control block, ``CONTROL_BYTES`` from ``CONTROL_ADDRESS`` on.
+    """Parse the control block, ``CONTROL_BYTES`` from ``CONTROL_ADDRESS`` on.
 
     Raises:
         ValueError: ``data`` has another length.
@@ -276,6 +280,7 @@ def parse_control(data: bytes) -> Control:
         raise ValueError(f"the control block has {CONTROL_BYTES} bytes, not {len(data)}")
 
     def value(register: Register) -> int:
+        """Decode a register of the block."""
         offset = register - CONTROL_ADDRESS
         return decode(register, data[offset : offset + LAYOUT[register].size])
 
@@ -288,7 +293,7 @@ def parse_control(data: bytes) -> Control:
 
 
 def goal_block(goal_ticks: int, velocity_ticks_s: int, acceleration: int = 254) -> bytes:
-    """Build registers 41 to 47, the goal and how fast to go there.
+    """Build registers 41 to 47: goal, velocity cap and acceleration.
 
     Args:
         goal_ticks: goal position.

@@ -1,4 +1,4 @@
-"""Joints and servos side by side: arrays of radians on one hand, registers by servo id on the other."""
+"""Conversion between joints and servos: arrays of radians to registers by servo id, and back."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goa
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# Goal_Velocity: leaves the servo room to catch up, and caps what a bad goal could do (2.8 rad/s).
+# Register GOAL_VELOCITY: lets the servo catch up, and bounds its speed towards a wrong goal (2.8 rad/s).
 VELOCITY_CAP_FACTOR = 1.3
 VELOCITY_CAP_TICKS_S = 1800
 
@@ -22,19 +22,24 @@ SERVO_ACCELERATION = 254
 
 PERMILLE = 1000
 
-# Where the goal is in the block that is written to the servos.
+# Offset of the goal in the block that is written to the servos.
 GOAL_AT = Register.GOAL_POSITION - GOAL_ADDRESS
 
 
 class ServoMap:
-    """The servos of an arm.
+    """Servos of an arm, by joint.
 
     Args:
         calibration: joints, whose order is that of every array, and their servos.
-        bounds: gives the velocity caps.
-        limits: how hard the servos may push.
+        bounds: limits of the joints, of which the velocities become the servos' velocity caps.
+        limits: torque limits; None for the defaults.
 
     Attributes:
+        joints: calibration of each joint.
+        names: name of each joint.
+        ids: servo id of each joint.
+        by_id: calibration by servo id.
+        cap_ticks_s: velocity cap by servo id [ticks/s].
         full_torque: register TORQUE_LIMIT of each servo that holds, shape (joints,) [0.1 %].
     """
 
@@ -56,34 +61,34 @@ class ServoMap:
         self.full_torque = np.array([gripper if joint.is_gripper else full for joint in self.joints])
 
     def label(self, servo_id: int) -> str:
-        """Name a servo for people: its joint and its id."""
+        """Return a servo's joint and id for people."""
         return f"{self.by_id[servo_id].joint} (id {servo_id})"
 
     def goal_block(self, servo_id: int, goal_ticks: int) -> bytes:
-        """Registers 41 to 47 of one servo for a goal [ticks]."""
+        """Build registers 41 to 47 of one servo for a goal [ticks]."""
         head, tail = self._around_goal[servo_id]
         return head + encode(Register.GOAL_POSITION, goal_ticks) + tail
 
     def goal_blocks(self, goal_rad: Vector) -> dict[int, bytes]:
-        """Registers 41 to 47 of every servo for goals, shape (joints,) [rad]."""
+        """Build registers 41 to 47 of every servo for goals, shape (joints,) [rad]."""
         each = zip(self.ids, goal_rad.tolist(), self._offset_rad, self._rad_per_tick, strict=True)
         return {servo: self.goal_block(servo, round((goal - offset) / scale)) for servo, goal, offset, scale in each}
 
     def positions_rad(self, ticks: Iterable[int]) -> list[float]:
-        """Positions [ticks] in the order of the joints as radians."""
+        """Convert positions in the order of the joints from ticks to radians."""
         each = zip(ticks, self._offset_rad, self._rad_per_tick, strict=True)
         return [offset + position * scale for position, offset, scale in each]
 
     def velocities_rad_s(self, ticks_s: Iterable[int]) -> list[float]:
-        """Velocities [ticks/s] in the order of the joints as rad/s."""
+        """Convert velocities in the order of the joints from ticks/s to rad/s."""
         return [speed * scale for speed, scale in zip(ticks_s, self._rad_per_tick, strict=True)]
 
     def rad_from_ticks(self, ticks: dict[int, int]) -> Vector:
-        """Positions by servo id [ticks] as an array, shape (joints,) [rad]."""
+        """Convert positions by servo id [ticks] to an array, shape (joints,) [rad]."""
         return np.array(self.positions_rad([ticks[servo] for servo in self.ids]))
 
     def ticks_range(self, bounds: JointBounds) -> dict[int, tuple[int, int]]:
-        """Lowest and highest tick of each servo within the soft limits."""
+        """Return the lowest and highest tick of each servo within the soft limits, by id."""
         ranges = {}
         for joint, lower, upper in zip(self.joints, bounds.lower_rad, bounds.upper_rad, strict=True):
             ends = joint.ticks_from_rad(float(lower)), joint.ticks_from_rad(float(upper))

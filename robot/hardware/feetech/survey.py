@@ -1,11 +1,10 @@
-"""Finding out what is on the bus before anything is written to it: the right servos, and what they are doing.
+"""Survey of the servos before anything is written to them, and register checks while they are driven.
 
-Nothing here assumes what a servo's registers hold: torque may be on or off at power-up, and the goal may be anything.
+The survey assumes nothing about the registers: torque may be on or off at power-up, and the goal may have any value.
 
-Checks that the servos still are as they were told: torque on, and limited as it should be.
-
-A servo whose supply dips starts anew, with torque off and its torque limit at the most; nothing in its telemetry says
-so. One servo's control block is read back at a time, so that the bus has room for it.
+A servo whose supply dips reboots, with torque off and its torque limit at the maximum, which its telemetry does not
+show. So the control block of one servo at a time is read back and compared with what was written
+(:class:`RegisterChecks`).
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from robot.hardware.feetech.bus import STEP_ATTEMPTS, Bus, read, read_block
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
+    MODEL_STS3215,
     VOLT_PER_UNIT,
     Control,
     Register,
@@ -29,29 +29,32 @@ from robot.hardware.feetech.registers import (
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.interface import Steps
 
-MODEL_STS3215 = 777
+# Register OPERATING_MODE of a servo that follows position goals.
 POSITION_MODE = 0
 
 # Register PHASE, bit 4: positions count on beyond one turn, and overflow.
 PHASE_MULTI_TURN = 0x10
 
-NOBODY_ADVICE = ": is the arm powered, and the adapter's jumper on B?"
+NONE_ANSWERS_ADVICE = ": is the arm powered, and the adapter's jumper on B?"
 MISSING_ADVICE = ": check the cable to the first one named and its id"
 
-# Angle limits that differ from the calibration by more than this many ticks (0.7 deg) were written by another one.
+# Angle limits that differ from the calibration by more than this many ticks (0.7 deg) are of another calibration.
 LIMITS_AGREE_WITHIN_TICKS = 8
+
+# Cycles between register checks: each of six servos is checked about once a second.
+CYCLES_BETWEEN = 16
 
 
 @dataclass(frozen=True)
 class ServoFound:
-    """One servo as it was found.
+    """Servo as surveyed.
 
     Attributes:
-        control: what it was told before.
+        control: commands that it holds.
         angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT.
         max_voltage_v: register MAX_VOLTAGE [V].
-        max_torque_permille: register MAX_TORQUE, which TORQUE_LIMIT has after power-up.
-        warnings: what a person should look after, a sentence each.
+        max_torque_permille: register MAX_TORQUE, the value of TORQUE_LIMIT after power-up.
+        warnings: warnings, a sentence each.
     """
 
     control: Control
@@ -62,19 +65,19 @@ class ServoFound:
 
 
 def survey(bus: Bus, servos: ServoMap, *, simulated: bool = False) -> Steps[dict[int, ServoFound]]:
-    """Find every servo of the arm; writes nothing.
+    """Survey every servo of the arm, without writing.
 
     Args:
-        bus: the open bus.
-        servos: the arm's servos.
-        simulated: whether there is no cable or supply to look after.
+        bus: an open bus.
+        servos: servos of the arm.
+        simulated: True for emulated servos, without cable and supply to check.
 
     Returns:
-        The servos by id.
+        Servos by id.
 
     Raises:
         StartupError: a servo is missing, or is not an STS3215 in position mode.
-        NoReply: a servo fell silent on the way.
+        NoReply: a servo stopped answering.
         PortLost: the port is gone.
     """
     yield from _check_present(bus, servos, simulated=simulated)
@@ -82,6 +85,79 @@ def survey(bus: Bus, servos: ServoMap, *, simulated: bool = False) -> Steps[dict
     for joint in servos.joints:
         found[joint.servo_id] = yield from _look_at(bus, joint)
     return found
+
+
+def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
+    """Read the control block of a servo, as a sequence.
+
+    Raises:
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    frame = yield from read_block(bus, servo_id, CONTROL_ADDRESS, CONTROL_BYTES)
+    return parse_control(frame.data)
+
+
+class RegisterChecks:
+    """Comparison of the servos' control blocks with what was written to them.
+
+    Args:
+        servos: servos of the arm.
+        found: servos as surveyed, by id; may be filled later.
+
+    Attributes:
+        torque_on: register TORQUE_ENABLE of each servo when it was last read back, by id.
+    """
+
+    def __init__(self, servos: ServoMap, found: dict[int, ServoFound]) -> None:
+        self._servos = servos
+        self._found = found
+        self._turn = cycle(servos.ids)
+        self._cycle = 0
+        self._expected: dict[int, int] = {}
+        self.torque_on: dict[int, bool] = {}
+
+    def due(self) -> int | None:
+        """Return the servo to read back in this cycle, if any."""
+        self._cycle += 1
+        return None if self._cycle % CYCLES_BETWEEN else next(self._turn)
+
+    def expect(self, permille: dict[int, int]) -> None:
+        """Expect these torque limits, which were written to the servos, by id [0.1 %]."""
+        self._expected = dict(permille)
+        self.torque_on.clear()
+
+    def limits_to_write(self, permille: dict[int, int]) -> dict[int, int]:
+        """Return the torque limits that differ from the expected ones, and expect them, by id [0.1 %]."""
+        if permille == self._expected:
+            return {}
+        changed = {servo: limit for servo, limit in permille.items() if self._expected.get(servo) != limit}
+        self._expected.update(changed)
+        return changed
+
+    def check(self, servo_id: int, control: Control, stamp_s: float) -> Fault | None:
+        """Compare the control block of a driven servo with what was written to it.
+
+        Args:
+            servo_id: id of the servo.
+            control: its control block.
+            stamp_s: wall-clock time [s since the epoch].
+
+        Returns:
+            Fault of a servo that has rebooted or was relaxed, None otherwise.
+        """
+        self.torque_on[servo_id] = control.torque_on
+        wanted = self._expected.get(servo_id)
+        if wanted != control.torque_limit_permille:
+            self._expected.pop(servo_id, None)
+        fresh = self._found[servo_id].max_torque_permille
+        rebooted = control.torque_limit_permille == fresh != wanted
+        joint = self._servos.by_id[servo_id].joint
+        if rebooted and wanted is not None:
+            return Fault(FaultCode.SERVO_REBOOTED, f"the servo of joint {joint} has started anew", joint, stamp_s)
+        if not control.torque_on:
+            return Fault(FaultCode.TORQUE_LOST, f"the servo of joint {joint} was found relaxed", joint, stamp_s)
+        return None
 
 
 def _check_present(bus: Bus, servos: ServoMap, *, simulated: bool) -> Steps[None]:
@@ -95,7 +171,7 @@ def _check_present(bus: Bus, servos: ServoMap, *, simulated: bool) -> Steps[None
                 f"servo {joint.servo_id} ({joint.joint}) is model {model}, not an STS3215 ({MODEL_STS3215})"
             )
     if len(missing) == len(servos.joints):
-        raise StartupError(f"no servo answers{'' if simulated else NOBODY_ADVICE}")
+        raise StartupError(f"no servo answers{'' if simulated else NONE_ANSWERS_ADVICE}")
     if missing:
         raise StartupError(f"no answer from {', '.join(missing)}{'' if simulated else MISSING_ADVICE}")
 
@@ -125,17 +201,6 @@ def _look_at(bus: Bus, joint: JointCalibration) -> Steps[ServoFound]:
     )
 
 
-def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
-    """Read back what a servo was told.
-
-    Raises:
-        NoReply: the servo gave no valid reply.
-        PortLost: the port is gone.
-    """
-    frame = yield from read_block(bus, servo_id, CONTROL_ADDRESS, CONTROL_BYTES)
-    return parse_control(frame.data)
-
-
 def _warnings(joint: JointCalibration, limits_ticks: tuple[int, int], phase: int) -> tuple[str, ...]:
     said = []
     calibrated = joint.range_min, joint.range_max
@@ -144,66 +209,3 @@ def _warnings(joint: JointCalibration, limits_ticks: tuple[int, int], phase: int
     if phase & PHASE_MULTI_TURN:
         said.append("the servo counts several turns (register PHASE, bit 4), so that its position may overflow")
     return tuple(said)
-
-
-# Every servo about once a second: six of them, one in every sixteenth cycle.
-CYCLES_BETWEEN = 16
-
-
-class RegisterChecks:
-    """Torque limits that the servos were told, beside those that they hold.
-
-    Args:
-        servos: the arm's servos.
-        found: servos as the survey found them, by id; may be filled later.
-
-    Attributes:
-        torque_on: register TORQUE_ENABLE of each servo when it was last read back, by id.
-    """
-
-    def __init__(self, servos: ServoMap, found: dict[int, ServoFound]) -> None:
-        self._servos = servos
-        self._found = found
-        self._turn = cycle(servos.ids)
-        self._cycle = 0
-        self._wanted: dict[int, int] = {}
-        self.torque_on: dict[int, bool] = {}
-
-    def due(self) -> int | None:
-        """Choose the servo to read back in this cycle, if any."""
-        self._cycle += 1
-        return None if self._cycle % CYCLES_BETWEEN else next(self._turn)
-
-    def told(self, permille: dict[int, int]) -> None:
-        """Note that the servos have been given torque limits [0.1 %]; what they were before is forgotten."""
-        self._wanted = dict(permille)
-        self.torque_on.clear()
-
-    def limits_to_write(self, permille: dict[int, int]) -> dict[int, int]:
-        """Choose those of the wanted torque limits that the servos were not told yet [0.1 %]."""
-        if permille == self._wanted:
-            return {}
-        changed = {servo: limit for servo, limit in permille.items() if self._wanted.get(servo) != limit}
-        self._wanted.update(changed)
-        return changed
-
-    def judge(self, servo_id: int, control: Control, stamp_s: float) -> Fault | None:
-        """Compare what a driven servo holds with what it was told.
-
-        Args:
-            servo_id: the servo.
-            control: its control block.
-            stamp_s: wall-clock time [s since the epoch].
-        """
-        self.torque_on[servo_id] = control.torque_on
-        wanted = self._wanted.get(servo_id)
-        if wanted != control.torque_limit_permille:
-            self._wanted.pop(servo_id, None)
-        fresh = self._found[servo_id].max_torque_permille
-        rebooted = control.torque_limit_permille == fresh != wanted
-        joint = self._servos.by_id[servo_id].joint
-        if rebooted and wanted is not None:
-            return Fault(FaultCode.SERVO_REBOOTED, f"the servo of joint {joint} has started anew", joint, stamp_s)
-        if not control.torque_on:
-            return Fault(FaultCode.TORQUE_LOST, f"the servo of joint {joint} was found relaxed", joint, stamp_s)
-        return None

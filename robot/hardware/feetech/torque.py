@@ -1,8 +1,8 @@
 """Switching the servos' torque on without a jump, off without a fall, and off at once.
 
-Torque on with a stale goal register is how gears are stripped: the goal is set to the present position and read back
-before torque comes on, with torque capped and then raised slowly. An arm that is already holding keeps its goals.
-Every function is a sequence of steps (:mod:`robot.hardware.interface`) that may be given up between any two of them.
+Torque on with a stale goal strips gears: the goal is set to the present position and read back before torque comes on,
+with the torque limited and then raised slowly. An arm that is already holding keeps its goals. Every public operation
+is a sequence (:mod:`robot.hardware.interface`) that may be abandoned between any two of its steps.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.survey import read_control
 from robot.hardware.interface import Steps
 
-# Torque must come on with the arm at its goal; more means the arm moved or the goal was not taken.
+# Largest distance from the goal when torque comes on; more means that the arm moved or the goal was not taken.
 TORQUE_ON_WITHIN_TICKS = 30
 
 # Further outside its soft limits than this (9 deg) an arm is not switched on.
@@ -36,34 +36,39 @@ REST_WITHIN_TICKS = 8
 REST_INTERVAL_S = 0.02
 REST_ATTEMPTS = 50
 
-# Torque limit in 0.1 % at first touch, and how long it takes from there to its full value.
+# Torque limit when torque comes on [0.1 %], and the ramp from there to the full value.
 FIRST_TORQUE = 300
 RAISE_STEPS = 10
 RAISE_S = 0.5
 
-# An arm that is relaxed sinks for so long instead of falling.
+# Ramp of relaxing: the arm sinks instead of falling.
 LOWER_STEPS = 50
 LOWER_S = 1.5
 
-# An emergency stop is said three times, so that it survives a disturbed line.
+# An emergency stop is broadcast three times, so that it survives a disturbed line.
 BROADCASTS = 3
 BROADCAST_INTERVAL_S = 0.002
 
-# Whoever does not confirm that torque is off is asked again after the others: a line, or a computer, that is busy for a
-# tenth of a second must not leave a servo driven.
+# A servo that does not confirm that torque is off is tried again after the others: a line or computer that is busy for
+# a tenth of a second must not leave a servo driven.
 OFF_ROUNDS = 3
 OFF_INTERVAL_S = 0.05
 
 
 @dataclass(frozen=True)
 class TickLimits:
-    """Where servos may be, by id: soft limits, and the servos' own angle limits, of which (0, 0) means none [ticks]."""
+    """Limits of the servos' positions.
+
+    Attributes:
+        soft: lowest and highest tick of the soft limits, by id.
+        servo: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT, by id; (0, 0) means none.
+    """
 
     soft: Mapping[int, tuple[int, int]]
     servo: Mapping[int, tuple[int, int]]
 
     def check(self, servos: ServoMap, servo_id: int, present_ticks: int) -> None:
-        """Raise StartupError for a servo that may not be switched on where it is."""
+        """Raise StartupError for a servo that must not be switched on at its position."""
         soft, own = self.soft[servo_id], self.servo[servo_id]
         inside = soft[0] - OUTSIDE_LIMIT_TICKS <= present_ticks <= soft[1] + OUTSIDE_LIMIT_TICKS
         # The servo clamps its goal to its own limits: torque would move it there at once.
@@ -76,26 +81,26 @@ class TickLimits:
             )
 
     def reachable(self, servo_id: int, ticks: int) -> int:
-        """The goal nearest to ``ticks`` that the servo does not clamp."""
+        """Return the goal nearest to ``ticks`` that the servo does not clamp."""
         lowest, highest = self.servo[servo_id]
         return ticks if (lowest, highest) == (0, 0) else max(lowest, min(highest, ticks))
 
 
 def enable(bus: Bus, servos: ServoMap, limits: TickLimits, ids: Sequence[int]) -> Steps[dict[int, int]]:
-    """Bring servos to hold where they are.
+    """Switch servos on at their positions.
 
     Args:
-        bus: the open bus.
-        servos: the arm's servos.
-        limits: where they may be.
-        ids: those to bring to hold; the others are only looked at.
+        bus: an open bus.
+        servos: servos of the arm.
+        limits: limits of their positions.
+        ids: servos to switch on; the others are only read.
 
     Returns:
-        The goals of all servos, by id; where it is for a servo that does not hold [ticks].
+        Goals of all servos, positions for those that do not hold, by id [ticks].
 
     Raises:
-        StartupError: the arm moves, stands outside its limits, or does not do as it is told; what was relaxed before
-            is relaxed again.
+        StartupError: the arm moves, stands outside its limits, or does not take a value; servos relaxed before are
+            relaxed again.
         NoReply: a servo gave no valid reply; as above.
         PortLost: the port is gone.
     """
@@ -123,13 +128,90 @@ def enable(bus: Bus, servos: ServoMap, limits: TickLimits, ids: Sequence[int]) -
     return goals
 
 
+def relax(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) -> Steps[list[int]]:
+    """Lower the torque limits, then switch torque off and verify that.
+
+    Args:
+        bus: an open bus.
+        servos: servos of the arm.
+        start_permille: torque limits to begin with, by servo id [0.1 %].
+
+    Returns:
+        Servos that may still be driven: torque off could not be verified.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    for step in range(1, LOWER_STEPS + 1):
+        yield LOWER_S / LOWER_STEPS
+        left = LOWER_STEPS - step
+        _write_torque_limits(bus, {servo: limit * left // LOWER_STEPS for servo, limit in start_permille.items()})
+    driven = yield from switch_off(bus, list(servos.ids))
+    if not driven:
+        # The next program that switches torque on finds an arm that can hold itself.
+        _write_torque_limits(bus, full_torque(servos))
+    return driven
+
+
+def emergency_stop(bus: Bus, servos: ServoMap) -> Steps[list[int]]:
+    """Switch torque off everywhere at once, then verify it servo by servo.
+
+    The first broadcast is sent with the first step, without a wait.
+
+    Returns:
+        Servos that may still be driven.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    for _ in range(BROADCASTS):
+        bus.broadcast_torque_off()
+        yield BROADCAST_INTERVAL_S
+    return (yield from switch_off(bus, list(servos.ids)))
+
+
+def switch_off(bus: Bus, ids: list[int]) -> Steps[list[int]]:
+    """Switch torque off servo by servo, and verify that.
+
+    Returns:
+        Servos that may still be driven.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    driven = yield from _switch_off_once(bus, ids)
+    for _ in range(OFF_ROUNDS - 1):
+        if not driven:
+            break
+        yield OFF_INTERVAL_S
+        driven = yield from _switch_off_once(bus, driven)
+    return driven
+
+
+def clear_overload(bus: Bus, servos: ServoMap, limits: TickLimits, servo_id: int) -> Steps[None]:
+    """Switch a servo whose overload protection has latched off, and on at its position.
+
+    Raises:
+        StartupError: it does not take a value, or moves.
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
+    yield from _switch_on(bus, servos, servo_id, limits)
+
+
+def full_torque(servos: ServoMap) -> dict[int, int]:
+    """Return register TORQUE_LIMIT of each servo that holds, by id [0.1 %]."""
+    return dict(zip(servos.ids, servos.full_torque.tolist(), strict=True))
+
+
 def _present_ticks(bus: Bus, servo_id: int) -> Steps[int]:
     frame = yield from read_block(bus, servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
     return parse_telemetry(frame.data).position_ticks
 
 
 def _await_rest(bus: Bus, servos: ServoMap, ids: list[int]) -> Steps[None]:
-    """Wait until nobody moves the arm."""
+    """Wait until the arm is at rest."""
     moving = -1
     for _ in range(REST_ATTEMPTS if ids else 0):
         readings: dict[int, list[int]] = {servo: [] for servo in ids}
@@ -149,7 +231,7 @@ def _at_rest(ticks: list[int]) -> bool:
 
 
 def _switch_on(bus: Bus, servos: ServoMap, servo_id: int, limits: TickLimits) -> Steps[int]:
-    """Torque on with the goal where the joint is, and at reduced torque; returns the goal."""
+    """Switch torque on at the present position and at reduced torque; return the goal [ticks]."""
     yield from write_verified(bus, servo_id, Register.TORQUE_LIMIT, _first_torque(servos, servo_id))
     goal = limits.reachable(servo_id, (yield from _present_ticks(bus, servo_id)))
     yield from _set_goal(bus, servos, servo_id, goal)
@@ -178,7 +260,7 @@ def _check_still(servos: ServoMap, servo_id: int, moved_ticks: int, when: str) -
 
 
 def _raise_torque(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) -> Steps[None]:
-    """Bring the torque limits from what they are to their full values."""
+    """Raise the torque limits from their present to their full values."""
     full = full_torque(servos)
     start = {servo: limit for servo, limit in start_permille.items() if limit != full[servo]}
     for step in range(1, RAISE_STEPS + 1 if start else 0):
@@ -194,72 +276,10 @@ def _first_torque(servos: ServoMap, servo_id: int) -> int:
     return min(FIRST_TORQUE, full_torque(servos)[servo_id])
 
 
-def full_torque(servos: ServoMap) -> dict[int, int]:
-    """Register TORQUE_LIMIT of each servo that holds [0.1 %]."""
-    return dict(zip(servos.ids, servos.full_torque.tolist(), strict=True))
-
-
 def _write_torque_limits(bus: Bus, permille: dict[int, int]) -> None:
     bus.sync_write(
         Register.TORQUE_LIMIT, {servo: encode(Register.TORQUE_LIMIT, value) for servo, value in permille.items()}
     )
-
-
-def relax(bus: Bus, servos: ServoMap, start_permille: dict[int, int]) -> Steps[list[int]]:
-    """Lower the torque limits, then switch torque off and see that it is.
-
-    Args:
-        bus: the open bus.
-        servos: the arm's servos.
-        start_permille: torque limits to begin with, by servo id [0.1 %].
-
-    Returns:
-        The servos that may still be driven: torque off could not be verified.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    for step in range(1, LOWER_STEPS + 1):
-        yield LOWER_S / LOWER_STEPS
-        left = LOWER_STEPS - step
-        _write_torque_limits(bus, {servo: limit * left // LOWER_STEPS for servo, limit in start_permille.items()})
-    driven = yield from switch_off(bus, list(servos.ids))
-    if not driven:
-        # Whoever switches torque on next, also another program, finds an arm that can hold itself.
-        _write_torque_limits(bus, full_torque(servos))
-    return driven
-
-
-def emergency_stop(bus: Bus, servos: ServoMap) -> Steps[list[int]]:
-    """Switch torque off everywhere at once, then servo by servo see that it is.
-
-    The first broadcast goes out with the first step, before which nothing is waited for.
-
-    Returns:
-        The servos that may still be driven.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    for _ in range(BROADCASTS):
-        bus.broadcast_torque_off()
-        yield BROADCAST_INTERVAL_S
-    return (yield from switch_off(bus, list(servos.ids)))
-
-
-def switch_off(bus: Bus, ids: list[int]) -> Steps[list[int]]:
-    """Switch torque off servo by servo; returns those that may still be driven.
-
-    Raises:
-        PortLost: the port is gone.
-    """
-    driven = yield from _switch_off_once(bus, ids)
-    for _ in range(OFF_ROUNDS - 1):
-        if not driven:
-            break
-        yield OFF_INTERVAL_S
-        driven = yield from _switch_off_once(bus, driven)
-    return driven
 
 
 def _switch_off_once(bus: Bus, ids: list[int]) -> Steps[list[int]]:
@@ -271,15 +291,3 @@ def _switch_off_once(bus: Bus, ids: list[int]) -> Steps[list[int]]:
         except (StartupError, NoReply):
             driven.append(servo)
     return driven
-
-
-def clear_overload(bus: Bus, servos: ServoMap, limits: TickLimits, servo_id: int) -> Steps[None]:
-    """Bring a servo whose overload protection has latched back to holding where it is.
-
-    Raises:
-        StartupError: it does not do as it is told.
-        NoReply: the servo gave no valid reply.
-        PortLost: the port is gone.
-    """
-    yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
-    yield from _switch_on(bus, servos, servo_id, limits)

@@ -23,7 +23,7 @@ def test_cycles_begin_at_the_rate_of_the_control_loop(bus, emulator):
     assert emulator.clock() - started_s == pytest.approx(0.5, abs=0.005)
 
 
-def test_a_machine_that_wakes_late_is_told(bus, emulator):
+def test_a_machine_that_wakes_late_is_reported(bus, emulator):
     times = measure_cycles(bus, IDS, 20, emulator.clock, lambda wait_s: emulator.run(wait_s + 0.004))
     assert times.lateness_p99_s == pytest.approx(0.004)
 

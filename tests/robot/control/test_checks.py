@@ -35,7 +35,9 @@ def test_a_number_within_its_range_is_taken(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALL_RANGES)
-def test_a_number_outside_its_range_is_the_default_and_told(name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_number_outside_its_range_becomes_the_default_with_a_log_line(
+    name: str, caplog: pytest.LogCaptureFixture
+) -> None:
     least, most = ALL_RANGES[name]
     for value in (least - 0.001, most + 0.001, float("nan"), float("inf")):
         assert checked(with_value(name, value)) == CONFIG

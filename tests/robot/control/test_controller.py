@@ -39,7 +39,7 @@ LIMITS = GuardLimits()
 
 
 class Rig:
-    """A controller, its clock, and an arm that is wherever it is told to be."""
+    """A controller, its clock, and an arm that follows its goals exactly."""
 
     def __init__(self, hold_rad: list[float] | None = None, *, simulated: bool = False) -> None:
         self.now_s = 100.0
@@ -55,13 +55,13 @@ class Rig:
         age_s: float = 0.0,
         gap_s: float = PERIOD_S,
         others_age_s: float = 0.0,
-        **told: object,
+        **readings: object,
     ) -> MotionEnded | None:
         self.now_s += gap_s
         position = self.controller.goal_rad + (0.0 if lag is None else lag)
         ages = np.full(6, others_age_s)
         ages[2] = age_s
-        ended = self.controller.step(reading(position, age_s=ages, **told), self.now_s)
+        ended = self.controller.step(reading(position, age_s=ages, **readings), self.now_s)
         self.goals.append(self.controller.goal_rad)
         assert len(ended) <= 1
         return ended[0] if ended else None
@@ -152,7 +152,7 @@ def test_a_short_lag_does_not_end_the_motion() -> None:
     assert rig.until_end()[0].outcome is Outcome.REACHED
 
 
-def test_an_arm_that_does_not_settle_is_told_with_joint_and_distance() -> None:
+def test_the_end_of_an_arm_that_does_not_settle_has_joint_and_distance() -> None:
     rig = Rig()
     rig.controller.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
     ended, seconds = rig.until_end(lag=np.array([0.0, 0.0, -1.5 * LIMITS.goal_tolerance_rad, 0.0, 0.0, 0.0]))
@@ -294,7 +294,7 @@ def test_a_curve_that_swings_beyond_a_limit_between_its_samples_is_cut_off_there
     assert np.array(rig.goals)[:, 0].max() == pytest.approx(limit)
 
 
-def test_progress_is_told_while_moving() -> None:
+def test_progress_is_reported_while_moving() -> None:
     rig = Rig()
     rig.controller.execute(Execute(9, move(shoulder_pan=(0.0, 1.0))))
     for _ in range(100):
@@ -330,7 +330,7 @@ def blocked(rig: Rig, ticks: int, joint: int = 0, load: float = 0.8) -> MotionEn
     return None
 
 
-def test_a_relaxed_arm_refuses_to_move_and_says_what_to_do() -> None:
+def test_a_relaxed_arm_refuses_to_move_with_a_remedy() -> None:
     rig = Rig()
     rig.controller.release()
     refused = rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
@@ -470,7 +470,7 @@ def test_whatever_happens_goals_move_by_bounded_steps_inside_the_limits(
         assert (rig.goals[-1] <= BOUNDS.upper_rad + 1e-9).all()
 
 
-def test_a_paused_motion_waits_and_goes_back_and_on_as_it_is_told() -> None:
+def test_a_paused_motion_waits_and_goes_back_and_on_as_it_is_reported() -> None:
     rig = Rig()
     rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
     for _ in range(100):

@@ -98,13 +98,13 @@ def test_without_a_controller_the_joints_are_only_read(rig: CycleRig) -> None:
     assert rig.hardware.calls == ["read"]
 
 
-def test_a_relaxed_arm_is_told_no_goals(rig: CycleRig) -> None:
+def test_a_relaxed_arm_gets_no_goals(rig: CycleRig) -> None:
     rig.control()
     rig.tick()
     assert rig.hardware.calls == ["read", "check"]
 
 
-def test_an_arm_at_rest_is_told_its_goals_at_every_cycle(holding: CycleRig) -> None:
+def test_an_arm_at_rest_gets_its_goals_at_every_cycle(holding: CycleRig) -> None:
     for _ in range(3):
         holding.tick()
     assert len(holding.hardware.goals) == 3
@@ -119,7 +119,7 @@ def test_a_motion_moves_the_joints_and_its_end_is_returned(holding: CycleRig) ->
     assert holding.cycle.measured.position_rad[0] == pytest.approx(0.5)
 
 
-def test_goals_that_were_told_far_from_the_arm_come_back_to_it(rig: CycleRig) -> None:
+def test_goals_far_from_the_arm_return_to_it(rig: CycleRig) -> None:
     controller = rig.control()
     rig.tick()
     rig.cycle.hold(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
@@ -127,7 +127,7 @@ def test_goals_that_were_told_far_from_the_arm_come_back_to_it(rig: CycleRig) ->
     assert not controller.resting
 
 
-def test_a_sequence_that_tells_goals_itself_is_not_contradicted(holding: CycleRig) -> None:
+def test_ticks_write_no_goals_while_a_sequence_writes_its_own(holding: CycleRig) -> None:
     with holding.cycle.writing_paused():
         holding.tick()
         assert holding.hardware.calls == ["read", "check"]
@@ -135,7 +135,7 @@ def test_a_sequence_that_tells_goals_itself_is_not_contradicted(holding: CycleRi
     assert holding.hardware.calls == ["read", "goals", "shares", "check"]
 
 
-def test_goals_are_told_again_after_a_sequence_that_failed(holding: CycleRig) -> None:
+def test_goals_are_written_again_after_a_sequence_that_failed(holding: CycleRig) -> None:
     with pytest.raises(LookupError), holding.cycle.writing_paused():
         raise LookupError
     holding.tick()

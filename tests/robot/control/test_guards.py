@@ -28,20 +28,20 @@ def at(joint: int, value: float, else_value: float = 0.0) -> list[float]:
     return [value if each == joint else else_value for each in range(6)]
 
 
-def seconds_until(code: FaultCode, position: Any = GOAL, limits: GuardLimits = LIMITS, **told: Any) -> float:
-    """How long the guards bear a reading until they call it this fault [s]."""
+def seconds_until(code: FaultCode, position: Any = GOAL, limits: GuardLimits = LIMITS, **readings: Any) -> float:
+    """Time for which the guards tolerate a reading before this fault [s]."""
     guards = Guards(NAMES, limits=limits)
     for tick in range(round(3.0 / PERIOD_S)):
-        fault = guards.check(GOAL, reading(position, **told), FULL, tick * PERIOD_S)
+        fault = guards.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S)
         if fault is not None:
             assert fault.code is code
             return tick * PERIOD_S
     raise AssertionError(f"no {code}")
 
 
-def never(position: Any = GOAL, limits: GuardLimits = LIMITS, **told: Any) -> bool:
+def never(position: Any = GOAL, limits: GuardLimits = LIMITS, **readings: Any) -> bool:
     guards = Guards(NAMES, limits=limits)
-    return all(guards.check(GOAL, reading(position, **told), FULL, tick * PERIOD_S) is None for tick in range(300))
+    return all(guards.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S) is None for tick in range(300))
 
 
 AT_ONCE = {
@@ -55,8 +55,10 @@ AT_ONCE = {
 
 @pytest.mark.parametrize("code", AT_ONCE)
 def test_some_readings_are_a_fault_at_once_and_name_the_joint(code: FaultCode) -> None:
-    told = {name: np.array(value, dtype=int if name == "status" else float) for name, value in AT_ONCE[code].items()}
-    fault = Guards(NAMES).check(GOAL, reading(GOAL, **told), FULL, 0.0)
+    readings = {
+        name: np.array(value, dtype=int if name == "status" else float) for name, value in AT_ONCE[code].items()
+    }
+    fault = Guards(NAMES).check(GOAL, reading(GOAL, **readings), FULL, 0.0)
     assert fault is not None
     assert fault.code is code
     assert fault.joint == "elbow_flex"
@@ -82,19 +84,19 @@ def test_current_alone_shows_a_stall() -> None:
 
 
 @pytest.mark.parametrize(
-    "told",
+    "readings",
     [{"load": at(1, 0.5)}, {"load": at(1, 0.7), "velocity_rad_s": at(1, 0.1)}],
     ids=["no load", "moving"],
 )
-def test_a_joint_behind_that_does_not_push_or_does_move_is_not_stalled(told: dict[str, Any]) -> None:
-    assert never(at(1, 0.2), **told)
+def test_a_joint_behind_that_does_not_push_or_does_move_is_not_stalled(readings: dict[str, Any]) -> None:
+    assert never(at(1, 0.2), **readings)
 
 
 def test_a_joint_that_pushes_near_its_goal_is_not_stalled() -> None:
     assert never(at(1, 0.05), load=at(1, 0.8))
 
 
-def test_a_yielding_joint_may_stall_and_is_told_as_stalled() -> None:
+def test_a_yielding_joint_may_stall_and_is_flagged() -> None:
     guards, yielding = Guards(NAMES), np.array(at(5, 1)) > 0
     for tick in range(50):
         measured = reading(at(5, 0.2), load=at(5, 0.5))
@@ -102,17 +104,17 @@ def test_a_yielding_joint_may_stall_and_is_told_as_stalled() -> None:
     assert guards.stalled.tolist() == yielding.tolist()
 
 
-def test_a_low_supply_is_borne_for_as_long_as_a_motor_takes_to_start() -> None:
+def test_a_low_supply_is_tolerated_while_a_motor_starts() -> None:
     assert seconds_until(FaultCode.VOLTAGE_LOW, voltage_v=4.4) == pytest.approx(LOW_VOLTAGE_TIME_S)
 
 
 @pytest.mark.parametrize(("volts", "code"), [(12.0, FaultCode.VOLTAGE_HIGH), (5.0, FaultCode.VOLTAGE_LOW)])
-def test_a_servo_that_complains_of_its_supply_is_borne_for_a_while(volts: float, code: FaultCode) -> None:
+def test_the_supply_flag_of_a_servo_is_tolerated_for_a_while(volts: float, code: FaultCode) -> None:
     waited_s = seconds_until(code, voltage_v=volts, status=int(StatusFlag.VOLTAGE))
     assert waited_s == pytest.approx(VOLTAGE_BIT_TIME_S)
 
 
-def test_all_that_is_borne_can_be_set() -> None:
+def test_every_threshold_can_be_set() -> None:
     patient = GuardLimits(tracking_error_rad=0.5, tracking_time_s=0.4, stall_current_a=2.5, stall_time_s=0.6)
     assert never(at(1, 0.4), patient)
     assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.6), patient) == pytest.approx(0.4)
@@ -174,7 +176,7 @@ def test_all_joints_silent_at_once_is_a_silent_bus_and_no_joint_of_it(position: 
     assert (fault.code, fault.joint) == (FaultCode.BUS_SILENT, "")
 
 
-def test_a_silent_bus_is_told_with_the_time_since_any_servo_has_answered() -> None:
+def test_the_fault_of_a_silent_bus_has_the_time_since_any_servo_has_answered() -> None:
     fault = found_in_silence([0.31, 0.31, 0.11, 0.31, 0.31, 0.31])
     assert fault is not None
     assert fault.message == "no servo has answered for 0.11 s"
@@ -223,7 +225,7 @@ def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measure
     assert faults == [None] * len(readings)
 
 
-def test_warmth_is_told_before_it_is_a_fault() -> None:
+def test_a_warm_servo_has_a_warning_before_a_fault() -> None:
     guards = Guards(NAMES)
     assert guards.warnings(reading(GOAL, temperature_c=50.0), 0) == ()
     assert "56" in guards.warnings(reading(GOAL, temperature_c=56.0), 0)[0]

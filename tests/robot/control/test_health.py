@@ -22,7 +22,7 @@ def arm(emulator: SteppedEmulator, bus: Bus) -> ControlCycle:
     return ControlCycle(FeetechHardware(bus, CALIBRATION, BOUNDS, GuardLimits(), emulator.clock), emulator.clock)
 
 
-def test_a_disconnected_arm_says_why_and_keeps_its_fault() -> None:
+def test_a_disconnected_arm_has_a_reason_and_keeps_its_fault() -> None:
     fault = Fault(FaultCode.EMERGENCY_STOP, "emergency stop")
     state = disconnected(NAMES, "unplugged", fault, 12.5)
     assert (state.mode, state.reason, state.fault) == (Mode.DISCONNECTED, "unplugged", fault)

@@ -90,9 +90,9 @@ def test_at_any_pace_the_arm_stays_on_the_path_and_within_the_acceleration_limit
     for pace, ticks in paces:
         playback.pace = pace
         goals += [playback.advance(PERIOD_S) for _ in range(ticks)]
-    told = np.array(goals)
-    assert distance_from_line(told) == pytest.approx(np.zeros(len(told)), abs=1e-9)
-    accelerations = np.abs(np.diff(told, n=2, axis=0)) / PERIOD_S**2
+    points = np.array(goals)
+    assert distance_from_line(points) == pytest.approx(np.zeros(len(points)), abs=1e-9)
+    accelerations = np.abs(np.diff(points, n=2, axis=0)) / PERIOD_S**2
     assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
 
 
@@ -179,23 +179,23 @@ def rest_of(playback: Playback, from_s: float) -> Trajectory:
 def test_another_trajectory_takes_its_place_without_a_jump() -> None:
     former = halfway()
     other = rest_of(former, 0.9)
-    assert former.leads_into(other, 0.9)
+    assert former.can_splice(other, 0.9)
     successor = Playback(other, MAX_ACCELERATION)
-    successor.go_on_from(former, 0.9)
+    successor.continue_from(former, 0.9)
     np.testing.assert_allclose(successor.advance(PERIOD_S), former.advance(PERIOD_S), atol=1e-9)
 
 
 def test_a_trajectory_that_is_elsewhere_now_cannot_take_its_place() -> None:
     former = halfway()
-    assert not former.leads_into(rest_of(former, 0.9), 0.8)
-    assert not former.leads_into(rest_of(former, 1.2), 1.2)
-    assert not former.leads_into(smooth_move({**MOVES, "elbow_flex": (0.5, 0.6)}, 2.0), 0.0)
+    assert not former.can_splice(rest_of(former, 0.9), 0.8)
+    assert not former.can_splice(rest_of(former, 1.2), 1.2)
+    assert not former.can_splice(smooth_move({**MOVES, "elbow_flex": (0.5, 0.6)}, 2.0), 0.0)
 
 
-def test_a_motion_that_brakes_leads_into_no_other() -> None:
+def test_a_motion_that_brakes_cannot_be_spliced() -> None:
     former = halfway()
     former.stop()
-    assert not former.leads_into(rest_of(former, 0.9), 0.9)
+    assert not former.can_splice(rest_of(former, 0.9), 0.9)
 
 
 NAMES = ("shoulder_pan", "gripper")
@@ -224,7 +224,7 @@ def test_joints_outside_the_motion_do_not_count() -> None:
     assert ends[-1] is not None
 
 
-def test_a_joint_that_does_not_settle_is_told() -> None:
+def test_a_joint_that_does_not_settle_is_reported() -> None:
     motion, goal = at_its_end()
     short = goal - 0.1
     assert motion.end(goal, short, 0.0) is None

@@ -1,4 +1,4 @@
-"""What the supervisor's tests do not show: the causes that keep a fault from being reset."""
+"""Orders: the causes that keep a fault from being reset; the rest is shown by the supervisor's tests."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_an_overload_that_stays_asks_for_a_power_cut(emulator: SteppedEmulator, 
     assert rig.order(Order.RESET_FAULT).message.endswith("complains of overload: switch the servos' supply off and on")
 
 
-def test_an_overload_that_stays_asks_nobody_to_cut_the_power_of_a_simulated_arm(emulator: SteppedEmulator) -> None:
+def test_the_remedy_of_an_overload_of_a_simulated_arm_is_no_power_cut(emulator: SteppedEmulator) -> None:
     rig = relaxed(emulator, hardware=EmulatedConfig(CALIBRATION))
     emulator.command(status={"4": int(StatusFlag.OVERLOAD)})
     rig.run(0.05)

@@ -20,7 +20,7 @@ PERIOD_S = 0.01
 BOUNDS = JointBounds(np.array([-1.0, -0.5]), np.array([1.0, 0.8]), np.array([2.0, 1.2]), np.array([6.0, 3.0]))
 MAX_JERK = BOUNDS.max_acceleration / TIME_TO_FULL_ACCELERATION_S
 
-wishes = st.lists(st.tuples(st.tuples(*[st.floats(-3.0, 3.0)] * 2), st.integers(1, 30)), min_size=1, max_size=8)
+targets = st.lists(st.tuples(st.tuples(*[st.floats(-3.0, 3.0)] * 2), st.integers(1, 30)), min_size=1, max_size=8)
 
 
 def follow(steps: list[tuple[tuple[float, float], int]], start: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -28,15 +28,15 @@ def follow(steps: list[tuple[tuple[float, float], int]], start: tuple[float, flo
     tracking = VelocityTracking(BOUNDS, np.array(start))
     positions = [tracking.position_rad]
     for velocity, ticks in [*steps, ((0.0, 0.0), 150)]:
-        tracking.wish(np.array(velocity))
+        tracking.set_target(np.array(velocity))
         positions += [tracking.advance(PERIOD_S) for _ in range(ticks)]
     assert tracking.at_rest
     return np.array(positions)
 
 
 @settings(max_examples=100, deadline=None)
-@given(wishes)
-def test_whatever_is_wished_velocity_acceleration_and_jerk_stay_bounded(steps) -> None:
+@given(targets)
+def test_at_any_target_velocity_acceleration_and_jerk_stay_bounded(steps) -> None:
     positions = follow(steps)
     velocity, acceleration, jerk = (np.diff(positions, n, axis=0) / PERIOD_S**n for n in (1, 2, 3))
     assert (np.abs(velocity) <= BOUNDS.max_velocity + 1e-6).all()
@@ -45,16 +45,16 @@ def test_whatever_is_wished_velocity_acceleration_and_jerk_stay_bounded(steps) -
 
 
 @settings(max_examples=100, deadline=None)
-@given(wishes)
-def test_whatever_is_wished_no_joint_leaves_its_limits(steps) -> None:
+@given(targets)
+def test_at_any_target_no_joint_leaves_its_limits(steps) -> None:
     positions = follow(steps)
     assert (positions <= BOUNDS.upper_rad + 1e-6).all()
     assert (positions >= BOUNDS.lower_rad - 1e-6).all()
 
 
-def test_a_wish_is_met_and_kept() -> None:
+def test_a_target_is_reached_and_kept() -> None:
     tracking = VelocityTracking(BOUNDS, np.zeros(2))
-    tracking.wish(np.array([0.5, -0.3]))
+    tracking.set_target(np.array([0.5, -0.3]))
     for _ in range(40):
         tracking.advance(PERIOD_S)
     assert tracking.velocity_rad_s == pytest.approx([0.5, -0.3])
@@ -62,7 +62,7 @@ def test_a_wish_is_met_and_kept() -> None:
 
 def test_a_joint_at_its_limit_waits_there_while_the_other_goes_on() -> None:
     tracking = VelocityTracking(BOUNDS, np.zeros(2))
-    tracking.wish(np.array([0.3, 1.2]))
+    tracking.set_target(np.array([0.3, 1.2]))
     for _ in range(200):
         tracking.advance(PERIOD_S)
     assert tracking.position_rad[1] == pytest.approx(0.8)
@@ -74,7 +74,7 @@ def test_a_joint_that_stands_outside_its_limits_stays_or_comes_inside() -> None:
     assert follow([((-1.0, 0.0), 50)], start=(1.1, 0.0))[-1, 0] < 1.0
 
 
-def test_a_wish_too_slow_to_see_is_rest() -> None:
+def test_a_target_too_slow_to_see_is_rest() -> None:
     assert np.abs(follow([((0.9 * LEAST_SPEED_RAD_S, 0.0), 100)])).max() == 0.0
 
 

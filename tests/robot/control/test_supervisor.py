@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from robot.control.pacing import PERIOD_S
-from robot.control.supervisor import Watchdog
+from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, Watchdog
 from robot.faults import FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.registers import Register
@@ -15,7 +15,7 @@ from tests.helpers.stepped_emulator import SteppedEmulator
 from tests.helpers.trajectories import smooth_move
 
 
-def test_silence_is_borne_up_to_its_limit() -> None:
+def test_silence_is_tolerated_up_to_its_limit() -> None:
     watchdog = Watchdog(0.5, 10.0)
     assert not watchdog.expired(10.5)
     assert watchdog.expired(10.51)
@@ -24,7 +24,7 @@ def test_silence_is_borne_up_to_its_limit() -> None:
 
 def test_any_message_ends_the_silence() -> None:
     watchdog = Watchdog(0.5, 10.0)
-    watchdog.hear(11.0)
+    watchdog.feed(11.0)
     assert not watchdog.expired(11.4)
 
 
@@ -73,7 +73,7 @@ def test_an_arm_that_may_not_be_switched_on_stays_relaxed(start_rig: Start) -> N
     assert rig.mode is Mode.HOLDING
 
 
-def test_an_arm_with_a_missing_servo_says_so_and_comes_up_when_it_is_there(
+def test_an_arm_with_a_missing_servo_reports_it_and_comes_up_when_it_is_there(
     emulator: SteppedEmulator, start_rig: Start
 ) -> None:
     emulator.command(offline=[3])
@@ -195,7 +195,7 @@ def test_a_servo_that_started_anew_is_found_within_a_second(emulator: SteppedEmu
     assert rig.torque() == [1] * 6
 
 
-def test_torque_switched_off_by_somebody_else_is_found(rig: ArmRig) -> None:
+def test_torque_switched_off_by_another_program_is_found(rig: ArmRig) -> None:
     rig.bus.write(4, Register.TORQUE_ENABLE, 0)
     rig.until_mode(Mode.FAULT)
     assert rig.fault_code == "torque_lost"
@@ -261,28 +261,32 @@ def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) ->
     return [record.getMessage() for record in caplog.records if "nothing heard" in record.getMessage()]
 
 
-def test_silences_of_the_server_are_counted_rather_than_told_one_by_one(
-    rig: ArmRig, caplog: pytest.LogCaptureFixture
+def test_log_lines_about_silences_of_the_server_are_limited(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    lines = silent_servers(rig, caplog, SILENCE_BURST + 2)
+    assert len(lines) == SILENCE_BURST
+    assert all(line.endswith("nothing moves") for line in lines)
+    rig.run(1.0 / SILENCE_LINES_PER_S)
+    (later,) = silent_servers(rig, caplog, 1)
+    assert later.endswith("nothing moves (2 more lines like this were left out before)")
+
+
+def test_the_log_line_about_a_silence_during_a_motion_says_stopping(
+    moving: ArmRig, caplog: pytest.LogCaptureFixture
 ) -> None:
-    first, second, fourth = silent_servers(rig, caplog, 5)
-    assert first.endswith("nothing moves")
-    assert second.endswith("nothing moves (2 times so far)")
-    assert fourth.endswith("nothing moves (4 times so far)")
-
-
-def test_a_silence_during_a_motion_is_told_to_stop_it(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
     (line,) = silent_servers(moving, caplog, 1)
     assert line.endswith("s: stopping")
 
 
-def test_a_silence_that_relaxes_the_arm_is_told_so(start_rig: Start, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_log_line_about_a_silence_that_relaxes_the_arm_says_relaxing(
+    start_rig: Start, caplog: pytest.LogCaptureFixture
+) -> None:
     rig = start_rig(on_server_lost=EndState.RELAX)
     rig.until_mode(Mode.HOLDING)
     (line,) = silent_servers(rig, caplog, 1)
     assert line.endswith("s: relaxing")
 
 
-def test_a_server_that_is_gone_is_told_with_what_becomes_of_the_arm(
+def test_the_log_line_about_a_lost_server_names_the_arms_reaction(
     moving: ArmRig, caplog: pytest.LogCaptureFixture
 ) -> None:
     moving.supervisor.lose_server()
@@ -325,7 +329,7 @@ def test_skipped_ticks_make_states_no_rarer(start_rig: Start) -> None:
     assert sum(isinstance(each, ArmHealth) for each in rig.sent) == 2
 
 
-def test_states_tell_the_time_of_the_loop_and_whether_the_arm_is_driven(start_rig: Start) -> None:
+def test_states_report_the_loops_clock_and_driven(start_rig: Start) -> None:
     rig = start_rig(start_enabled=False)
     rig.until_mode(Mode.RELAXED)
     rig.run(0.1)
@@ -336,7 +340,7 @@ def test_states_tell_the_time_of_the_loop_and_whether_the_arm_is_driven(start_ri
     assert rig.state.driven
 
 
-def test_a_simulated_arm_that_lost_its_bus_is_not_told_to_look_after_cables(start_rig: Start) -> None:
+def test_the_remedy_of_a_simulated_arm_that_lost_its_bus_names_no_cables(start_rig: Start) -> None:
     rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
     rig.until_mode(Mode.HOLDING)
     rig.execute(PAN)
@@ -348,7 +352,7 @@ def test_a_simulated_arm_that_lost_its_bus_is_not_told_to_look_after_cables(star
 
 
 @pytest.mark.parametrize("order", [Order.EMERGENCY_STOP, Order.RELAX])
-def test_what_a_simulated_arm_says_of_servos_that_do_not_answer_asks_for_no_hands(
+def test_the_remedy_of_a_simulated_arm_without_answers_asks_for_no_hands(
     emulator: SteppedEmulator, start_rig: Start, order: Order
 ) -> None:
     rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
@@ -390,7 +394,7 @@ def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndStat
     rig.until_mode(Mode.HOLDING)
     rig.execute(PAN)
     rig.run(0.3)
-    rig.supervisor.obey(Shutdown())
+    rig.supervisor.handle(Shutdown())
     rig.until(lambda: rig.supervisor.finished())
     assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
     assert rig.torque() == torque
@@ -444,7 +448,7 @@ def test_a_gripper_moves_beside_the_arm(rig: ArmRig) -> None:
     assert rig.bus.read(6, Register.TORQUE_LIMIT) == 500
 
 
-def test_health_is_told_once_a_second_with_the_limits_kept(rig: ArmRig) -> None:
+def test_health_is_reported_once_a_second_with_the_limits_in_force(rig: ArmRig) -> None:
     rig.run(1.1)
     health = rig.health
     assert [joint.joint for joint in health.joints] == list(NAMES)

@@ -23,7 +23,7 @@ def test_a_terminal_passes_every_byte_unaltered():
         os.close(client)
 
 
-def test_bytes_that_nobody_fetches_are_lost_rather_than_waited_for():
+def test_bytes_that_are_not_read_are_lost_without_a_wait():
     with contextlib.closing(PseudoTerminal()) as terminal:
         for _ in range(100):
             terminal.write(bytes(4096))
@@ -108,7 +108,7 @@ def test_with_frames_bytes_are_given_at_the_end_of_theirs(adapter, client):
     assert client.read(9) == b"two"
 
 
-def test_it_tells_how_long_nothing_is_due(adapter):
+def test_the_wait_lasts_until_the_next_bytes_are_due(adapter):
     assert adapter.wait_s(1.0, 0.02) == 0.02
     adapter.take(BURST)
     assert adapter.wait_s(1.0, 0.02) == pytest.approx(0.0012)
@@ -144,7 +144,7 @@ def test_an_adapter_that_is_pulled_takes_port_and_link_away(adapter, client, tmp
     adapter.unplug()
 
 
-def test_an_adapter_that_comes_back_has_forgotten_what_it_had_to_say(adapter, tmp_path):
+def test_an_adapter_that_comes_back_has_dropped_its_queue(adapter, tmp_path):
     adapter.take(BURST)
     adapter.unplug()
     adapter.plug_in()

@@ -22,37 +22,37 @@ def faults(seed=5, **probabilities):
 def test_a_reply_is_struck_as_often_as_asked_and_alike_for_a_seed(name):
     def arrivals():
         chance = faults(**{name: 0.3})
-        return [chance.strike(SENT) for _ in range(1000)]
+        return [chance.apply(SENT) for _ in range(1000)]
 
     assert sum(arrived == SENT for arrived in arrivals()) == pytest.approx(700, abs=60)
     assert arrivals() == arrivals()
 
 
 def test_without_faults_every_reply_arrives_as_it_was_sent():
-    assert faults().strike(SENT) == SENT
+    assert faults().apply(SENT) == SENT
     assert not faults().loses_instruction()
     assert faults().hold_up_s() == 0.0
 
 
 @given(st.integers(0, 2**32), st.sampled_from(["drop", "corrupt", "wrong_id", "truncate"]))
 def test_a_reply_that_is_struck_is_never_taken_for_a_good_one(seed, name):
-    assert parse_status_frames(faults(seed, **{name: 1.0}).strike(SENT), [1], 15) == {}
+    assert parse_status_frames(faults(seed, **{name: 1.0}).apply(SENT), [1], 15) == {}
 
 
 @given(st.integers(0, 2**32))
 def test_a_wrong_id_has_a_sound_checksum(seed):
-    arrived = faults(seed, wrong_id=1.0).strike(SENT)
+    arrived = faults(seed, wrong_id=1.0).apply(SENT)
     assert arrived[:2] == HEADER
     assert arrived[2] != SENT[2]
     assert checksum(arrived[2:-1]) == arrived[-1]
 
 
 def test_a_doubled_reply_comes_twice_and_a_noisy_one_ends_as_it_was_sent():
-    assert faults(duplicate=1.0).strike(SENT) == SENT * 2
-    noisy = faults(noise=1.0).strike(SENT)
+    assert faults(duplicate=1.0).apply(SENT) == SENT * 2
+    noisy = faults(noise=1.0).apply(SENT)
     assert noisy.endswith(SENT)
     assert len(noisy) > len(SENT)
 
 
-def test_a_delay_is_as_long_as_told():
+def test_a_delay_is_as_long_as_configured():
     assert faults(delay=1.0, delay_s=0.3).hold_up_s() == 0.3

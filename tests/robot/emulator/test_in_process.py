@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.in_process import MAX_COMMAND_BYTES, MAX_CONTROLLERS, CommandedPort, ControlSocket, EmulatedServos
+from robot.emulator.control import MAX_COMMAND_BYTES
+from robot.emulator.in_process import MAX_CONTROLLERS, CommandedPort, ControlSocket, EmulatedServos
 from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
@@ -75,7 +76,7 @@ def test_replies_are_there_at_once_and_no_time_passes(at_once):
     assert at_once.clock() == started_s
 
 
-def test_nobody_waits_for_a_reply_that_does_not_come(at_once):
+def test_a_reply_that_does_not_come_is_not_waited_for(at_once):
     started_s = at_once.clock()
     with pytest.raises(NoReply):
         at_once.open_bus().ping(9)
@@ -126,7 +127,7 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question(at_once):
     assert bus.counters.discarded_bytes > 0
 
 
-def test_what_nobody_has_asked_for_is_discarded_and_counted(at_once):
+def test_unexpected_bytes_are_discarded_and_counted(at_once):
     at_once.port.writePort(packet(1, PING))
     at_once.port.clearPort()
     assert at_once.port.discarded_bytes == 6
@@ -147,7 +148,7 @@ def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(at_once):
     assert bus.ping(1) == 777
 
 
-def test_a_frozen_adapter_keeps_what_it_has_to_say(at_once):
+def test_a_frozen_adapter_keeps_its_queue(at_once):
     at_once.port.writePort(packet(1, PING))
     at_once.command(frozen=True)
     assert at_once.port.receive(1.0) == b""
@@ -178,7 +179,7 @@ def test_an_unplugged_adapter_cannot_be_opened(at_once):
         at_once.port.check()
 
 
-def test_an_adapter_that_is_plugged_in_again_has_forgotten_what_it_had_to_say(at_once):
+def test_an_adapter_that_is_plugged_in_again_has_dropped_its_queue(at_once):
     at_once.port.writePort(packet(1, PING))
     at_once.command(plugged=False)
     at_once.command(plugged=True)
@@ -201,7 +202,7 @@ def test_frames_of_usb_hold_replies_up_where_time_passes_on_the_wire(emulator):
     assert emulator.clock() == pytest.approx(100.001)
 
 
-def test_frames_of_usb_hold_nothing_up_where_nobody_waits_for_their_end(at_once):
+def test_usb_frames_delay_nothing_without_wire_time(at_once):
     at_once.clock.advance(0.0001)
     at_once.command(usb_frame_ms=1)
     assert len(at_once.open_bus().sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6

@@ -6,7 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot.emulator.plant import HAND_TICKS_S, NO_LOAD_TICKS_S, STALL_CURRENT_A, Drive, Plant
+from robot.emulator.plant import (
+    AMBIENT_C,
+    HAND_TICKS_S,
+    NO_LOAD_TICKS_S,
+    STALL_CURRENT_A,
+    TIME_CONSTANT_S,
+    Drive,
+    Motor,
+    Plant,
+)
 
 DT_S = 0.002
 
@@ -152,3 +161,30 @@ def test_a_joint_that_moves_freely_draws_hardly_any_current():
     run(plant, drive_to(3900.0, velocity=2000.0), 0.5)
     assert plant.duty_permille > 500.0
     assert abs(plant.current_a) < 0.1
+
+
+def warm(motor, duration_s, current_a):
+    for _ in range(round(duration_s / 0.1)):
+        motor.step(0.1, current_a)
+    return motor.temperature_c
+
+
+def test_a_motor_without_current_stays_as_warm_as_the_air_or_cools_to_it():
+    assert warm(Motor(), 10.0, 0.0) == AMBIENT_C
+    hot = Motor(70.0)
+    assert AMBIENT_C < warm(hot, TIME_CONSTANT_S, 0.0) < 48.0
+
+
+def test_a_motor_warms_with_the_square_of_its_current_whatever_its_sign():
+    one, two, back = (warm(Motor(), 1.0, current) - AMBIENT_C for current in (0.5, 1.0, -1.0))
+    assert two == pytest.approx(4.0 * one)
+    assert two == back > 0.0
+
+
+def test_a_stalled_motor_is_too_hot_after_a_minute_and_a_resting_arm_never():
+    assert warm(Motor(), 70.0, 2.4) > 70.0
+    assert warm(Motor(), 7200.0, 0.2) < 55.0
+
+
+def test_heat_can_be_hastened():
+    assert warm(Motor(rate=100.0), 1.0, 1.0) == pytest.approx(warm(Motor(), 100.0, 1.0), rel=0.01)

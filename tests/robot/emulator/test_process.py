@@ -11,8 +11,9 @@ import time
 
 import pytest
 
+from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.faults import PROBABILITIES
-from robot.emulator.process import LINGER_S, MAX_COMMAND_BYTES, Control, add_options, build_bus
+from robot.emulator.process import LINGER_S, Control, add_options, build_bus
 from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
@@ -95,7 +96,7 @@ def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(terminal, line):
     assert line.ping(1) == 777
 
 
-def test_nobody_answers_at_a_wrong_baud_rate(terminal):
+def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
     with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
         bus.ping(1)
 
@@ -118,7 +119,7 @@ def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
     assert control.wanted
     assert control.descriptors == [reader]
     os.close(writer)
-    control.obey(None)
+    control.handle(None)
     os.close(reader)
     assert control.wanted is not essential
     assert control.descriptors == []
@@ -141,7 +142,7 @@ def test_without_a_controller_live_commands_come_on_standard_input():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_without_a_controller_it_prints_the_port_and_runs_until_told_to_end(tmp_path, number):
+def test_without_a_controller_it_prints_the_port_and_runs_until_a_signal(tmp_path, number):
     link = tmp_path / "arm"
     with standalone("--link", str(link)) as process:
         port = process.stdout.readline().strip()

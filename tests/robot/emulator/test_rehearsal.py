@@ -119,9 +119,9 @@ def test_rounds_that_a_suspended_machine_missed_are_not_made_up_for() -> None:
     assert rehearsal.commands_due(START_S + 3601.0) == []
 
 
-@pytest.mark.parametrize(("commands", "told"), [([HOLD], "it is 0"), ([], "there is none")])
-def test_a_script_that_takes_no_time_is_not_repeated(commands: list[TimedCommand], told: str) -> None:
-    with pytest.raises(ValueError, match=rf"its last at_s is 0\.1 or more; {told}"):
+@pytest.mark.parametrize(("commands", "error_text"), [([HOLD], "it is 0"), ([], "there is none")])
+def test_a_script_that_takes_no_time_is_not_repeated(commands: list[TimedCommand], error_text: str) -> None:
+    with pytest.raises(ValueError, match=rf"its last at_s is 0\.1 or more; {error_text}"):
         Rehearsal(commands, repeats=True)
 
 
@@ -136,7 +136,7 @@ def test_a_script_is_read_line_by_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "error_text"),
     [
         ('{"at_s": 1, "hand": {"3": 1900}}', "at_s is more than the 1 of the command before, not 1"),
         ('{"at_s": 2, "hand": {"3": 5000}}', "hand is a number from 0 to 4095, not 5000"),
@@ -152,10 +152,10 @@ def test_a_script_is_read_line_by_line(tmp_path: Path) -> None:
         ('{"at_s" 2}', "no JSON at column 9: Expecting ':' delimiter"),
     ],
 )
-def test_a_line_that_cannot_be_is_refused_with_file_and_number(tmp_path: Path, line: str, told: str) -> None:
+def test_a_line_that_cannot_be_is_refused_with_file_and_number(tmp_path: Path, line: str, error_text: str) -> None:
     file = tmp_path / "script.jsonl"
     file.write_text(f'{{"at_s": 1}}\n\n{line}\n')
-    with pytest.raises(ValueError, match="^" + re.escape(f"{file}, line 3: {told}")):
+    with pytest.raises(ValueError, match="^" + re.escape(f"{file}, line 3: {error_text}")):
         read_script(file, bus_of())
 
 

@@ -61,7 +61,7 @@ def test_any_bytes_at_all_leave_the_servos_able_to_answer(data):
     assert status_packet(servo.servo_id, servo.error) in said(bus, packet(servo.servo_id, PING), 10.0)
 
 
-def test_an_instruction_with_a_wrong_checksum_is_not_obeyed(bus):
+def test_an_instruction_with_a_wrong_checksum_is_not_carried_out(bus):
     good = packet(1, PING)
     assert said(bus, good[:-1] + bytes([good[-1] ^ 1])) == b""
     assert said(bus, good) == status_packet(1, 0)
@@ -116,7 +116,7 @@ def test_a_servo_hears_only_at_its_own_baud_rate(bus, code):
     assert heard_at == [BAUDRATES[code]]
 
 
-def test_a_lost_instruction_is_neither_obeyed_nor_answered():
+def test_a_lost_instruction_is_neither_carried_out_nor_answered():
     bus = bus_with(Faults(lose_instruction=1.0))
     assert said(bus, packet(1, WRITE, [Register.TORQUE_ENABLE, 1])) == b""
     assert bus.servos[0].value(Register.TORQUE_ENABLE) == 0
@@ -132,7 +132,7 @@ def test_a_delayed_reply_has_passed_the_wire_and_holds_up_those_behind_it():
     assert behind.end_s < late.due_s <= behind.due_s
 
 
-def test_servos_move_while_nobody_speaks(bus):
+def test_servos_move_while_the_bus_is_silent(bus):
     bus.receive(packet(1, WRITE, [GOAL_ADDRESS, *goal_block(2500, 1000)]), 0.0)
     bus.receive(packet(1, WRITE, [Register.TORQUE_ENABLE, 1]), 0.01)
     for k in range(50):
@@ -222,7 +222,7 @@ def test_no_answer_out_of_the_cache_differs_from_a_fresh_one(events):
             both.ask(question)
 
 
-def test_what_changes_by_itself_is_told_by_the_cache_as_well():
+def test_cached_replies_follow_registers_that_change_by_themselves():
     """A joint that pushes in vain cuts its torque in the end."""
     both, statuses = FreshAndCached(), set()
     blocked = {"obstacle": {"3": 2100}}
@@ -252,16 +252,16 @@ def test_the_beginning_of_an_instruction_spoils_what_follows_it_whatever_the_cac
         both.happen(QUESTIONS[0])
 
 
-def test_an_arm_at_rest_that_cools_is_told_by_the_cache_as_well():
+def test_the_cached_replies_of_an_arm_at_rest_follow_its_temperature():
     both, temperatures = FreshAndCached(), set()
     both.happen({"temperature": {"3": 60}, "heat_rate": 60})
     for _ in range(600):
         both.happen(0.01)
         both.ask(QUESTIONS[1])
         servo = both.cached.servos[2]
-        (told,) = servo.read(Register.PRESENT_TEMPERATURE, 1)
-        assert told == round(servo.motor.temperature_c)
-        temperatures.add(told)
+        (shown,) = servo.read(Register.PRESENT_TEMPERATURE, 1)
+        assert shown == round(servo.motor.temperature_c)
+        temperatures.add(shown)
     assert len(temperatures) > 5
 
 

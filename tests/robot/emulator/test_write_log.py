@@ -20,7 +20,7 @@ def lines_of(path, record):
     return lines
 
 
-def test_a_line_tells_the_write_and_how_every_servo_stood(tmp_path):
+def test_a_line_has_the_write_and_the_state_of_every_servo(tmp_path):
     servos = build_servos(Calibration.nominal(), [0.0] * 6)
     servos[1].write(40, b"\x01")
     before_s = time.monotonic()

@@ -32,7 +32,7 @@ def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_them
 
 
 @pytest.mark.parametrize("config", [EmulatedConfig(CALIBRATION, start_rad=POSE), IdealConfig(start_rad=POSE)])
-def test_simulated_joints_that_were_never_told_of_resume_where_they_are_put(
+def test_simulated_joints_that_were_never_reported_resume_at_their_start(
     config: EmulatedConfig | IdealConfig,
 ) -> None:
     assert config.resumed({}, driven=False).start_rad == POSE

@@ -190,7 +190,7 @@ def test_a_joint_that_holds_keeps_its_goal_when_others_are_enabled() -> None:
     assert run_to_end(rig.arm.enable(range(3))) == pytest.approx([0.0, 0.2, 0.4])
 
 
-def test_a_joint_that_is_not_enabled_is_told_where_it_is() -> None:
+def test_a_joint_that_is_not_enabled_has_its_position_as_goal() -> None:
     rig = IdealRig(driven=False)
     rig.arm.write_goals(goals(rail=0.5, shoulder=0.2))
     assert run_to_end(rig.arm.enable([SHOULDER])) == pytest.approx(REST)
@@ -238,11 +238,11 @@ def test_single_joints_can_be_switched_off() -> None:
     assert rig.arm.condition(RAIL).torque_enabled
 
 
-def test_flags_that_were_told_do_not_change_later() -> None:
+def test_returned_flags_do_not_change_later() -> None:
     rig = IdealRig()
-    told, found = run_to_end(rig.arm.driven()), run_to_end(rig.arm.survey()).driven
+    flags, found = run_to_end(rig.arm.driven()), run_to_end(rig.arm.survey()).driven
     run_to_end(rig.arm.switch_off())
-    assert told.tolist() == found.tolist() == [True] * 3
+    assert flags.tolist() == found.tolist() == [True] * 3
 
 
 def test_an_ideal_arm_has_no_bus_and_no_faults_of_its_own() -> None:

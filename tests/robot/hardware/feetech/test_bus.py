@@ -9,8 +9,18 @@ from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST
 
 from robot.calibration import Calibration
 from robot.emulator.servo_bus import status_packet
-from robot.errors import NoReply, PortLost
-from robot.hardware.feetech.bus import ATTEMPTS, READ_LENGTHS, SYNC_READ_MIN_LENGTH, SYNC_READ_PADDINGS
+from robot.errors import NoReply, PortLost, StartupError
+from robot.hardware.feetech.bus import (
+    ATTEMPTS,
+    READ_LENGTHS,
+    STEP_ATTEMPTS,
+    SYNC_READ_MIN_LENGTH,
+    SYNC_READ_PADDINGS,
+    Bus,
+    read,
+    read_block,
+    write_verified,
+)
 from robot.hardware.feetech.port import QUIET_S
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
@@ -26,18 +36,20 @@ from robot.hardware.feetech.registers import (
     parse_telemetry,
 )
 from tests.helpers.scripted_port import ScriptedPort
+from tests.helpers.sequences import run
+from tests.helpers.stepped_emulator import SteppedEmulator
 
 IDS = (1, 2, 3, 4, 5, 6)
 
 
-def read_block(bus):
+def read_telemetry(bus):
     return bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
 
 
 # On the emulated arm.
 
 
-def test_every_servo_tells_its_model(bus):
+def test_every_servo_reports_its_model(bus):
     assert [bus.ping(servo_id) for servo_id in IDS] == [777] * 6
 
 
@@ -53,7 +65,7 @@ def test_a_sync_write_reaches_each_servo_with_its_own_data(bus):
 
 
 def test_a_sync_read_returns_exactly_the_block_of_every_servo(bus):
-    frames = read_block(bus)
+    frames = read_telemetry(bus)
     assert list(frames) == list(IDS)
     assert all(parse_telemetry(frame.data).voltage_v == pytest.approx(5.0) for frame in frames.values())
     assert parse_telemetry(frames[2].data).position_ticks == bus.read(2, Register.PRESENT_POSITION)
@@ -72,11 +84,11 @@ def test_other_data_can_be_written_to_the_same_address(bus):
     assert bus.read(1, Register.TORQUE_LIMIT) == 400
 
 
-def test_servos_at_rest_are_told_as_before_and_one_that_moved_otherwise(bus, emulator):
-    before = read_block(bus)
-    assert read_block(bus) is before
+def test_readings_of_servos_at_rest_are_reused_and_one_that_moved_is_read(bus, emulator):
+    before = read_telemetry(bus)
+    assert read_telemetry(bus) is before
     emulator.command(jump={"3": 40})
-    after = read_block(bus)
+    after = read_telemetry(bus)
     moved = [
         parse_telemetry(after[i].data).position_ticks - parse_telemetry(before[i].data).position_ticks for i in IDS
     ]
@@ -97,7 +109,7 @@ def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(bus, emulator
         bus.ping(3)
     assert caught.value.servo_id == 3
     assert isinstance(caught.value, TimeoutError)
-    assert sorted(read_block(bus)) == [1, 2, 4, 5, 6]
+    assert sorted(read_telemetry(bus)) == [1, 2, 4, 5, 6]
     assert emulator.command(online=[3]) == {"ok": True}
     assert bus.ping(3) == 777
 
@@ -107,7 +119,7 @@ def test_readings_stay_right_while_replies_are_dropped_and_corrupted(start_emula
     lost = 0
     with contextlib.closing(emulator.open_bus()) as bus:
         for _ in range(150):
-            frames = read_block(bus)
+            frames = read_telemetry(bus)
             lost += len(IDS) - len(frames)
             for frame in frames.values():
                 telemetry = parse_telemetry(frame.data)
@@ -124,14 +136,14 @@ def test_no_reply_comes_sooner_than_the_wire_could_carry_it(bus, emulator):
     wire_s = (14 + 6 * (TELEMETRY_BYTES + 6)) * 10e-6
     for _ in range(20):
         start_s = emulator.clock()
-        assert len(read_block(bus)) == 6
+        assert len(read_telemetry(bus)) == 6
         assert emulator.clock() - start_s >= wire_s
 
 
 def test_servos_serve_a_second_bus_after_the_first(emulator):
     for _ in range(2):
         with contextlib.closing(emulator.open_bus()) as bus:
-            assert len(read_block(bus)) == 6
+            assert len(read_telemetry(bus)) == 6
 
 
 def test_a_broadcast_ping_finds_those_who_are_there(bus, emulator):
@@ -147,7 +159,7 @@ def test_no_reading_is_wrong_under_any_fault_of_the_emulated_bus(bus, emulator):
     limits = {joint.servo_id: joint.range_min for joint in Calibration.nominal().joints}
     good = 0
     for round_number in range(60):
-        for servo_id, frame in read_block(bus).items():
+        for servo_id, frame in read_telemetry(bus).items():
             telemetry = parse_telemetry(frame.data)
             assert (telemetry.voltage_v, telemetry.temperature_c) == (5.0, 32)
             assert abs(telemetry.position_ticks - at_rest[servo_id]) < 300
@@ -168,7 +180,7 @@ def value_of(servo_id, register):
 
 
 def memory_of(servo_id, address, length):
-    """What a servo of the scripted line holds; bytes that no test looks at follow the register."""
+    """Bytes of a register of the scripted servo, followed by bytes that no test checks."""
     return encode(Register(address), value_of(servo_id, Register(address))).ljust(length, b"\x55")
 
 
@@ -196,7 +208,7 @@ def test_the_error_byte_of_a_reply_is_kept_and_its_data_believed():
         return [(0.0, status_packet(i, 32, bytes(instruction.parameters[1]))) for i in instruction.parameters[2:]]
 
     bus = ScriptedPort(overloaded).open_bus()
-    assert [frame.error for frame in read_block(bus).values()] == [32] * 6
+    assert [frame.error for frame in read_telemetry(bus).values()] == [32] * 6
 
 
 def halting_for(pause_s):
@@ -210,17 +222,17 @@ def halting_for(pause_s):
 
 
 def test_a_burst_may_stop_for_as_long_as_usb_does():
-    assert len(read_block(ScriptedPort(halting_for(0.9 * QUIET_S)).open_bus())) == 6
+    assert len(read_telemetry(ScriptedPort(halting_for(0.9 * QUIET_S)).open_bus())) == 6
 
 
 def test_a_burst_that_stops_for_longer_has_ended():
     line = ScriptedPort(halting_for(1.5 * QUIET_S))
-    assert list(read_block(line.open_bus())) == [1]
+    assert list(read_telemetry(line.open_bus())) == [1]
 
 
 def test_a_burst_that_a_pseudo_terminal_carries_over_in_two_parts_is_whole(scripted_peer):
     with contextlib.closing(scripted_peer(halting_for(0.005)).open_bus()) as bus:
-        assert len(read_block(bus)) == 6
+        assert len(read_telemetry(bus)) == 6
 
 
 def test_a_silent_line_is_asked_three_times_and_then_reported(either_line):
@@ -273,9 +285,9 @@ def test_a_sync_read_after_a_late_one_asks_for_another_length():
 
     line = ScriptedPort(stale_block)
     bus = line.open_bus()
-    assert read_block(bus) == {}
+    assert read_telemetry(bus) == {}
     for expected in (2, 3):
-        for frame in read_block(bus).values():
+        for frame in read_telemetry(bus).values():
             assert frame.data == bytes([expected] * TELEMETRY_BYTES)
 
 
@@ -284,7 +296,7 @@ def test_blocks_of_different_length_never_ask_for_the_same_number_of_bytes():
     bus = line.open_bus()
     for _ in range(SYNC_READ_PADDINGS):
         bus.sync_read((1,), CONTROL_ADDRESS, CONTROL_BYTES)
-        read_block(bus)
+        read_telemetry(bus)
     asked = [(instruction.parameters[0], instruction.parameters[1]) for instruction in line.instructions]
     control = {length for address, length in asked if address == CONTROL_ADDRESS}
     telemetry = {length for address, length in asked if address == TELEMETRY_ADDRESS}
@@ -320,13 +332,13 @@ def test_an_unplugged_adapter_is_lost_and_the_bus_can_still_be_closed(scripted_p
         peer.unplug()
         for _ in range(2):
             with pytest.raises(PortLost):
-                read_block(bus)
+                read_telemetry(bus)
 
 
 def test_the_emergency_stop_does_not_wait_for_a_noisy_line():
     line = ScriptedPort(lambda _instruction: [(0.0005 * k, bytes(64)) for k in range(40)])
     bus = line.open_bus()
-    read_block(bus)
+    read_telemetry(bus)
     started_s = line.clock()
     bus.broadcast_torque_off()
     assert line.clock() == started_s
@@ -386,7 +398,7 @@ def good_readings_on_a_bad_line(start_line, seed):
             with contextlib.suppress(NoReply):
                 assert bus.read(servo_id, register) == value_of(servo_id, register)
                 good += 1
-            for sync_id, frame in read_block(bus).items():
+            for sync_id, frame in read_telemetry(bus).items():
                 stamp = len(line.instructions) % 250
                 assert frame.data == bytes([stamp, sync_id] * 8)[:TELEMETRY_BYTES]
                 good += 1
@@ -403,3 +415,28 @@ def test_every_write_is_on_the_servos_record(start_emulator, write_log):
     assert (first["instruction"], first["address"], first["data"]) == ("write", 48, {"2": [0x2C, 1]})
     assert (second["instruction"], second["address"]) == ("sync_write", 41)
     assert decode(Register.GOAL_POSITION, bytes(second["data"]["2"][1:3])) == 2100
+
+
+def test_a_step_is_one_transaction(bus: Bus) -> None:
+    for _ in write_verified(bus, 1, Register.TORQUE_LIMIT, 400):
+        sent = bus.counters.sent
+    assert bus.counters.sent <= sent + 1
+    assert bus.read(1, Register.TORQUE_LIMIT) == 400
+
+
+def test_a_silent_servo_is_asked_a_bounded_number_of_times(emulator: SteppedEmulator, bus: Bus) -> None:
+    emulator.command(offline=[1])
+    with pytest.raises(NoReply):
+        run(read(bus, 1, Register.TORQUE_ENABLE))
+    assert bus.counters.sent == STEP_ATTEMPTS
+    with pytest.raises(NoReply):
+        run(read_block(bus, 1, 40, 16))
+
+
+def test_a_register_that_keeps_another_value_is_reported(bus: Bus) -> None:
+    with pytest.raises(StartupError, match="does not take 5 in register PRESENT_TEMPERATURE"):
+        run(write_verified(bus, 1, Register.PRESENT_TEMPERATURE, 5))
+
+
+def test_a_block_is_read_in_one_piece(bus: Bus) -> None:
+    assert len(run(read_block(bus, 1, Register.TORQUE_ENABLE, 16)).data) == 16

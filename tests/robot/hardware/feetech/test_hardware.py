@@ -116,7 +116,7 @@ def frames_with(servo: int, ticks: int) -> dict[int, StatusFrame]:
     return {each: frame(each, ticks if each == servo else 2048) for each in SERVOS.ids}
 
 
-def told(watch: ServoWatch, servo: int, ticks: int, now_s: float) -> int:
+def believed_ticks(watch: ServoWatch, servo: int, ticks: int, now_s: float) -> int:
     """One cycle in which one servo tells a position; returns the one that is kept."""
     watch.take(list(SERVOS.ids), frames_with(servo, ticks), now_s)
     return kept(watch, servo, now_s)
@@ -133,22 +133,22 @@ FAR_TICKS = round(JUMP_RAD / RAD_PER_TICK) + 200
 
 def test_a_jump_that_no_joint_can_make_is_not_believed_once() -> None:
     watch = ServoWatch(SERVOS)
-    assert told(watch, 5, 2048, 0.0) == 2048
-    assert told(watch, 5, 2048 + FAR_TICKS, 0.01) == 2048
+    assert believed_ticks(watch, 5, 2048, 0.0) == 2048
+    assert believed_ticks(watch, 5, 2048 + FAR_TICKS, 0.01) == 2048
     assert watch.age_s(5, 0.01) == pytest.approx(0.01)
-    assert told(watch, 5, 2050, 0.02) == 2050
+    assert believed_ticks(watch, 5, 2050, 0.02) == 2050
 
 
-def test_a_jump_that_is_told_twice_in_a_row_is_believed() -> None:
+def test_a_jump_in_two_readings_in_a_row_is_believed() -> None:
     watch = ServoWatch(SERVOS)
-    told(watch, 5, 2048, 0.0)
-    told(watch, 5, 2048 + FAR_TICKS, 0.01)
-    assert told(watch, 5, 2048 + FAR_TICKS, 0.02) == 2048 + FAR_TICKS
+    believed_ticks(watch, 5, 2048, 0.0)
+    believed_ticks(watch, 5, 2048 + FAR_TICKS, 0.01)
+    assert believed_ticks(watch, 5, 2048 + FAR_TICKS, 0.02) == 2048 + FAR_TICKS
 
 
-def test_a_jump_that_the_same_replies_tell_again_is_believed() -> None:
+def test_a_jump_that_the_same_replies_repeat_is_believed() -> None:
     watch = ServoWatch(SERVOS)
-    told(watch, 5, 2048, 0.0)
+    believed_ticks(watch, 5, 2048, 0.0)
     jumped = frames_with(5, 2048 + FAR_TICKS)
     watch.take(list(SERVOS.ids), jumped, 0.01)
     assert kept(watch, 5, 0.01) == 2048
@@ -173,20 +173,20 @@ def test_a_reading_that_follows_the_same_one_again_takes_its_place() -> None:
     for now_s in (1.0, 1.01):
         watch.take(list(SERVOS.ids), replies, now_s)
         assert kept(watch, 5, now_s) == 1900
-    assert told(watch, 5, 1910, 1.02) == 1910
+    assert believed_ticks(watch, 5, 1910, 1.02) == 1910
 
 
 def test_jumps_with_a_good_reading_between_them_are_not_believed() -> None:
     watch = ServoWatch(SERVOS)
     for cycle in range(10):
-        assert told(watch, 5, 2048 + FAR_TICKS * (cycle % 2), 0.01 * cycle) == 2048
+        assert believed_ticks(watch, 5, 2048 + FAR_TICKS * (cycle % 2), 0.01 * cycle) == 2048
 
 
 def test_a_joint_that_was_not_heard_for_long_may_have_turned_far() -> None:
     watch = ServoWatch(SERVOS)
-    told(watch, 5, 1000, 0.0)
+    believed_ticks(watch, 5, 1000, 0.0)
     turned = round(FREE_SPEED_RAD_S * 0.5 / RAD_PER_TICK)
-    assert told(watch, 5, 1000 + turned, 0.5) == 1000 + turned
+    assert believed_ticks(watch, 5, 1000 + turned, 0.5) == 1000 + turned
 
 
 FULL = np.array([0.8] * 5 + [0.5])
@@ -270,31 +270,31 @@ def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: Stepped
     assert found.bounds.upper_rad[1:] == pytest.approx(BOUNDS.upper_rad[1:])
 
 
-def test_goals_are_told_in_radians(servos: ServosInUse) -> None:
+def test_goals_are_written_in_radians(servos: ServosInUse) -> None:
     servos.enable()
     servos.hardware.write_goals(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
     assert servos.read(1.0).position_rad[0] == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_goal_that_a_servo_has_lost_is_told_again(servos: ServosInUse) -> None:
+def test_a_goal_that_a_servo_has_lost_is_written_again(servos: ServosInUse) -> None:
     servos.enable()
     goal_rad = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     servos.hardware.write_goals(goal_rad)
-    told = servos.registers(Register.GOAL_POSITION)
+    written = servos.registers(Register.GOAL_POSITION)
     servos.hardware.bus.write(1, Register.GOAL_POSITION, 2000)
     servos.hardware.write_goals(goal_rad)
-    assert servos.registers(Register.GOAL_POSITION) == told
+    assert servos.registers(Register.GOAL_POSITION) == written
 
 
-def test_goals_that_change_are_told_as_they_are_now(servos: ServosInUse) -> None:
-    told = []
+def test_changed_goals_are_written_at_once(servos: ServosInUse) -> None:
+    written = []
     for pan_rad in (0.1, 0.2):
         servos.hardware.write_goals(np.array([pan_rad, 0.0, 0.0, 0.0, 0.0, 0.0]))
-        told.append(servos.registers(Register.GOAL_POSITION)[0])
-    assert told == [CALIBRATION.joints[0].ticks_from_rad(pan_rad) for pan_rad in (0.1, 0.2)]
+        written.append(servos.registers(Register.GOAL_POSITION)[0])
+    assert written == [CALIBRATION.joints[0].ticks_from_rad(pan_rad) for pan_rad in (0.1, 0.2)]
 
 
-def test_the_torque_that_a_joint_may_use_is_told_once(servos: ServosInUse) -> None:
+def test_an_unchanged_torque_limit_is_written_once(servos: ServosInUse) -> None:
     servos.enable()
     sent = servos.hardware.bus.counters.sent
     for _ in range(3):
@@ -303,13 +303,13 @@ def test_the_torque_that_a_joint_may_use_is_told_once(servos: ServosInUse) -> No
     assert servos.registers(Register.TORQUE_LIMIT) == [800] * 5 + [250]
 
 
-def test_torque_that_changes_is_told_as_it_is_now(servos: ServosInUse) -> None:
+def test_changed_torque_limits_are_written_at_once(servos: ServosInUse) -> None:
     servos.enable()
-    told = []
+    written = []
     for share in (0.5, 0.25):
         servos.hardware.write_torque_shares(FULL * [1, 1, 1, 1, 1, share])
-        told.append(servos.registers(Register.TORQUE_LIMIT)[5])
-    assert told == [250, 125]
+        written.append(servos.registers(Register.TORQUE_LIMIT)[5])
+    assert written == [250, 125]
 
 
 def test_relaxing_begins_with_the_torque_that_is_used(servos: ServosInUse) -> None:
@@ -377,7 +377,7 @@ def test_before_every_servo_was_heard_there_is_no_reading(emulator: SteppedEmula
     assert math.isinf(hardware.condition(2).age_s)
 
 
-def test_the_condition_tells_of_torque_silence_and_what_the_survey_found(emulator: SteppedEmulator) -> None:
+def test_the_condition_has_torque_silence_and_the_surveys_warnings(emulator: SteppedEmulator) -> None:
     emulator.open_bus().write(2, Register.MIN_ANGLE_LIMIT, 1000)
     servos = ServosInUse(emulator)
     assert servos.hardware.condition(1).torque_enabled is None

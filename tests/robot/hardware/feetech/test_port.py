@@ -49,7 +49,7 @@ def test_auto_finds_the_one_adapter_among_other_devices(plugged_in: list[ListPor
     assert resolve_port("auto") == "/dev/ttyACM1"
 
 
-def test_auto_without_an_adapter_says_so(plugged_in: list[ListPortInfo]) -> None:
+def test_auto_without_an_adapter_is_an_error(plugged_in: list[ListPortInfo]) -> None:
     with pytest.raises(PortError, match=r"found no servo adapter plugged in .*1a86:55d3"):
         resolve_port("auto")
 
@@ -242,7 +242,7 @@ def is_claimed(descriptor):
     return fcntl.ioctl(descriptor, TIOCGEXCL, bytes(4)) != bytes(4)
 
 
-def test_a_claim_keeps_out_programs_that_know_no_lock(line):
+def test_a_claim_keeps_out_programs_that_ignore_the_lock(line):
     descriptor = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
     assert not is_claimed(descriptor)
     _claim(descriptor)

@@ -103,23 +103,23 @@ def test_a_telemetry_block_of_another_length_is_refused():
 
 @given(st.binary(min_size=TELEMETRY_BYTES, max_size=TELEMETRY_BYTES))
 def test_telemetry_is_read_as_its_registers_are(block):
-    told = parse_telemetry(block)
+    parsed = parse_telemetry(block)
     values = {
-        Register.PRESENT_POSITION: told.position_ticks,
-        Register.PRESENT_VELOCITY: told.velocity_ticks_s,
-        Register.PRESENT_LOAD: told.load_permille,
-        Register.STATUS: told.status,
-        Register.GOAL_POSITION_ECHO: told.goal_ticks_echo,
-        Register.PRESENT_TEMPERATURE: told.temperature_c,
+        Register.PRESENT_POSITION: parsed.position_ticks,
+        Register.PRESENT_VELOCITY: parsed.velocity_ticks_s,
+        Register.PRESENT_LOAD: parsed.load_permille,
+        Register.STATUS: parsed.status,
+        Register.GOAL_POSITION_ECHO: parsed.goal_ticks_echo,
+        Register.PRESENT_TEMPERATURE: parsed.temperature_c,
     }
     for register, value in values.items():
         at = register - TELEMETRY_ADDRESS
         assert value == decode(register, block[at : at + LAYOUT[register].size])
     current = Register.PRESENT_CURRENT - TELEMETRY_ADDRESS
-    assert told.current_a == decode(Register.PRESENT_CURRENT, block[current : current + 2]) * AMPERE_PER_UNIT
+    assert parsed.current_a == decode(Register.PRESENT_CURRENT, block[current : current + 2]) * AMPERE_PER_UNIT
 
 
-def test_the_control_block_tells_what_the_servo_was_told(bus):
+def test_the_control_block_has_the_commands_written_before(bus):
     bus.sync_write(GOAL_ADDRESS, {2: goal_block(1999, 100, 33)})
     bus.write(2, Register.TORQUE_LIMIT, 432)
     bus.write(2, Register.TORQUE_ENABLE, 1)

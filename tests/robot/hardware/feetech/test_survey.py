@@ -23,7 +23,7 @@ SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint
 Start = Callable[..., SteppedEmulator]
 
 
-def test_a_survey_tells_what_every_servo_holds_and_allows(bus: Bus) -> None:
+def test_a_survey_reports_commands_and_limits_of_every_servo(bus: Bus) -> None:
     found = run(survey(bus, SERVOS))
     assert set(found) == set(SERVOS.ids)
     for joint in CALIBRATION.joints:
@@ -57,7 +57,7 @@ def test_missing_servos_are_named_with_the_likely_cause(
 
 
 @pytest.mark.parametrize("offline", [[3], list(SERVOS.ids)])
-def test_nobody_is_sent_to_look_after_cables_and_supply_of_emulated_servos(
+def test_errors_of_emulated_servos_name_no_cables_and_supply(
     emulator: SteppedEmulator, bus: Bus, offline: list[int]
 ) -> None:
     emulator.command(offline=offline)
@@ -71,13 +71,13 @@ def test_a_servo_in_another_operating_mode_is_refused(bus: Bus) -> None:
         run(survey(bus, SERVOS))
 
 
-def test_angle_limits_that_differ_from_the_calibration_are_told(bus: Bus) -> None:
+def test_angle_limits_that_differ_from_the_calibration_are_reported(bus: Bus) -> None:
     bus.write(1, Register.MIN_ANGLE_LIMIT, 1500)
     (warning,) = run(survey(bus, SERVOS))[1].warnings
     assert "1500" in warning
 
 
-def test_a_servo_that_counts_several_turns_is_told(bus: Bus) -> None:
+def test_a_servo_that_counts_several_turns_is_reported(bus: Bus) -> None:
     bus.write(1, Register.PHASE, 12 | PHASE_MULTI_TURN)
     (warning,) = run(survey(bus, SERVOS))[1].warnings
     assert "PHASE" in warning
@@ -96,7 +96,7 @@ WELL = Control(True, 254, 2048, 800)
 @pytest.fixture
 def checks() -> RegisterChecks:
     made = RegisterChecks(SERVOS, {servo: ServoFound(WELL, (0, 4095), 8.0, 1000) for servo in SERVOS.ids})
-    made.told(full_torque(SERVOS))
+    made.expect(full_torque(SERVOS))
     return made
 
 
@@ -106,8 +106,8 @@ def test_every_servo_has_its_turn_within_a_second(checks: RegisterChecks) -> Non
     assert len(turns) == 100 // CYCLES_BETWEEN
 
 
-def test_a_servo_that_is_as_it_was_told_is_well(checks: RegisterChecks) -> None:
-    assert checks.judge(1, WELL, 0.0) is None
+def test_a_servo_that_holds_what_was_written_is_no_fault(checks: RegisterChecks) -> None:
+    assert checks.check(1, WELL, 0.0) is None
     assert checks.torque_on[1]
 
 
@@ -120,10 +120,8 @@ def test_a_servo_that_is_as_it_was_told_is_well(checks: RegisterChecks) -> None:
     ],
     ids=["relaxed", "rebooted relaxed", "rebooted driven"],
 )
-def test_a_servo_that_is_not_as_it_was_told_is_a_fault(
-    checks: RegisterChecks, control: Control, code: FaultCode
-) -> None:
-    fault = checks.judge(2, control, 5.0)
+def test_a_servo_that_holds_other_values_is_a_fault(checks: RegisterChecks, control: Control, code: FaultCode) -> None:
+    fault = checks.check(2, control, 5.0)
     assert fault is not None
     assert (fault.code, fault.joint, fault.stamp_s) == (code, "shoulder_lift", 5.0)
 
@@ -132,5 +130,5 @@ def test_torque_limits_are_written_once_and_again_when_they_were_lost(checks: Re
     wanted = {**full_torque(SERVOS), 6: 250}
     assert checks.limits_to_write(wanted) == {6: 250}
     assert checks.limits_to_write(wanted) == {}
-    assert checks.judge(6, Control(True, 254, 2048, 500), 0.0) is None
+    assert checks.check(6, Control(True, 254, 2048, 500), 0.0) is None
     assert checks.limits_to_write(wanted) == {6: 250}

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from robot.calibration import Calibration
 from robot.emulator.arm import build_servos
-from robot.emulator.servo_bus import Instruction, execute
-from robot.hardware.feetech.packets import sync_write_parameters
+from robot.emulator.servo_bus import Instruction, InstructionParser, execute, status_packet
+from robot.hardware.feetech.packets import checksum, parse_status_frames, sync_write_parameters
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
 
 PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
@@ -29,7 +29,7 @@ def answers(effects):
 
 
 @given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=60))
-def test_no_instruction_whatever_is_too_much(servo_id, code, parameters):
+def test_any_instruction_is_carried_out_without_an_exception(servo_id, code, parameters):
     execute(Instruction(servo_id, code, parameters), build_servos(Calibration.nominal(), [0.0] * 6))
 
 
@@ -60,7 +60,7 @@ def test_a_sync_write_is_taken_by_each_servo_and_answered_by_none(servos):
     assert [servos[i - 1].value(Register.GOAL_POSITION) for i in (1, 2, 4)] == [2001, 0, 2004]
 
 
-def test_a_write_is_acknowledged_unless_broadcast_or_told_otherwise(servos):
+def test_a_write_is_acknowledged_unless_broadcast_or_switched_off(servos):
     assert answers(do(servos, 2, WRITE, [Register.TORQUE_LIMIT, 100, 0])) == [(2, b"")]
     assert answers(do(servos, ALL, WRITE, [Register.TORQUE_ENABLE, 0])) == []
     assert answers(do(servos, 2, WRITE, [Register.RESPONSE_LEVEL, 0])) == []
@@ -116,3 +116,44 @@ def test_a_reset_of_turns_is_acknowledged_and_changes_nothing(servos):
     servos[0].write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, 1234))
     assert answers(do(servos, 1, RESET)) == [(1, b"")]
     assert servos[0].value(Register.GOAL_POSITION) == 1234
+
+
+def packet(servo_id, code, parameters=()):
+    body = bytes([servo_id, len(parameters) + 2, code, *parameters])
+    return b"\xff\xff" + body + bytes([checksum(body)])
+
+
+INSTRUCTIONS = st.builds(Instruction, st.integers(0, ALL), st.integers(1, 0x83), st.binary(max_size=60))
+
+
+@given(st.lists(INSTRUCTIONS, max_size=4), st.lists(st.integers(1, 40), max_size=20))
+def test_instructions_are_the_same_however_their_bytes_are_cut(instructions, cuts):
+    stream = b"".join(packet(i.servo_id, i.code, i.parameters) for i in instructions)
+    parser, parsed = InstructionParser(), []
+    for count in [*cuts, len(stream)]:
+        parsed += parser.feed(stream[:count], 0.0)
+        stream = stream[count:]
+    assert parsed == instructions
+
+
+@given(st.lists(st.integers(0, 0xFE), max_size=60).map(bytes), INSTRUCTIONS)
+def test_noise_before_an_instruction_is_skipped(noise, instruction):
+    sent = packet(instruction.servo_id, instruction.code, instruction.parameters)
+    assert InstructionParser().feed(noise + sent, 0.0) == [instruction]
+
+
+def test_an_instruction_with_a_wrong_checksum_is_skipped():
+    good = packet(1, PING)
+    assert InstructionParser().feed(good[:-1] + bytes([good[-1] ^ 1]) + good, 0.0) == [Instruction(1, PING, b"")]
+
+
+@given(st.integers(0, 0xFD), st.integers(0, 63), st.binary(max_size=40))
+def test_a_status_packet_is_read_by_the_drivers_own_parser(servo_id, error, data):
+    frames = parse_status_frames(status_packet(servo_id, error, data), [servo_id], len(data))
+    assert not frames or (frames[servo_id].error, frames[servo_id].data) == (error, data)
+
+
+def test_an_instruction_cut_off_does_not_swallow_a_later_one():
+    parser = InstructionParser()
+    assert parser.feed(packet(1, WRITE, bytes(60))[:10], 0.0) == []
+    assert parser.feed(packet(2, PING), 0.1) == [Instruction(2, PING, b"")]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot.control.motion import Motion, succeed, succession_refusal
+from robot.control.motion import Motion, splice, splice_refusal
 from robot.control.streaming import Streaming
 from robot.description import model
 from robot.description.limits import JointBounds
@@ -35,7 +35,7 @@ def since(from_s: float, **changes: tuple[float, float]) -> Trajectory:
 
 def asked(motions: list[Motion | Streaming], trajectory: Trajectory, number: int = 7, from_s: float = 0.9) -> str:
     command = Execute(8, trajectory, continues=Continuation(number, from_s))
-    return succession_refusal(motions, command, NAMES, BOUNDS, np.array([0.5, -0.25, 0.0]))
+    return splice_refusal(motions, command, NAMES, BOUNDS, np.array([0.5, -0.25, 0.0]))
 
 
 def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends() -> None:
@@ -43,7 +43,7 @@ def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends()
     former = motions[0]
     assert asked(motions, since(0.9)) == ""
     successor = Motion(Execute(8, since(0.9), continues=Continuation(7, 0.9)), NAMES, BOUNDS, LIMITS)
-    ended = succeed(motions, successor)
+    ended = splice(motions, successor)
     assert ended is not None
     assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
     assert motions == []
@@ -52,7 +52,7 @@ def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends()
 
 def test_a_motion_that_continues_none_ends_none() -> None:
     motions = in_progress()
-    assert succeed(motions, Motion(Execute(8, PATH), NAMES, BOUNDS, LIMITS)) is None
+    assert splice(motions, Motion(Execute(8, PATH), NAMES, BOUNDS, LIMITS)) is None
     assert len(motions) == 1
 
 

@@ -22,8 +22,7 @@ import uvloop
 from numpy.typing import NDArray
 
 from benchmarks.figures import percentiles, print_table
-from planners.pool import PlannerPool
-from planners.worker_process import NICENESS
+from planners.pool import NICENESS, PlannerPool
 from robot.description import model
 from server.app import App
 from server.config_loader import load

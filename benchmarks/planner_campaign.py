@@ -20,7 +20,7 @@ import psutil
 import uvloop
 
 from benchmarks.figures import percentiles, print_table
-from planners import worker_process
+from planners import pool as pool_module
 from planners.pool import LOAD_TIMEOUT_S, OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
 from robot.description import model
@@ -122,7 +122,7 @@ def _code(answer: Answer) -> str:
 
 
 async def _run(seconds: float, seed: int) -> None:
-    worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
+    pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(model.builtin(), memory_limit_bytes=MEMORY_LIMIT_BYTES)
     campaign = Campaign(pool, random.Random(seed))
     process = psutil.Process()

@@ -12,11 +12,10 @@ import uvloop
 
 from benchmarks.event_loop import Ticker
 from benchmarks.figures import percentiles, print_table
-from planners import worker_process
-from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
+from planners import pool as pool_module
+from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool, WorkerProcess
 from planners.problem import Answer, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
-from planners.worker_process import WorkerProcess
 from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.requests import EASY, LONG, STATE, broken
@@ -118,7 +117,7 @@ async def _cancel(worker: WorkerProcess, after_s: float) -> float:
 
 async def _kills() -> list[float]:
     """Cancel requests that hang in native code; the next request waits for the spare process only."""
-    worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
+    pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(model.builtin())
     await pool.start()
     times_s = []
@@ -130,7 +129,7 @@ async def _kills() -> list[float]:
         hanging.cancel()
         times_s.append(await _timed(pool.ask(STATE)))
     await pool.close()
-    worker_process.WORKER_MODULE = "planners.worker"
+    pool_module.WORKER_MODULE = "planners.worker"
     return times_s
 
 

@@ -1,6 +1,6 @@
 """The planner process: takes requests, gives answers, one at a time.
 
-Started by :mod:`planners.worker_process`, with which it exchanges the messages of :mod:`planners.messages`.
+Started by :mod:`planners.pool`, with which it exchanges the messages of :mod:`planners.messages`.
 """
 
 from __future__ import annotations

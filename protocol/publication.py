@@ -12,7 +12,7 @@ import uuid
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from protocol.codecs import arrays, bson, cbor, cdr, json, png
+from protocol.codecs import bson, cbor, cdr, json, png
 from protocol.dialect import Dialect, to_ros1
 from protocol.framing import split
 from protocol.limits import MAX_PIECES
@@ -205,7 +205,7 @@ class Publication:
     def _packed(self, encoding: Encoding) -> Mapping[str, Any]:
         if encoding == "none":
             return self.msg
-        pack = arrays.with_octets if encoding == "bson" else arrays.with_typed_arrays
+        pack = cbor.with_octets if encoding == "bson" else cbor.with_typed_arrays
         return pack(self._registry, self.type_name, self.msg)
 
 

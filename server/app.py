@@ -28,11 +28,9 @@ from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, 
 from server.gateway.listener import Listener, ListenerSettings
 from server.graph.topics import Graph
 from server.lifecycle import Step, stop_in_order, stop_signals, unless_ended
-from server.monitoring.diagnostics import Diagnostics
 from server.monitoring.monitor import Monitor
-from server.monitoring.ros_logging import Rosout, offer_level_services
-from server.monitoring.signals import on_debug_signal, on_hangup
-from server.monitoring.systemd import SystemdNotifier
+from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
+from server.monitoring.systemd import SystemdNotifier, on_debug_signal, on_hangup
 from server.moveit.interface import MoveItInterface
 from server.rosapi import RosApi
 from server.timers import call_later

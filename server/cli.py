@@ -8,12 +8,26 @@ import sys
 from collections.abc import Sequence
 from importlib import metadata
 
-from server.commands import calibrate, config, doctor, emulate, plan, relax, replay, scan, serve, systemd_unit
+from server.commands.arm import add_calibrate_parser, add_doctor_parser, add_relax_parser, add_scan_parser
+from server.commands.config import add_config_parser, add_systemd_unit_parser
+from server.commands.plan import add_plan_parser
+from server.commands.serve import add_emulate_parser, add_replay_parser, add_serve_parser
 from server.commands.terminal import EXIT_CODES
 from server.config_keys import unknown
 
 # In the order in which someone with a new arm needs them.
-COMMANDS = (serve, scan, calibrate, doctor, relax, plan, replay, emulate, config, systemd_unit)
+COMMANDS = (
+    add_serve_parser,
+    add_scan_parser,
+    add_calibrate_parser,
+    add_doctor_parser,
+    add_relax_parser,
+    add_plan_parser,
+    add_replay_parser,
+    add_emulate_parser,
+    add_config_parser,
+    add_systemd_unit_parser,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,8 +52,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"armbridge {metadata.version('armbridge')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        command.add_parser(commands)
+    for add_command in COMMANDS:
+        add_command(commands)
     for described in commands.choices.values():
         described.set_defaults(usage=described.format_usage())
     return parser

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple, TypeAlias
 
 from protocol.dialect import Dialect, spell_type
 from protocol.errors import InterfaceError
-from protocol.interface_text import full_text, typedefs
 from protocol.messages import Stamp
 from protocol.names import qualify
+from protocol.type_descriptions import full_text, typedefs
 from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.graph.node import Node

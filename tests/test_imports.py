@@ -45,7 +45,6 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
     "planners/pool.py",
-    "planners/worker_process.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 
@@ -120,7 +119,7 @@ def test_the_server_process_loads_no_planning_library(loaded_by_the_server: set[
 
 def test_a_server_starts_without_loading_what_only_few_need(loaded_by_the_server: set[str]) -> None:
     """The metrics' library is loaded: it counts from the start, and takes 20 to 30 ms of the 1.3 s of imports."""
-    assert {"server.monitoring.metrics", "server.zenoh.bridge", "prometheus_client"} <= loaded_by_the_server
+    assert {"server.monitoring.monitor", "server.zenoh.bridge", "prometheus_client"} <= loaded_by_the_server
     assert not {"zenoh", "mcap", "distributed"} & loaded_by_the_server
 
 

@@ -15,18 +15,10 @@ from numpy.typing import NDArray
 from planners.budget import Budget
 from planners.geometry.certificate import certify
 from planners.geometry.joint_space import JointSpace
-from planners.motions.curve import Curve, averaged, averaging_start, window_ticks
-from planners.motions.path import (
-    PROJECTED_SEARCH,
-    CountedSpace,
-    Project,
-    Query,
-    checks_in,
-    projected_search,
-    search,
-    without_detours,
-)
-from planners.motions.ramps import (
+from planners.motions.curve import (
+    Curve,
+    averaged,
+    averaging_start,
     brake,
     connect,
     from_moving,
@@ -36,6 +28,17 @@ from planners.motions.ramps import (
     reduced,
     same_point,
     whole_ticks,
+    window_ticks,
+)
+from planners.motions.path import (
+    PROJECTED_SEARCH,
+    CountedSpace,
+    Project,
+    Query,
+    checks_in,
+    projected_search,
+    search,
+    without_detours,
 )
 from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory

@@ -1,7 +1,7 @@
 """BSON frames (bsonspec.org, version 1.1), which Unreal's ROSIntegration speaks in both directions.
 
 Inside of the server binary data is base64 text, as in JSON; the one exception are the ``bytes`` that
-`protocol.codecs.arrays` puts into messages on their way out.
+`protocol.codecs.cbor` puts into messages on their way out.
 """
 
 from __future__ import annotations

@@ -1,11 +1,107 @@
-"""CBOR frames (RFC 8949) of rosbridge's ``cbor`` and ``cbor-raw`` compression; they only go out."""
+"""Arrays of a message in binary encodings: octets instead of base64 text, packed numbers instead of lists.
+
+A type is compiled once into a packing; types without such arrays need none.
+
+CBOR frames (RFC 8949) of rosbridge's ``cbor`` and ``cbor-raw`` compression; they only go out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import array
+import functools
+import sys
+from binascii import a2b_base64
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
 import cbor2
+
+from protocol.registry import Field, Registry
+
+# Packs one value; None where it stays as it is.
+Pack: TypeAlias = Callable[[Any], Any] | None
+
+# As many as there are compiled types in protocol.messages, with and without packed numbers.
+_MAX_COMPILED_TYPES = 2048
+
+# Arrays of these are base64 text in a complete message.
+OCTETS = ("uint8", "char")
+
+# Tags of little-endian typed arrays (RFC 8746 section 2.1, as rosbridge's cbor_conversion.py uses them) and the
+# element types of `array` with the same size. rosbridge sends byte as a signed number.
+_TYPED_ARRAYS = {
+    "uint16": (69, "H"),
+    "uint32": (70, "I"),
+    "uint64": (71, "Q"),
+    "byte": (72, "B"),
+    "int8": (72, "b"),
+    "int16": (77, "h"),
+    "int32": (78, "i"),
+    "int64": (79, "q"),
+    "float32": (85, "f"),
+    "float64": (86, "d"),
+}
+
+
+def with_octets(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a complete message with ``bytes`` for each uint8[] and char[].
+
+    Args:
+        registry: where the type is looked up.
+        type_name: canonical name of the message's type.
+        msg: a message as `protocol.messages.complete` returns it; it is left as it was.
+    """
+    pack = _packing(registry, type_name, False)
+    return msg if pack is None else pack(msg)
+
+
+def with_typed_arrays(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a complete message with ``bytes`` for each uint8[] and char[], and typed arrays for other numbers.
+
+    Args:
+        registry: where the type is looked up.
+        type_name: canonical name of the message's type.
+        msg: a message as `protocol.messages.complete` returns it; it is left as it was.
+    """
+    pack = _packing(registry, type_name, True)
+    return msg if pack is None else pack(msg)
+
+
+@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+def _packing(registry: Registry, type_name: str, numbers: bool) -> Pack:
+    fields = registry.message(type_name).fields
+    packs = [(field.name, _field_packing(registry, field, numbers)) for field in fields]
+    if not any(pack for _, pack in packs):
+        return None
+
+    def pack_message(msg: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: msg[name] if pack is None else pack(msg[name]) for name, pack in packs}
+
+    return pack_message
+
+
+def _field_packing(registry: Registry, field: Field, numbers: bool) -> Pack:
+    if not field.primitive:
+        pack = _packing(registry, field.base, numbers)
+        return pack if pack is None or field.array is None else lambda messages: list(map(pack, messages))
+    if field.array is None:
+        return None
+    if field.base in OCTETS:
+        return a2b_base64
+    return _number_packing(field.base) if numbers and field.base in _TYPED_ARRAYS else None
+
+
+def _number_packing(base: str) -> Callable[[list[Any]], cbor2.CBORTag]:
+    tag, code = _TYPED_ARRAYS[base]
+
+    def pack_numbers(numbers: list[Any]) -> cbor2.CBORTag:
+        packed = array.array(code, numbers)
+        if sys.byteorder == "big":
+            packed.byteswap()
+        return cbor2.CBORTag(tag, packed.tobytes())
+
+    return pack_numbers
+
 
 # A map of three pairs: op, topic and msg, of which the first never changes.
 _PUBLISH_HEAD = b"\xa3" + cbor2.dumps("op") + cbor2.dumps("publish") + cbor2.dumps("topic")
@@ -16,7 +112,7 @@ def encode(msg: Mapping[str, Any]) -> bytes:
     """Encode a message.
 
     Args:
-        msg: dicts, lists, text, numbers, booleans, bytes, and typed arrays as `protocol.codecs.arrays` makes them.
+        msg: dicts, lists, text, numbers, booleans, bytes, and typed arrays as `protocol.codecs.cbor` makes them.
     """
     return cbor2.dumps(msg)
 

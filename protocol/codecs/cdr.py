@@ -20,7 +20,7 @@ from binascii import a2b_base64, b2a_base64
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeAlias
 
-from protocol.codecs.arrays import OCTETS
+from protocol.codecs.cbor import OCTETS
 from protocol.errors import MessageError
 from protocol.registry import Field, Registry
 

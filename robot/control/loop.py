@@ -1,4 +1,6 @@
-"""Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages.
+"""Hardware sources: from an arm's configuration to its open hardware.
+
+Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages.
 
 Nothing else runs in this process, so neither a planner's lock nor a burst of messages can delay a tick. When the server
 asks for the end, or is gone, the arm is brought to its end state and the process ends.
@@ -8,16 +10,57 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Any
+from typing import Any, Protocol
 
 from robot.channel import Channel, channel_of_child
 from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
+from robot.description.limits import JointBounds
 from robot.errors import RobotError
 from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
-from robot.hardware.opening import hardware_source
+from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from robot.hardware.interface import HardwareInterface
 from robot.messages import ArmConfig, Command, Order
+
+
+class HardwareSource(Protocol):
+    """Source of hardware, which can be opened again when it was lost."""
+
+    def open(self) -> HardwareInterface:
+        """Open the hardware.
+
+        Raises:
+            RobotError: it is missing or cannot be used.
+        """
+
+
+def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
+    """Build the source of an arm's hardware; a back end's libraries are imported only where it is used.
+
+    Args:
+        config: configuration of the arm.
+        clock: time of the control loop.
+
+    Raises:
+        OSError: the log or the control socket of emulated servos cannot be created.
+    """
+    joint_names = config.hardware.joint_names(config.robot)
+    bounds = JointBounds.of(config.robot, joint_names)
+    match config.hardware:
+        case FeetechConfig():
+            from robot.hardware.feetech.hardware import SerialServos
+
+            return SerialServos(config.hardware, bounds, config.guard_limits, clock)
+        case EmulatedConfig():
+            from robot.emulator.in_process import EmulatedServos
+
+            return EmulatedServos(config.hardware, bounds, config.guard_limits, clock)
+        case IdealConfig():
+            from robot.hardware.ideal import IdealArm
+
+            return IdealArm(config.hardware, joint_names, bounds, clock)
+
 
 # A step of a sequence is a transaction of 1 to 2 ms; none is begun when less time is left until the tick.
 STEP_ROOM_S = 0.002

@@ -1,4 +1,6 @@
-"""Supervisor of one arm: handles the server's messages, runs orders between the ticks, and watches the server.
+"""Reports to the server: the arm's state many times a second, its health once a second.
+
+Supervisor of one arm: handles the server's messages, runs orders between the ticks, and watches the server.
 
 The control loop calls :meth:`Supervisor.tick` 100 times a second, :meth:`Supervisor.work` in between, and
 :meth:`Supervisor.handle` with every message. A latched fault, and the permission to switch the arm on, outlive a loss
@@ -8,14 +10,16 @@ of the hardware. The servos have no watchdog of their own, so the arm process ha
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from robot.control import health
+import numpy as np
+
 from robot.control.controller import RELAXING
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, Pacer
+from robot.control.pacing import PERIOD_S, Pacer, percentiles
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
@@ -23,21 +27,142 @@ from robot.hardware.interface import HardwareInterface, Steps
 from robot.logs import LogLimiter, suppressed_note
 from robot.messages import (
     ArmConfig,
+    ArmHealth,
     ArmState,
     ChangePace,
     Command,
     CommandDone,
     EndState,
     Execute,
+    JointHealth,
     Mode,
     MotionEnded,
     Order,
     Outcome,
+    Pace,
     Setpoint,
     Shutdown,
     Stop,
     Stream,
 )
+
+
+def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
+    """Build the state of an arm whose hardware is not open."""
+    return ArmState(time.time(), Mode.DISCONNECTED, joint_names, reason=reason, fault=fault, clock_s=clock_s)
+
+
+def arm_state(
+    arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock_s: float
+) -> ArmState:
+    """Build the state of the arm at its latest reading.
+
+    Args:
+        arm: control cycle of the arm.
+        mode: state of its state machine.
+        fault: latched fault.
+        reason: sentence on an arm that is connected but not ready.
+        lateness_s: lateness of the ticks since the last state [s].
+        clock_s: time of the control loop [s].
+    """
+    measured, controller, names = arm.measured, arm.controller, arm.hardware.joint_names
+    if measured is None:
+        return ArmState(time.time(), mode, names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s)
+    motion = controller.motion if controller is not None else None
+    driven = controller is not None and controller.driven
+    return ArmState(
+        stamp_s=measured.stamp_s,
+        mode=mode,
+        joint_names=names,
+        reason=reason,
+        position_rad=measured.position_rad,
+        velocity_rad_s=measured.velocity_rad_s,
+        age_s=measured.age_s,
+        load=measured.load,
+        current_a=measured.current_a,
+        goal_rad=controller.goal_rad if controller is not None and driven else measured.position_rad,
+        motion_id=motion.motion_id if motion is not None else None,
+        fraction=motion.fraction if motion is not None else 0.0,
+        remaining_s=motion.remaining_s if motion is not None else 0.0,
+        pace=controller.pace if controller is not None else Pace(),
+        lateness_s=lateness_s,
+        fault=fault,
+        clock_s=clock_s,
+        driven=driven,
+    )
+
+
+def arm_health(
+    arm: ControlCycle,
+    state: ArmState,
+    port: str,
+    pacer: Pacer,
+    clock: LoopClock,
+    *,
+    real_time: bool,
+) -> ArmHealth:
+    """Build the report of the arm's health.
+
+    Args:
+        arm: control cycle of the arm.
+        state: its state now.
+        port: name of its port.
+        pacer: pacer of the control loop.
+        clock: clock of the control loop.
+        real_time: True if the process has real-time priority.
+    """
+    controller = arm.controller
+    bounds = None if controller is None else controller.bounds
+    limits = None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1)
+    return ArmHealth(
+        stamp_s=time.time(),
+        mode=state.mode,
+        port=port,
+        joints=tuple(_joint_health(arm, joint) for joint in range(len(arm.hardware.joint_names))),
+        bus=arm.hardware.counters,
+        lateness_s=percentiles(pacer.lateness_s),
+        round_trip_s=percentiles(arm.hardware.round_trips_s),
+        real_time=real_time,
+        real_time_factor=clock.real_time_factor,
+        limits_rad=limits,
+        fault=state.fault,
+        reason=state.reason,
+    )
+
+
+def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
+    condition, measured, controller = arm.hardware.condition(joint), arm.measured, arm.controller
+    if measured is None or controller is None:
+        never_heard = condition.age_s == float("inf")
+        return JointHealth(
+            joint=arm.hardware.joint_names[joint],
+            hardware_id=condition.hardware_id,
+            position_rad=float("nan"),
+            temperature_c=float("nan"),
+            voltage_v=float("nan"),
+            current_a=float("nan"),
+            load=float("nan"),
+            torque_enabled=None,
+            status=0,
+            age_s=condition.age_s,
+            silent_cycles=condition.silent_cycles,
+            warnings=("it has not answered yet",) if never_heard else (),
+        )
+    return JointHealth(
+        joint=arm.hardware.joint_names[joint],
+        hardware_id=condition.hardware_id,
+        position_rad=float(measured.position_rad[joint]),
+        temperature_c=float(measured.temperature_c[joint]),
+        voltage_v=float(measured.voltage_v[joint]),
+        current_a=float(measured.current_a[joint]),
+        load=float(measured.load[joint]),
+        torque_enabled=condition.torque_enabled,
+        status=int(measured.status[joint]),
+        age_s=float(measured.age_s[joint]),
+        silent_cycles=condition.silent_cycles,
+        warnings=condition.warnings + controller.guards.warnings(measured, joint),
+    )
+
 
 log = logging.getLogger("armbridge.arm")
 
@@ -147,7 +272,7 @@ class Supervisor:
         self._interrupt(reason)
         self.arm = self._orders = None
         self._reason = reason
-        self._send(health.disconnected(self._joint_names, reason, self._fault, self._clock()), True)
+        self._send(disconnected(self._joint_names, reason, self._fault, self._clock()), True)
 
     def handle(self, message: object) -> None:
         """Handle one message of the server.
@@ -213,7 +338,7 @@ class Supervisor:
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS
             port = self._config.hardware.port
-            self._send(health.arm_health(arm, state, port, pacer, self._clock, real_time=self._real_time), True)
+            self._send(arm_health(arm, state, port, pacer, self._clock, real_time=self._real_time), True)
 
     def work(self) -> float:
         """Do one step of the sequence in progress.
@@ -379,7 +504,7 @@ class Supervisor:
 
     def _state(self, arm: ControlCycle, pacer: Pacer) -> ArmState:
         lateness_s = pacer.latest(self._ticks_per_state)
-        return health.arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
+        return arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
 
 
 class Watchdog:

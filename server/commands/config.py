@@ -1,10 +1,16 @@
-"""``armbridge config``: the settings as they are, and where each comes from."""
+"""``armbridge config``: the settings as they are, and where each comes from.
+
+``armbridge systemd-unit``: what systemd needs to run the server as a service.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from server.commands.options import Subparsers, add_setting_options, read_settings
@@ -14,7 +20,7 @@ from server.config_keys import Setting, every_setting, template, toml_value
 from server.errors import ConfigurationError
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_config_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
         "config",
@@ -29,10 +35,10 @@ def add_parser(subparsers: Subparsers) -> None:
         "--template", action="store_true", help="print a TOML file with every setting explained, at its default"
     )
     add_setting_options(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run_config)
 
 
-def run(options: argparse.Namespace) -> int:
+def run_config(options: argparse.Namespace) -> int:
     """Carry out the command."""
     terminal = Terminal()
     if options.template:
@@ -68,3 +74,136 @@ def _as_table(values: list[tuple[Setting, Any, str]]) -> str:
         for setting, value, source in values
     ]
     return table(("setting", "value", "unit", "source"), rows)
+
+
+# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; then it may be killed.
+_AFTER_DEATH_S = 6
+
+# Words that need no quotes.
+_PLAIN = re.compile(r"[A-Za-z0-9_@/.+=:,-]+")
+
+_UNIT = """\
+# Made by armbridge systemd-unit. Put it to /etc/systemd/system/armbridge.service, then:
+#   systemctl daemon-reload && systemctl enable --now armbridge
+# Changes belong in /etc/systemd/system/armbridge.service.d/*.conf (systemctl edit armbridge).
+
+[Unit]
+Description=armbridge: a robot arm for rosbridge clients
+Wants=network-online.target
+After=network-online.target
+StartLimitIntervalSec=120
+StartLimitBurst=5
+
+[Service]
+Type=notify
+NotifyAccess=main
+ExecStart={command}
+ExecReload=/bin/kill -HUP $MAINPID
+# When the server was killed, its arm process brakes the arm and ends by itself: give it the time.
+ExecStopPost=/bin/sh -c '[ "$$SERVICE_RESULT" = success ] || sleep {after_death_s}'
+Restart=on-failure
+RestartSec=2
+# Wrong settings stay wrong.
+RestartPreventExitStatus={usage}
+WatchdogSec=20
+TimeoutStartSec=60
+# The server gets SIGTERM and ends its children in order; what is left after the timeout is killed.
+KillMode=mixed
+TimeoutStopSec=15
+
+{user}
+# The group that serial ports belong to.
+SupplementaryGroups={group}
+# Real-time priority for the servo loop.
+LimitRTPRIO=1
+LimitCORE=0
+# Saved states go to /var/lib/armbridge, and recordings should.
+StateDirectory=armbridge
+CacheDirectory=armbridge
+WorkingDirectory=%S/armbridge
+Environment=XDG_DATA_HOME=%S
+Environment=MPLCONFIGDIR=%C/armbridge
+# Tokens, as ARMBRIDGE_ACCESS__TOKEN=...: a file that only root can read.
+EnvironmentFile=-/etc/armbridge/environment
+
+UMask=0077
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+ProtectSystem=strict
+ProtectHome=read-only
+PrivateTmp=yes
+ProtectKernelTunables=yes
+ProtectKernelModules=yes
+ProtectKernelLogs=yes
+ProtectControlGroups=yes
+ProtectHostname=yes
+ProtectProc=invisible
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+# Not set, for it would take from the server what it needs: PrivateDevices, ProtectClock and DeviceAllow (a serial port
+# that is plugged in later), RestrictRealtime (the servo loop).
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def add_systemd_unit_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "systemd-unit",
+        help="print a systemd unit that runs the server as a service",
+        description="Print a systemd unit for this installation: armbridge systemd-unit > armbridge.service.",
+        epilog=EXIT_CODES,
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="settings in TOML, for the service to read")
+    parser.add_argument("--user", metavar="NAME", help="run as this user (one that systemd makes up)")
+    parser.add_argument("--group", metavar="NAME", default="dialout", help="that serial ports belong to (dialout)")
+    parser.set_defaults(run=run_systemd_unit)
+
+
+def run_systemd_unit(options: argparse.Namespace) -> int:
+    """Carry out the command."""
+    command = server_command(Path(sys.executable))
+    Terminal().tell(unit(command, options.config, options.user, options.group).rstrip())
+    return ExitCode.DONE
+
+
+def server_command(python: Path) -> list[str]:
+    """Return the command line of this installation's server.
+
+    Args:
+        python: the interpreter.
+    """
+    script = python.parent / "armbridge"
+    return [str(script)] if script.is_file() else [str(python), "-P", "-m", "server.cli"]
+
+
+def unit(command: list[str], config: Path | None, user: str | None, group: str) -> str:
+    """The unit's text.
+
+    Args:
+        command: how the server is called.
+        config: file of its settings; None for none.
+        user: who it runs as; None for a user that exists only as long as the service runs.
+        group: that serial ports belong to.
+    """
+    words = [*command, "serve", *([] if config is None else ["--config", str(config.absolute())])]
+    return _UNIT.format(
+        command=" ".join(_quoted(word) for word in words),
+        after_death_s=_AFTER_DEATH_S,
+        usage=int(ExitCode.USAGE),
+        user="DynamicUser=yes" if user is None else f"User={user}",
+        group=group,
+    )
+
+
+def _quoted(word: str) -> str:
+    """A word of a command line as systemd reads it (systemd.service, systemd.syntax)."""
+    escaped = word.replace("%", "%%").replace("$", "$$").replace("\\", "\\\\").replace('"', '\\"')
+    return escaped if _PLAIN.fullmatch(escaped) else f'"{escaped}"'

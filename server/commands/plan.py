@@ -17,7 +17,7 @@ from server.errors import ConfigurationError
 _PROBLEM_SETTINGS = ("allowed_time_s", "optimization_time_s", "seed")
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_plan_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
     plan = subparsers.add_parser(
         "plan",
@@ -46,10 +46,10 @@ def add_parser(subparsers: Subparsers) -> None:
         "--optimize", type=float, dest="optimization_time_s", metavar="S", help="seconds to spend on a shorter motion"
     )
     plan.add_argument("--seed", type=int, help="of the searches; same seed, same plan")
-    plan.set_defaults(run=run)
+    plan.set_defaults(run=run_plan)
 
 
-def run(options: argparse.Namespace) -> int:
+def run_plan(options: argparse.Namespace) -> int:
     """Carry out the command."""
     # Imported when it is needed: it loads the planning libraries.
     from planners.files import plan_command

@@ -1,22 +1,28 @@
-"""Executor of goals: plans from where the arm holds, plays the plan, reports its progress."""
+"""Player of one motion on the arm: reports its progress, and ends it when it overruns or the scene gets in its way.
+
+Time limits are counted on the arm's clock: a simulated arm that a busy machine slows down has all its time. A process
+that falls silent is ended by :class:`robot.arm.Arm`, and with it the motion.
+
+Executor of goals: plans from where the arm holds, plays the plan, reports its progress.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Coroutine
-from dataclasses import replace
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from planners.pool import PlannerPool
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckQuestion
 from planners.scene import Scene
 from robot.arm import Arm
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Outcome
+from robot.messages import ArmState, Course, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.current_state import ARM_START_TIMEOUT_S, CurrentState, check_ready
@@ -29,11 +35,221 @@ from server.execution.motions import (
     Positions,
     plan_sequence,
 )
-from server.execution.player import CheckedMotion, Player
 from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.execution.scene_monitor import SceneMonitor, SceneSource
-from server.execution.splicing import START_TOLERANCE_RAD, with_lead_in
-from server.execution.time_limits import TimeLimits
+from server.execution.splicing import (
+    HORIZON_S,
+    SENDING_S,
+    START_TOLERANCE_RAD,
+    STATE_AGE_S,
+    SplicePoint,
+    splice_point_of,
+    with_lead_in,
+)
+from server.execution.time_limits import ArmClock, ExecutionDeadline, TimeLimits
+
+# A motion that overran is braked; no arm needs longer for that, by its own clock.
+BRAKING_TIMEOUT_S = 2.0
+
+PROGRESS_PERIOD_S = 0.2
+
+CODE_OF_OUTCOME = {
+    Outcome.REACHED: MoveItErrorCode.SUCCESS,
+    Outcome.STOPPED: MoveItErrorCode.PREEMPTED,
+    Outcome.REFUSED: MoveItErrorCode.CONTROL_FAILED,
+    Outcome.TRACKING_LOST: MoveItErrorCode.CONTROL_FAILED,
+    Outcome.NOT_SETTLED: MoveItErrorCode.CONTROL_FAILED,
+    Outcome.BUS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
+    Outcome.PROCESS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
+    Outcome.FAULT: MoveItErrorCode.CONTROL_FAILED,
+}
+
+
+@dataclass(frozen=True)
+class CheckedMotion:
+    """Motion that was found free of collisions.
+
+    Attributes:
+        group: of its joints, which are all joints of the group.
+        trajectory: the motion.
+        others_rad: position of every other joint [rad].
+        scene_version: of the scene in which it was found free.
+        summary: its name in progress reports.
+    """
+
+    group: str
+    trajectory: Trajectory
+    others_rad: Mapping[str, float]
+    scene_version: int
+    summary: str
+
+    def question(self, from_s: float) -> RecheckQuestion:
+        """Return the question to planners if the motion is free from a time of it on [s]."""
+        return RecheckQuestion(self.group, self.trajectory, self.others_rad, from_s)
+
+
+@dataclass(frozen=True)
+class OutgoingMotion:
+    """Motion that goes on for a moment after its goal was preempted, so that another can replace it.
+
+    Attributes:
+        motion: the motion.
+        ended: its one end.
+        splice_point: the point at which another can replace it; None if there is none.
+        until_s: monotonic time by which the other has to be sent [s].
+    """
+
+    motion: CheckedMotion
+    ended: asyncio.Future[MotionEnded]
+    splice_point: SplicePoint | None
+    until_s: float
+
+
+class Player:
+    """Player of one motion at a time.
+
+    Args:
+        arm: the arm.
+        scene_monitor: monitors the motion.
+        time_limits: of motions.
+        clock: monotonic time of this machine [s].
+
+    Attributes:
+        outgoing: the motion of a preempted goal; None if there is none.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        scene_monitor: SceneMonitor,
+        time_limits: TimeLimits,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._arm = arm
+        self._scene_monitor = scene_monitor
+        self._time_limits = time_limits
+        self._clock = clock
+        self._motion: asyncio.Future[MotionEnded] | None = None
+        self._began_s = self._began_by_arm_s = 0.0
+        self._end: Answer | None = None
+        self._preempted: asyncio.Future[None] | None = None
+        self.outgoing: OutgoingMotion | None = None
+
+    async def play(
+        self, motion: CheckedMotion, report: Callable[[Progress], None], from_s: float | None = None
+    ) -> Answer:
+        """Play a motion to its end; every wait is bounded.
+
+        Args:
+            motion: the motion.
+            report: called with its progress.
+            from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
+        """
+        self._end = None
+        self._preempted = asyncio.get_running_loop().create_future()
+        self._began_s, self._began_by_arm_s = self._clock(), self._arm.clock_s
+        if self.outgoing is None or from_s is None:
+            self._motion = self._arm.execute(motion.trajectory)
+        else:
+            self._motion = self._arm.execute(motion.trajectory, continues=(self.outgoing.ended, from_s))
+        self._scene_monitor.start(
+            motion.scene_version, lambda: motion.question(self._played_s(motion)), self._on_contact
+        )
+        try:
+            return await self._until_ended(self._motion, self._preempted, motion, report)
+        finally:
+            self._scene_monitor.stop()
+            self._motion = None
+
+    def stop(self, reason: str) -> None:
+        """Brake the motion along its path; do nothing when there is none."""
+        self._brake(Answer(MoveItErrorCode.PREEMPTED, reason))
+        if self.outgoing is not None:
+            self._arm.stop(self.outgoing.ended)
+
+    def preempt(self, reason: str) -> None:
+        """End :meth:`play` but not the motion, which is braked unless another soon replaces it."""
+        if self._preempted is not None and not self._preempted.done() and self._end is None:
+            self._end = Answer(MoveItErrorCode.PREEMPTED, reason)
+            self._preempted.set_result(None)
+
+    async def stop_outgoing(self) -> None:
+        """Brake the outgoing motion, and wait for its end."""
+        outgoing, self.outgoing = self.outgoing, None
+        if outgoing is not None and not outgoing.ended.done():
+            self._arm.stop(outgoing.ended)
+            await self._arm.wait((outgoing.ended,), BRAKING_TIMEOUT_S)
+
+    def _on_contact(self, contact: PlanningFailure) -> None:
+        self._brake(Answer.of(contact))
+
+    def _brake(self, end: Answer) -> None:
+        if self._motion is not None:
+            self._end = self._end or end
+            self._arm.stop(self._motion)
+
+    def _played_s(self, motion: CheckedMotion) -> float:
+        """Return the part of the motion that is played for good [s]; on the way back all of it may be played again."""
+        state = self._arm.state
+        back = state.pace.course is Course.BACK or state.mode is not Mode.MOVING
+        return 0.0 if back or self._just_begun else state.fraction * motion.trajectory.duration_s
+
+    @property
+    def _just_begun(self) -> bool:
+        """True while the arm's state may still be of the motion before: it is late where arm or server are starved."""
+        passed_s = min(self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s)
+        return passed_s < STATE_AGE_S
+
+    async def _until_ended(
+        self,
+        ended: asyncio.Future[MotionEnded],
+        preempted: asyncio.Future[None],
+        motion: CheckedMotion,
+        report: Callable[[Progress], None],
+    ) -> Answer:
+        deadline = ExecutionDeadline(motion.trajectory.duration_s, self._time_limits)
+        arm_clock = ArmClock(self._arm, self._clock)
+        ends: tuple[asyncio.Future[Any], ...] = (ended, preempted)
+        while not ended.done() and deadline.exceeded is None:
+            await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
+            if preempted.done() and not ended.done():
+                return self._hand_over(motion, ended)
+            state = self._arm.state
+            deadline.pass_time(arm_clock.elapsed_s(), state.pace)
+            if not ended.done() and state.mode is Mode.MOVING:
+                report(Progress(GoalState.EXECUTING, motion.summary, state.fraction, state.remaining_s))
+        if not ended.done():
+            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{deadline.exceeded}; {_greatest_lag(self._arm.state)}"))
+            await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
+        if not ended.done():
+            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{deadline.exceeded}, and does not brake either")
+        return self._answer(ended.result())
+
+    def _hand_over(self, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
+        if self._end is None:
+            raise AssertionError("a motion is preempted without a reason")
+        point = None if self._just_begun else splice_point_of(motion.trajectory, self._arm.state, self._arm.state_age_s)
+        self.outgoing = OutgoingMotion(motion, ended, point, self._clock() + HORIZON_S - SENDING_S)
+        # Braked then, whatever becomes of the other motion; one that has been replaced by then is not concerned.
+        asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
+        return self._end
+
+    def _answer(self, ended: MotionEnded) -> Answer:
+        if ended.outcome is not Outcome.STOPPED:
+            return Answer(CODE_OF_OUTCOME[ended.outcome], ended.message, {"outcome": ended.outcome.value})
+        if self._end is None:
+            return Answer(MoveItErrorCode.PREEMPTED, ended.message)
+        return Answer(self._end.code, f"{self._end.message}: {ended.message}", self._end.details)
+
+
+def _greatest_lag(state: ArmState) -> str:
+    """Return a sentence that names the joint that is farthest from its goal."""
+    if state.goal_rad is None or state.position_rad is None:
+        return "where its joints are is not known"
+    error_rad = np.abs(state.goal_rad - state.position_rad)
+    worst = int(np.argmax(error_rad))
+    return f"joint {state.joint_names[worst]} is {error_rad[worst]:.3f} rad behind"
+
 
 log = logging.getLogger("armbridge.execution")
 

@@ -1,4 +1,9 @@
-"""Admission of requests by their ``Host``, their ``Origin`` and their token, and the rule for open addresses.
+"""Limits of connections: in all, from one address, and their rate.
+
+A connection counts from the moment websockets is told of it: when the TCP connection is made, and with TLS when the
+handshake is done.
+
+Admission of requests by their ``Host``, their ``Origin`` and their token, and the rule for open addresses.
 
 A browser lets every page open a WebSocket to every address that its machine reaches, and tells the server only in
 ``Origin`` whose page it is. A page of another host can have its own name point to the server's address (DNS rebinding),
@@ -12,7 +17,7 @@ import math
 import re
 import socket
 import time
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -25,12 +30,171 @@ from websockets.datastructures import Headers
 from protocol.errors import one_line, shorten
 from server.access.authentication import AuthThrottle, Tokens
 from server.access.permissions import ANYONE, Identity, Role
-from server.access.rate_limits import MAX_REFUSAL_LINES, LogLimiter, is_loopback, parse_address
+from server.access.rate_limits import MAX_REFUSAL_LINES, LogLimiter, RateLimiter, client_key, is_loopback, parse_address
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError
-from server.gateway.http import Answer
+from server.gateway.http import HttpResponse
 
 log = logging.getLogger("armbridge.gateway")
+
+# Connections at once from an address: those of this time at the rate [s].
+BURST_TIME_S = 10
+
+# Refused connections are answered with the reason while they are few: an answer costs a handshake, and a flood gets
+# none.
+MAX_ANSWERED = 32
+ANSWERS_PER_S = 10
+
+# Addresses without a connection that are remembered, for their rate.
+MAX_ABSENT = 10_000
+
+RETRY_AFTER_S = 5
+
+
+@dataclass(frozen=True)
+class ConnectionLimits:
+    """Limits of connections.
+
+    Attributes:
+        max_clients: at a time.
+        max_clients_per_address: at a time, from one address.
+        connections_per_s: new ones from one address, in the long run [1/s].
+    """
+
+    max_clients: int = 1000
+    max_clients_per_address: int = 800
+    connections_per_s: float = 100.0
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """Answer to a connection that is one too many.
+
+    Attributes:
+        status: of HTTP.
+        sentence: the reason, with the setting to change.
+    """
+
+    status: HTTPStatus
+    sentence: str
+
+
+class ConnectionSlot:
+    """Place of one connection, from its beginning to its end.
+
+    Attributes:
+        address: where it comes from.
+        rejection: the answer that ends it; None for a connection that may stay.
+    """
+
+    __slots__ = ("_release", "address", "rejection")
+
+    def __init__(self, address: str, rejection: Rejection | None, release: Callable[[], None]) -> None:
+        self.address = address
+        self.rejection = rejection
+        self._release: Callable[[], None] | None = release
+
+    def release(self) -> None:
+        """Free the place; once is enough."""
+        if self._release is not None:
+            release, self._release = self._release, None
+            release()
+
+
+class _Address:
+    """Connections and rate of one address."""
+
+    __slots__ = ("open_count", "rate")
+
+    def __init__(self, rate: RateLimiter) -> None:
+        self.open_count = 0
+        self.rate = rate
+
+
+class ConnectionLimiter:
+    """Counter of connections.
+
+    Args:
+        limits: the limits of connections.
+
+    Attributes:
+        rejected_count: connections that were one too many.
+        open_count: connections that may stay.
+    """
+
+    def __init__(self, limits: ConnectionLimits | None = None) -> None:
+        self.rejected_count = 0
+        self.open_count = 0
+        self._limits = limits or ConnectionLimits()
+        # Addresses with connections, and those without, the one that left last at the end.
+        self._present: dict[str, _Address] = {}
+        self._absent: OrderedDict[str, _Address] = OrderedDict()
+        self._answered = 0
+        self._answers = RateLimiter(ANSWERS_PER_S, ANSWERS_PER_S)
+        self._log = LogLimiter(log, MAX_REFUSAL_LINES)
+
+    def acquire(self, address: str, now_s: float) -> ConnectionSlot | None:
+        """Count a connection.
+
+        Args:
+            address: IP address that it comes from.
+            now_s: monotonic time [s].
+
+        Returns:
+            Its place, to be released with the connection; None for a connection to be closed without an answer.
+        """
+        key = client_key(address)
+        known = self._address(key)
+        rejection = self._rejection(known, now_s)
+        if rejection is None:
+            self._present[key] = known
+            known.open_count += 1
+            self.open_count += 1
+            return ConnectionSlot(address, None, lambda: self._leave(key, known))
+        self.rejected_count += 1
+        if not known.open_count:
+            self._remember(key, known)
+        if self._answered >= MAX_ANSWERED or not self._answers.take(now_s):
+            return None
+        self._answered += 1
+        self._log.write(logging.WARNING, f"refused: {address}: {rejection.sentence}", ("connection", address))
+        return ConnectionSlot(address, rejection, self._end_answer)
+
+    def _address(self, key: str) -> _Address:
+        known = self._present.get(key) or self._absent.pop(key, None)
+        per_s = self._limits.connections_per_s
+        return known or _Address(RateLimiter(per_s, int(BURST_TIME_S * per_s)))
+
+    def _rejection(self, known: _Address, now_s: float) -> Rejection | None:
+        limits = self._limits
+        if not known.rate.take(now_s):
+            limit = f"{limits.connections_per_s:g} a second (server.connections_per_s)"
+            return Rejection(HTTPStatus.TOO_MANY_REQUESTS, f"new connections come too often; the limit is {limit}")
+        if known.open_count >= limits.max_clients_per_address:
+            limit = f"{limits.max_clients_per_address} (server.max_clients_per_address)"
+            sentence = f"{known.open_count} connections are open from this address, the limit is {limit}"
+            return Rejection(HTTPStatus.TOO_MANY_REQUESTS, sentence)
+        if self.open_count >= limits.max_clients:
+            sentence = f"{self.open_count} connections are open, the limit is {limits.max_clients} (server.max_clients)"
+            return Rejection(HTTPStatus.SERVICE_UNAVAILABLE, sentence)
+        return None
+
+    def _leave(self, key: str, known: _Address) -> None:
+        self.open_count -= 1
+        known.open_count -= 1
+        if not known.open_count:
+            del self._present[key]
+            self._remember(key, known)
+
+    def _remember(self, key: str, known: _Address) -> None:
+        self._absent[key] = known
+        self._absent.move_to_end(key)
+        if len(self._absent) > MAX_ABSENT:
+            self._absent.popitem(last=False)
+
+    def _end_answer(self) -> None:
+        self._answered -= 1
+
 
 # Paths that need the right to view. The page itself does not: it is the same everywhere, and asks for a token itself.
 GUARDED = ("metrics", "robot")
@@ -228,7 +392,7 @@ class AdmissionPolicy:
         """Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones)."""
         return self._counts
 
-    def check(self, request: HandshakeRequest) -> Identity | Answer | None:
+    def check(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
         """Check a request.
 
         Returns:
@@ -237,7 +401,7 @@ class AdmissionPolicy:
         """
         area = _first_part(request.path)
         host = self._host(request.headers)
-        if isinstance(host, Answer):
+        if isinstance(host, HttpResponse):
             return host
         if request.upgrade or area not in FOR_ANY_ORIGIN:
             refusal = self._foreign(request, host)
@@ -248,10 +412,10 @@ class AdmissionPolicy:
             return _unauthorized(f"/{area} needs a token: in the header Authorization: Bearer ..., or as ?token=...")
         return admitted
 
-    def _host(self, headers: Headers) -> Authority | Answer:
+    def _host(self, headers: Headers) -> Authority | HttpResponse:
         named = headers.get_all("Host")
         if len(named) != 1:
-            return Answer.of_text(HTTPStatus.BAD_REQUEST, f"a request needs one Host header, not {len(named)}")
+            return HttpResponse.of_text(HTTPStatus.BAD_REQUEST, f"a request needs one Host header, not {len(named)}")
         host = read_authority(named[0])
         if host is not None and self._hosts.has(host):
             return host
@@ -264,7 +428,7 @@ class AdmissionPolicy:
             f' access.allowed_hosts = ["{shown if host is None else host.host}"]',
         )
 
-    def _foreign(self, request: HandshakeRequest, host: Authority) -> Answer | None:
+    def _foreign(self, request: HandshakeRequest, host: Authority) -> HttpResponse | None:
         for origin in request.headers.get_all("Origin"):
             if not self._origins.has(origin, host, encrypted=request.encrypted):
                 shown = one_line(shorten(origin))
@@ -275,7 +439,7 @@ class AdmissionPolicy:
                 return self._refuse(HTTPStatus.FORBIDDEN, "origin", shown, sentence)
         return None
 
-    def _identity(self, request: HandshakeRequest) -> Identity | Answer | None:
+    def _identity(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
         presented = _tokens(request)
         # A server without tokens has no use for one.
         if not presented or not self.tokens.any:
@@ -286,7 +450,7 @@ class AdmissionPolicy:
         if wait is not None:
             self._count_refusal("tokens", request.address, f"{request.address}: {wait}")
             retry = {"Retry-After": str(math.ceil(self.auth_throttle.wait_s(request.address)))}
-            return Answer.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
+            return HttpResponse.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
         token = presented.pop()
         owner = self.tokens.identify(token)
         if owner is None:
@@ -295,9 +459,9 @@ class AdmissionPolicy:
             return _unauthorized("this token is nobody's")
         return owner
 
-    def _refuse(self, status: HTTPStatus, kind: str, value: str, sentence: str) -> Answer:
+    def _refuse(self, status: HTTPStatus, kind: str, value: str, sentence: str) -> HttpResponse:
         self._count_refusal(kind, value, sentence)
-        return Answer.of_text(status, sentence)
+        return HttpResponse.of_text(status, sentence)
 
     def _count_refusal(self, kind: str, value: str, sentence: str) -> None:
         self._counts[kind] += 1
@@ -342,8 +506,8 @@ def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insec
         )
 
 
-def _unauthorized(sentence: str) -> Answer:
-    return Answer.of_text(HTTPStatus.UNAUTHORIZED, sentence, {"WWW-Authenticate": "Bearer"})
+def _unauthorized(sentence: str) -> HttpResponse:
+    return HttpResponse.of_text(HTTPStatus.UNAUTHORIZED, sentence, {"WWW-Authenticate": "Bearer"})
 
 
 def _tokens(request: HandshakeRequest) -> set[str]:

@@ -1,13 +1,23 @@
-"""Client of the graph: carries the operations of one client out and queues what it gets, without any socket."""
+"""Topics of one client: its publications and its subscriptions.
+
+Services of one client: those that it offers, and its calls of others'.
+
+Actions of one client: those that it offers, and the goals that it sends to others'.
+
+Client of the graph: carries the operations of one client out and queues what it gets, without any socket.
+"""
 
 from __future__ import annotations
 
+import itertools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from protocol.dialect import Dialect
-from protocol.errors import ProtocolError
+from protocol.errors import NothingToDoError, OperationError, ProtocolError
 from protocol.limits import Limits
+from protocol.names import qualify
 from protocol.operations import (
     ActionFeedback,
     ActionResult,
@@ -29,19 +39,363 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import Parcel
-from protocol.session import Refusal, Session
+from protocol.publication import Parcel, Publication
+from protocol.session import Refusal, Session, with_id
 from server.access.authorization import unlimited
 from server.access.permissions import ANYONE, Identity
 from server.errors import GraphError
-from server.gateway.client_actions import ClientActions
 from server.gateway.client_auth import AuthContext, ClientAuth
 from server.gateway.client_context import ClientContext, ClientStatus
-from server.gateway.client_services import ClientServices
-from server.gateway.client_topics import ClientTopics
 from server.gateway.translator import MessageTranslator
+from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.services import Call, Response
+from server.graph.topics import Graph, Subscriber
+
+# rosbridge_server's lifespan of messages that are published without latch (rosbridge_library, internal/publishers.py):
+# clients publish right after they have advertised, when nobody has had the time to subscribe.
+LIFESPAN_S = 1.0
+
+
+class ClientTopics:
+    """Topics of one client.
+
+    Args:
+        context: the parts of the client.
+    """
+
+    def __init__(self, context: ClientContext) -> None:
+        self._client = context
+        self._node = context.node
+        self._session = context.session
+        self._graph = context.graph
+        self._subscriber = Subscriber(self._deliver)
+
+    def advertise(self, operation: Advertise) -> None:
+        """Advertise a topic."""
+        topic = qualify(operation.topic)
+        self._client.translator.detect_dialect(operation.type, "msg")
+        self._graph.advertise(self._node, topic, operation.type, latch=operation.latch)
+        try:
+            self._session.publications.add(operation)
+        except OperationError:
+            if topic not in self._session.publications:
+                self._graph.unadvertise(self._node, topic)
+            raise
+
+    def unadvertise(self, operation: Unadvertise) -> None:
+        """Withdraw an advertisement."""
+        topic = qualify(operation.topic)
+        # A client that publishes without having advertised is a publisher too, under no id.
+        implicit = topic not in self._session.publications and self._node in self._graph.publishers(topic)
+        if implicit or self._session.publications.remove(operation.topic, operation.id):
+            self._graph.unadvertise(self._node, topic)
+
+    def publish(self, operation: Publish) -> None:
+        """Publish a message."""
+        topic = qualify(operation.topic)
+        message = self._message(topic, operation)
+        self._graph.publish(self._node, topic, message, latch=operation.latch, lifespan_s=LIFESPAN_S)
+
+    def reject(self, operation: Publish, problem: str) -> None:
+        """Have the topic's owner answer a message that the client may not publish."""
+        topic = qualify(operation.topic)
+        self._graph.turn_away(self._node, topic, self._message(topic, operation), problem)
+
+    def _message(self, topic: str, operation: Publish) -> object:
+        if self._session.dialect == "ros1":
+            return self._client.translator.from_client(self._graph.topic_type(topic), operation.msg)
+        return operation.msg
+
+    def subscribe(self, operation: Subscribe) -> None:
+        """Subscribe to a topic; messages that were published before the subscription follow at once."""
+        topic = qualify(operation.topic)
+        self._client.translator.detect_dialect(operation.type, "msg")
+        earlier = self._graph.subscribe(self._node, topic, operation.type, self._subscriber)
+        try:
+            first = self._session.subscriptions.add(operation)
+        except OperationError:
+            if topic not in self._session.subscriptions:
+                self._graph.unsubscribe(self._node, topic)
+            raise
+        if first:
+            self._deliver_earlier(topic, earlier)
+
+    def unsubscribe(self, operation: Unsubscribe) -> None:
+        """End a subscription."""
+        if self._session.subscriptions.remove(operation.topic, operation.id):
+            self._graph.unsubscribe(self._node, qualify(operation.topic))
+
+    def _deliver_earlier(self, topic: str, earlier: Sequence[Publication]) -> None:
+        subscription = self._session.subscriptions.get(topic)
+        # Under a throttle that drops, one of them gets through: it shall be the newest.
+        newest_only = subscription is not None and subscription.skips
+        for publication in earlier[-1:] if newest_only else earlier:
+            self._deliver(publication, wake=False)
+        # Not before all are there: of what waits for a throttle, only the last ones are to be sent.
+        self._client.wake()
+
+    def _deliver(self, publication: Publication, *, wake: bool = True) -> None:
+        try:
+            queued = self._session.deliver(publication, self._client.clock(), self._client.send_at_once)
+        except ProtocolError as error:
+            self._client.status.refuse_error("subscribe", error)
+        else:
+            if queued and wake:
+                self._client.wake()
+
+
+class ClientServices:
+    """Services that one client offers, and its calls of others' services.
+
+    Args:
+        context: the parts of the client.
+    """
+
+    def __init__(self, context: ClientContext) -> None:
+        self._client = context
+        self._node = context.node
+        self._services = context.graph.services
+        self._limits = context.limits
+        self._offered: set[str] = set()
+        # Calls that the client is to answer, by the ids that it got; no id is ever given twice, so that no late
+        # response is taken for another call's.
+        self._requested: dict[str | int | None, Call] = {}
+        self._numbers = itertools.count(1)
+        self._calls_in_flight = 0
+
+    # As a provider.
+
+    def advertise(self, operation: AdvertiseService) -> None:
+        """Offer a service."""
+        name, limit = qualify(operation.service), self._limits.max_offers
+        if name not in self._offered and len(self._offered) >= limit:
+            raise OperationError(operation.op, None, f"this client has {len(self._offered)}, the limit is {limit}")
+        self._client.translator.detect_dialect(operation.type, "srv")
+        former = self._services.provider(name)
+        self._services.offer_calls(
+            self._node,
+            name,
+            operation.type,
+            lambda call: self._request(operation.service, call),
+            self._limits.call_timeout_s,
+        )
+        self._offered.add(name)
+        if former not in (None, self._node):
+            self._client.status.tell(
+                "warning", operation, f"service {operation.service}: takes the place of another client's"
+            )
+
+    def unadvertise(self, operation: UnadvertiseService) -> None:
+        """Withdraw a service."""
+        name = qualify(operation.service)
+        if name not in self._offered:
+            raise NothingToDoError(operation.op, None, f"service {operation.service}: this client does not offer it")
+        self._services.withdraw(self._node, name)
+        self._offered.remove(name)
+
+    def _request(self, spelled_service: str, call: Call) -> None:
+        id_ = f"service_request:{spelled_service}:{next(self._numbers)}"
+        self._requested[id_] = call
+        call.when_ended(lambda _response: self._requested.pop(id_))
+        arguments = self._client.translator.to_client(f"{call.type_name}_Request", call.request)
+        if not self._client.send_request(
+            {"op": "call_service", "id": id_, "service": spelled_service, "args": arguments}
+        ):
+            call.fail(f"Service {call.service}: its provider does not read its calls quickly enough")
+
+    def respond(self, operation: ServiceResponse) -> None:
+        """Answer a call that the client got."""
+        call = self._requested.get(operation.id)
+        if call is None:
+            raise OperationError(operation.op, "id", "no call of this id waits for a response")
+        if operation.result:
+            values = {} if operation.values is None else operation.values
+            call.succeed(self._client.translator.from_client(f"{call.type_name}_Response", values))
+        else:
+            call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
+
+    def fail(self, id_: str | int | None, problem: str) -> None:
+        """End the call of this id, if there is one, whose response cannot be read."""
+        call = self._requested.get(id_)
+        if call is not None:
+            call.fail(f"Service {call.service} gave a response that cannot be read: {problem}")
+
+    # As a caller.
+
+    def reject(self, operation: CallService, problem: str) -> None:
+        """Answer a call that the client may not make."""
+        _, id_ = _name_and_id(operation)
+        fields = {"op": "service_response", "service": operation.service, "values": problem, "result": False}
+        self._client.send(with_id(fields, id_))
+
+    def call(self, operation: CallService) -> None:
+        """Call a service."""
+        name, id_ = _name_and_id(operation)
+        self._client.translator.detect_dialect(operation.type, "srv")
+        type_name = self._services.type_of(name)
+
+        def answer(response: Response) -> None:
+            values = (
+                self._client.translator.to_client(f"{type_name}_Response", response.values)
+                if response.ok
+                else response.values
+            )
+            fields = {"op": "service_response", "service": operation.service, "values": values, "result": response.ok}
+            self._client.send(with_id(fields, id_))
+
+        def end(response: Response) -> None:
+            self._calls_in_flight -= 1
+            answer(response)
+
+        if self._calls_in_flight >= self._limits.max_calls_in_flight:
+            answer(Response(ok=False, values=f"{self._calls_in_flight} calls of this client wait, which is the limit"))
+            return
+        self._calls_in_flight += 1
+        arguments = self._client.translator.from_client(f"{type_name}_Request", operation.args)
+        self._services.call(self._node, name, arguments, end, operation.timeout, self._client.translator.dialect)
+
+
+def _name_and_id(operation: CallService) -> tuple[str, str | int | None]:
+    # `/svc#7` is how rosbridge's first clients gave the id.
+    service, _, id_in_name = operation.service.partition("#")
+    return qualify(service), operation.id if operation.id is not None else id_in_name or None
+
+
+# rosbridge_library (capabilities/advertise_action.py) takes every other status for an aborted goal.
+_PASSED_STATUSES = (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)
+
+
+class ClientActions:
+    """Actions that one client offers, and the goals that it sends to others' actions.
+
+    Args:
+        context: the parts of the client.
+    """
+
+    def __init__(self, context: ClientContext) -> None:
+        self._client = context
+        self._node = context.node
+        self._actions = context.graph.actions
+        self._limits = context.limits
+        self._offered: set[str] = set()
+        # Goals that the client is to reach, by the ids that it got, none of which is ever given twice.
+        self._requested: dict[str | int | None, Goal] = {}
+        self._numbers = itertools.count(1)
+        # Goals that the client has sent: action and the client's id.
+        self._sent: dict[Goal, tuple[str, str | int | None]] = {}
+
+    # As a provider.
+
+    def advertise(self, operation: AdvertiseAction) -> None:
+        """Offer an action."""
+        name, limit = qualify(operation.action), self._limits.max_offers
+        if name not in self._offered and len(self._offered) >= limit:
+            raise OperationError(operation.op, None, f"this client has {len(self._offered)}, the limit is {limit}")
+        self._client.translator.detect_dialect(operation.type, "action")
+        former = self._actions.provider(name)
+        self._actions.offer(self._node, name, operation.type, lambda goal: self._request(operation, goal))
+        self._offered.add(name)
+        if former not in (None, self._node):
+            self._client.status.tell(
+                "warning", operation, f"action {operation.action}: takes the place of another client's"
+            )
+
+    def unadvertise(self, operation: UnadvertiseAction) -> None:
+        """Withdraw an action."""
+        name = qualify(operation.action)
+        if name not in self._offered:
+            raise NothingToDoError(operation.op, None, f"action {operation.action}: this client does not offer it")
+        self._actions.withdraw(self._node, name)
+        self._offered.remove(name)
+
+    def _request(self, offer: AdvertiseAction, goal: Goal) -> None:
+        id_ = f"action_goal:{offer.action}:{next(self._numbers)}"
+        self._requested[id_] = goal
+        goal.when_ended(lambda _result: self._requested.pop(id_))
+        fields = {
+            "op": "send_action_goal",
+            "id": id_,
+            "action": offer.action,
+            "action_type": offer.type,
+            "args": self._client.translator.to_client(f"{goal.type_name}_Goal", goal.request),
+            "feedback": True,
+        }
+        if not self._client.send_request(fields):
+            goal.fail(f"Action {goal.action}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
+            return
+        goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": offer.action}))
+
+    def report_feedback(self, operation: ActionFeedback) -> None:
+        """Pass feedback on a goal of the client on to its sender."""
+        goal = self._goal(operation)
+        goal.feedback(self._client.translator.from_client(f"{goal.type_name}_Feedback", operation.values))
+
+    def finish(self, operation: ActionResult) -> None:
+        """End a goal of the client with its result."""
+        goal = self._goal(operation)
+        if operation.result:
+            status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
+            values = {} if operation.values is None else operation.values
+            goal.finish(status, self._client.translator.from_client(f"{goal.type_name}_Result", values))
+        else:
+            values = f"Action {goal.action} failed" if operation.values is None else operation.values
+            goal.fail(values, operation.status)
+
+    def _goal(self, operation: ActionFeedback | ActionResult) -> Goal:
+        goal = self._requested.get(operation.id)
+        if goal is None:
+            raise OperationError(operation.op, "id", "no goal of this id is on its way")
+        return goal
+
+    def fail(self, id_: str | int | None, problem: str) -> None:
+        """End the goal of this id, if there is one, whose result cannot be read."""
+        goal = self._requested.get(id_)
+        if goal is not None:
+            goal.fail(f"Action {goal.action} gave a result that cannot be read: {problem}")
+
+    # As a sender.
+
+    def send_goal(self, operation: SendActionGoal) -> None:
+        """Send a goal."""
+        self._client.translator.detect_dialect(operation.action_type, "action")
+        name = qualify(operation.action)
+        type_name = self._actions.type_of(name)
+
+        def on_result(result: Result) -> None:
+            values = (
+                self._client.translator.to_client(f"{type_name}_Result", result.values) if result.ok else result.values
+            )
+            fields = {"op": "action_result", "action": operation.action, "values": values, "status": int(result.status)}
+            self._client.send(with_id({**fields, "result": result.ok}, operation.id))
+
+        def on_feedback(message: dict[str, Any]) -> None:
+            values = self._client.translator.to_client(f"{type_name}_Feedback", message)
+            fields = {"op": "action_feedback", "action": operation.action, "values": values}
+            self._client.send_feedback(with_id(fields, operation.id))
+
+        if len(self._sent) >= self._limits.max_calls_in_flight:
+            problem = f"{len(self._sent)} goals of this client are on their way, which is the limit"
+            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
+            return
+        arguments = self._client.translator.from_client(f"{type_name}_Goal", operation.args)
+        listener = on_feedback if operation.feedback else None
+        goal = self._actions.send_goal(self._node, name, operation.action_type, arguments, on_result, listener)
+        if goal is not None and not goal.ended:
+            self._sent[goal] = name, operation.id
+            goal.when_ended(lambda _result: self._sent.pop(goal))
+
+    def reject(self, operation: SendActionGoal, problem: str) -> None:
+        """Answer a goal that the client may not send."""
+        fields = {"op": "action_result", "action": operation.action, "values": problem, "result": False}
+        self._client.send(with_id({**fields, "status": int(GoalStatus.UNKNOWN)}, operation.id))
+
+    def cancel(self, operation: CancelActionGoal) -> None:
+        """Cancel the goal of this id; one that is unknown has most likely just ended."""
+        wanted = qualify(operation.action), operation.id
+        for goal in [goal for goal, sent in self._sent.items() if sent == wanted]:
+            goal.cancel()
+
 
 log = logging.getLogger("armbridge.gateway")
 

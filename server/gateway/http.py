@@ -34,7 +34,7 @@ from server.moveit.description import find_file, package_name, with_package_urls
 log = logging.getLogger("armbridge.gateway")
 
 # Answers a request for one path.
-Route: TypeAlias = Callable[[Request], Awaitable["Answer"]]
+Route: TypeAlias = Callable[[Request], Awaitable["HttpResponse"]]
 
 METHODS = ("GET", "HEAD")
 
@@ -269,7 +269,7 @@ def find_page_file(directory: Path, name: str) -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class HttpResponse:
     """Answer to a request.
 
     Attributes:
@@ -283,26 +283,26 @@ class Answer:
     headers: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of_text(cls, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Answer:
+    def of_text(cls, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
         """Return an answer with one sentence of text."""
         about = {"Content-Type": "text/plain; charset=utf-8", "Cache-Control": "no-store"}
         # A file name may have bytes that are no UTF-8.
         return cls(status, f"{text}\n".encode(errors="backslashreplace"), {**about, **(headers or {})})
 
     @classmethod
-    def of_data(cls, status: HTTPStatus, body: bytes, media_type: str) -> Answer:
+    def of_data(cls, status: HTTPStatus, body: bytes, media_type: str) -> HttpResponse:
         """Return an answer with data that are not to be cached."""
         return cls(status, body, {"Content-Type": media_type, "Cache-Control": "no-store"})
 
     @classmethod
-    def of_html(cls, status: HTTPStatus, text: str) -> Answer:
+    def of_html(cls, status: HTTPStatus, text: str) -> HttpResponse:
         """Return an answer with a page of HTML."""
         return cls(status, text.encode(), {"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store"})
 
     @classmethod
     def of_file(
         cls, file: StoredFile, media_type: str, keeping: str, headers: Mapping[str, str] | None = None
-    ) -> Answer:
+    ) -> HttpResponse:
         """Return an answer with a file.
 
         Args:
@@ -377,7 +377,7 @@ class HttpHandler:
             return None
         if request.method not in METHODS:
             text = f"{request.method[:20]} is not for this address: {' and '.join(METHODS)} are"
-            answer = Answer.of_text(HTTPStatus.METHOD_NOT_ALLOWED, text, {"Allow": ", ".join(METHODS)})
+            answer = HttpResponse.of_text(HTTPStatus.METHOD_NOT_ALLOWED, text, {"Allow": ", ".join(METHODS)})
         else:
             answer = await self._answer(request)
         if answer.status >= HTTPStatus.BAD_REQUEST:
@@ -389,7 +389,7 @@ class HttpHandler:
         is_route = _name(request.path) in self._routes
         if not is_route and self._unread_bytes + len(response.body) > MAX_UNREAD_BYTES:
             text = f"clients leave {self._unread_bytes} bytes unread, the limit is {MAX_UNREAD_BYTES}; ask again later"
-            return Answer.of_text(HTTPStatus.SERVICE_UNAVAILABLE, text, {"Retry-After": "5"}).response(request)
+            return HttpResponse.of_text(HTTPStatus.SERVICE_UNAVAILABLE, text, {"Retry-After": "5"}).response(request)
         self._count(connection, len(response.body))
         return response
 
@@ -406,10 +406,10 @@ class HttpHandler:
         self._readers.add(reader)
         reader.add_done_callback(read)
 
-    async def _answer(self, request: Request) -> Answer:
+    async def _answer(self, request: Request) -> HttpResponse:
         name = _name(request.path)
         if name is None:
-            return Answer.of_text(HTTPStatus.NOT_FOUND, "this is no path to a file")
+            return HttpResponse.of_text(HTTPStatus.NOT_FOUND, "this is no path to a file")
         if name in self._routes:
             return await self._routes[name](request)
         gzipped = accepts_gzip(request.headers) and compressible(name or INDEX)
@@ -420,21 +420,21 @@ class HttpHandler:
             return await self._page_file(name, gzipped)
         except FileTooLargeError as error:
             self._tell(_sentence(error))
-            return Answer.of_text(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _sentence(error), _cors(area))
+            return HttpResponse.of_text(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _sentence(error), _cors(area))
         except ServiceError as error:
-            return Answer.of_text(HTTPStatus.NOT_FOUND, _sentence(error), _cors(area))
+            return HttpResponse.of_text(HTTPStatus.NOT_FOUND, _sentence(error), _cors(area))
         except OSError as error:
             self._tell(f"{name!r} cannot be read: {error.strerror}")
-            return Answer.of_text(HTTPStatus.INTERNAL_SERVER_ERROR, f"{name!r} cannot be read", _cors(area))
+            return HttpResponse.of_text(HTTPStatus.INTERNAL_SERVER_ERROR, f"{name!r} cannot be read", _cors(area))
 
-    async def _page_file(self, name: str, gzipped: bool) -> Answer:
+    async def _page_file(self, name: str, gzipped: bool) -> HttpResponse:
         if name in ("", INDEX) and not page_is_built(self._page_directory):
-            return Answer.of_html(HTTPStatus.NOT_FOUND, NOT_BUILT)
+            return HttpResponse.of_html(HTTPStatus.NOT_FOUND, NOT_BUILT)
         file = await self._page_files.read(lambda: find_page_file(self._page_directory, name), gzipped=gzipped)
         keeping = _FOR_EVER if _HASHED.fullmatch(name) else _ASK_AGAIN
-        return Answer.of_file(file, media_type(name or INDEX), keeping)
+        return HttpResponse.of_file(file, media_type(name or INDEX), keeping)
 
-    async def _robot_file(self, name: str, gzipped: bool) -> Answer:
+    async def _robot_file(self, name: str, gzipped: bool) -> HttpResponse:
         text = self._descriptions.get(name)
         if text is not None:
             file = StoredFile.of(text, gzipped=gzipped)
@@ -444,7 +444,7 @@ class HttpHandler:
             directory, package = self._robot.mesh_directory, package_name(self._robot)
             url = f"package://{name}"
             file = await self._robot_files.read(lambda: find_file(directory, package, url), gzipped=gzipped)
-        return Answer.of_file(file, media_type(name), _ASK_AGAIN, _cors(ROBOT))
+        return HttpResponse.of_file(file, media_type(name), _ASK_AGAIN, _cors(ROBOT))
 
     def _tell(self, sentence: str) -> None:
         """Warn once of a file that is not served; browsers ask for it again and again."""

@@ -1,4 +1,9 @@
-"""Listening sockets of the server: binds the port on every address, and serves the clients that connect."""
+"""The server's certificate, and its replacement while the server runs.
+
+Connected clients, on the latched topics of rosbridge_server.
+
+Listening sockets of the server: binds the port on every address, and serves the clients that connect.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +14,11 @@ import functools
 import logging
 import resource
 import socket
-from collections.abc import Mapping, Sequence
+import ssl
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -18,21 +26,166 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 
 from protocol.limits import Limits
+from protocol.messages import Stamp
 from server.access.authentication import Tokens
 from server.access.authorization import Access, unlimited
+from server.access.rate_limits import LogLimiter
 from server.access.settings import AccessSettings
-from server.client_list import ClientList
 from server.config import ServerSettings
-from server.errors import StartError
-from server.gateway.admission import AdmissionPolicy, HandshakeRequest, check_exposure
+from server.errors import ConfigurationError, StartError
+from server.gateway.admission import (
+    RETRY_AFTER_S,
+    AdmissionPolicy,
+    ConnectionLimiter,
+    ConnectionLimits,
+    HandshakeRequest,
+    check_exposure,
+)
 from server.gateway.connection import Connection, Traffic
-from server.gateway.connection_limits import RETRY_AFTER_S, ConnectionLimiter, ConnectionLimits
-from server.gateway.http import Answer, HttpHandler, names
-from server.gateway.tls import Tls
+from server.gateway.http import HttpHandler, HttpResponse, names
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket, address_of
+from server.graph.node import Node
 from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
+
+CERTIFICATE, KEY = "server.tls_certificate", "server.tls_key"
+
+_LOCKED = "the key has a passphrase, which nobody can enter; `openssl pkey -in KEY -out NEW` takes it off"
+
+
+class Tls:
+    """A certificate with its key.
+
+    Args:
+        certificate: PEM file, with the certificates that lead to its issuer.
+        key: PEM file.
+
+    Attributes:
+        context: context of the listening sockets, the same as long as the server runs; each handshake gets the
+            certificate that was read last.
+
+    Raises:
+        ConfigurationError: the files cannot be used.
+    """
+
+    def __init__(self, certificate: Path, key: Path) -> None:
+        self._certificate = certificate
+        self._key = key
+        self._log = LogLimiter(log, burst=1)
+        self._latest = self.context = self._read()
+        # Called in every handshake, also when the client names no server.
+        self.context.sni_callback = self._use_latest
+        self.context.sslobject_class = _handshakes(self._tell_plain_text)
+
+    def reload(self) -> None:
+        """Read the files again; files that cannot be used change nothing and are named in the log."""
+        try:
+            self._latest = self._read()
+        except ConfigurationError as error:
+            log.warning("the certificate stays as it was: %s", error)
+        else:
+            log.info("certificate read again: %s", self._certificate)
+
+    def _use_latest(self, connection: ssl.SSLObject, _name: str | None, _context: ssl.SSLContext) -> None:
+        connection.context = self._latest
+
+    def _tell_plain_text(self) -> None:
+        """Tell once of a client that does not encrypt: asyncio closes its connection without a word."""
+        line = "refused: a client speaks ws:// or http://, and here is wss:// and https://"
+        self._log.write(logging.WARNING, line, ("tls", "plain text"))
+
+    def _read(self) -> ssl.SSLContext:
+        for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
+            _check_readable(setting, file)
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        context.set_alpn_protocols(["http/1.1"])
+        asked: list[bool] = []
+
+        def passphrase() -> str:
+            asked.append(True)
+            return ""
+
+        try:
+            context.load_cert_chain(self._certificate, self._key, passphrase)
+        except (ssl.SSLError, OSError, ValueError) as error:
+            raise ConfigurationError(self._reason(error, asked_for_passphrase=bool(asked))) from error
+        return context
+
+    def _reason(self, error: Exception, *, asked_for_passphrase: bool) -> str:
+        if asked_for_passphrase:
+            return f"{KEY}: {self._key}: {_LOCKED}"
+        if isinstance(error, ssl.SSLError) and error.reason == "KEY_VALUES_MISMATCH":
+            return f"{KEY}: {self._key} is not the key of the certificate in {self._certificate} ({CERTIFICATE})"
+        for setting, file, kind in ((CERTIFICATE, self._certificate, "CERTIFICATE"), (KEY, self._key, "PRIVATE KEY")):
+            if f"{kind}-----" not in file.read_text(errors="replace"):
+                return f"{setting}: {file} has no {kind} in PEM format"
+        return f"{CERTIFICATE} {self._certificate} and {KEY} {self._key} cannot be used: {error}"
+
+
+def _handshakes(on_plain_text: Callable[[], None]) -> type[ssl.SSLObject]:
+    """Return the class of a context's connections; it reports a client that begins with HTTP instead of TLS."""
+
+    class Handshake(ssl.SSLObject):
+        def do_handshake(self) -> None:
+            try:
+                super().do_handshake()
+            except ssl.SSLError as error:
+                if error.reason == "HTTP_REQUEST":
+                    on_plain_text()
+                raise
+
+    return Handshake
+
+
+def _check_readable(setting: str, file: Path) -> None:
+    try:
+        file.open("rb").close()
+    except OSError as error:
+        raise ConfigurationError(f"{setting}: {file} cannot be read: {error.strerror or error}") from error
+
+
+COUNT_TOPIC = "/client_count"
+LIST_TOPIC = "/connected_clients"
+
+
+class ClientList:
+    """The connected clients.
+
+    Args:
+        graph: where the topics are.
+        wall_clock: seconds since the epoch.
+    """
+
+    def __init__(self, graph: Graph, wall_clock: Callable[[], float] = time.time) -> None:
+        self._graph = graph
+        self._wall_clock = wall_clock
+        self._node = Node("rosbridge_websocket")
+        self._clients: dict[Node, dict[str, Any]] = {}
+
+    def open(self) -> None:
+        """Advertise the topics and say that nobody is there yet."""
+        self._graph.advertise(self._node, COUNT_TOPIC, "std_msgs/msg/Int32", latch=True)
+        self._graph.advertise(self._node, LIST_TOPIC, "rosbridge_msgs/msg/ConnectedClients", latch=True)
+        self._publish()
+
+    def add(self, client: Node, address: str) -> None:
+        """A client has connected from an address."""
+        connected = Stamp.from_seconds(self._wall_clock()).as_message()
+        self._clients[client] = {"ip_address": address, "connection_time": connected}
+        self._publish()
+
+    def remove(self, client: Node) -> None:
+        """A client has left."""
+        self._clients.pop(client, None)
+        self._publish()
+
+    def _publish(self) -> None:
+        self._graph.publish(self._node, COUNT_TOPIC, {"data": len(self._clients)})
+        self._graph.publish(self._node, LIST_TOPIC, {"clients": list(self._clients.values())})
+
+
 WEBSOCKETS_LOG = logging.getLogger("websockets.server")
 
 # A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
@@ -285,7 +438,7 @@ class Listener:
         rejection = None if websocket.slot is None else websocket.slot.rejection
         if rejection is not None:
             retry = {"Retry-After": str(RETRY_AFTER_S)}
-            return Answer.of_text(rejection.status, rejection.sentence, retry).response(request)
+            return HttpResponse.of_text(rejection.status, rejection.sentence, retry).response(request)
         admitted = self.admission.check(
             HandshakeRequest(
                 address_of(websocket)[0],
@@ -295,7 +448,7 @@ class Listener:
                 encrypted=self._tls is not None,
             )
         )
-        if isinstance(admitted, Answer):
+        if isinstance(admitted, HttpResponse):
             return admitted.response(request)
         websocket.identity = admitted
         return await self._http.process_request(websocket, request)

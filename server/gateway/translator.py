@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from protocol import dialect
-from protocol.codecs import arrays
+from protocol.codecs import cbor
 from protocol.dialect import Dialect
 from protocol.registry import Kind, Registry
 from protocol.session import Session
@@ -51,7 +51,7 @@ class MessageTranslator:
         if not self._registry.knows(type_name):
             return msg
         if self._session.speaks_bson:
-            msg = arrays.with_octets(self._registry, type_name, msg)
+            msg = cbor.with_octets(self._registry, type_name, msg)
         return dialect.to_ros1(self._registry, type_name, msg) if self._session.dialect == "ros1" else msg
 
     def from_client(self, type_name: str | None, value: object) -> object:

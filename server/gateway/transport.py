@@ -22,7 +22,7 @@ from websockets.server import ServerProtocol
 
 from protocol.publication import Parcel
 from server.access.permissions import ANYONE, Identity
-from server.gateway.connection_limits import ConnectionLimiter, ConnectionSlot
+from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 
 # Looking a member of an enumeration up takes as long as calling a function.
 _OPEN, _TEXT, _BINARY = State.OPEN, Opcode.TEXT, Opcode.BINARY

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Protocol
 
 from robot.messages import ArmHealth, ArmState, Mode
 from server.gateway.connection import Traffic
-from server.gateway.http import Answer
+from server.gateway.http import HttpResponse
 
 if TYPE_CHECKING:
-    from server.monitoring.metrics import GoalCounters
+    from server.monitoring.monitor import GoalCounters
 
 # Without a bus, the arm process sends a state at each attempt to open it: every 2 s, plus the attempt's own time.
 ARM_SILENT_S = 10.0
@@ -154,14 +154,14 @@ class Health:
     reasons: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
-    def response(self, *, good: bool) -> Answer:
+    def response(self, *, good: bool) -> HttpResponse:
         """Return the HTTP response with the health as JSON.
 
         Args:
             good: True for status 200, False for 503.
         """
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
-        return Answer.of_data(status, json.dumps(dataclasses.asdict(self)).encode() + b"\n", "application/json")
+        return HttpResponse.of_data(status, json.dumps(dataclasses.asdict(self)).encode() + b"\n", "application/json")
 
 
 def check_health(sources: Sources) -> Health:

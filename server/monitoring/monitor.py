@@ -1,19 +1,370 @@
-"""Monitor of the server: HTTP routes for health and metrics, and a watch on its event loop that systemd hears of."""
+"""Metrics for Prometheus: counters of goals, values read from the server's parts at a scrape, and processes.
+
+Monitor of the server: HTTP routes for health and metrics, and a watch on its event loop that systemd hears of.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
+import os
+import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from http import HTTPStatus
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-from prometheus_client import Histogram
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    Info,
+    ProcessCollector,
+    disable_created_metrics,
+)
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.exposition import choose_encoder
+from prometheus_client.registry import Collector
 from websockets.http11 import Request
 
-from server.gateway.http import Answer, Route
-from server.monitoring.health import Health, Sources, check_health
-from server.monitoring.metrics import Metrics
+from robot.faults import FaultCode
+from robot.hardware.interface import BusCounters
+from robot.messages import ArmHealth, JointHealth, Mode
+from server.execution.queue import Answer
+from server.gateway.connection import Traffic
+from server.gateway.http import HttpResponse, Route
+from server.monitoring.health import (
+    ArmSource,
+    GoalQueueSource,
+    Health,
+    PlannersSource,
+    RecorderSource,
+    Sources,
+    ZenohSource,
+    check_health,
+)
 from server.monitoring.systemd import SystemdNotifier
+
+# Upper bounds of buckets [s]. A goal with many constraints takes seconds to plan; most take milliseconds.
+PLANNING_TIME_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+MOTION_TIME_BUCKETS_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+LOOP_LAG_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
+
+# A report comes once a second of the arm's time; an older one says nothing about its servos now.
+ARM_HEALTH_STALE_S = 5.0
+
+# Label values of a loop's and a bus's times: the quantiles that the arm reports.
+QUANTILES = ("0.5", "0.99", "1")
+
+# Metrics of ProcessCollector that are exposed: those that docs/operations.md documents.
+PROCESS_METRICS = (
+    "armbridge_process_resident_memory_bytes",
+    "armbridge_process_open_fds",
+    "armbridge_process_cpu_seconds",
+)
+
+_SERVO_METRICS: tuple[tuple[str, str, Callable[[JointHealth], float]], ...] = (
+    ("armbridge_servo_temperature_celsius", "Temperature of a servo.", lambda servo: servo.temperature_c),
+    ("armbridge_servo_voltage_volts", "Voltage at a servo.", lambda servo: servo.voltage_v),
+    ("armbridge_servo_current_amperes", "Current of a servo's motor, signed.", lambda servo: servo.current_a),
+    ("armbridge_servo_load_ratio", "Share of the motor's full duty, signed.", lambda servo: servo.load),
+    ("armbridge_servo_reply_age_seconds", "Time since a servo's last good reply.", lambda servo: servo.age_s),
+)
+
+Source = TypeVar("Source")
+
+# Everything is counted from the server's start, whose time is a metric of its own.
+disable_created_metrics()
+
+
+class GoalCounters(Collector):
+    """Counters of answered goals."""
+
+    def __init__(self) -> None:
+        self._answered = Counter(
+            "armbridge_goals",
+            "Goals answered, by the topic or action they came by and the name of MoveIt's code.",
+            ("source", "result"),
+            registry=None,
+        )
+        self._planning_s = Histogram(
+            "armbridge_goal_planning_seconds",
+            "Time spent on planning, a goal.",
+            buckets=PLANNING_TIME_BUCKETS_S,
+            registry=None,
+        )
+        self._motion_s = Histogram(
+            "armbridge_goal_motion_seconds",
+            "Time for which the arm moved, a goal.",
+            buckets=MOTION_TIME_BUCKETS_S,
+            registry=None,
+        )
+
+    def count(self, source: str, answer: Answer) -> None:
+        """Count an answered goal.
+
+        Args:
+            source: topic or action by which the goal came; one of the server's own.
+            answer: its answer.
+        """
+        self._answered.labels(source, answer.code.name).inc()
+        performed = answer.performed
+        if performed is None:
+            return
+        if performed.planning_time_s > 0.0:
+            self._planning_s.observe(performed.planning_time_s)
+        if performed.executed is not None:
+            self._motion_s.observe(performed.executed.duration_s)
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the metrics of goals."""
+        for each in (self._answered, self._planning_s, self._motion_s):
+            yield from each.collect()
+
+
+class Exposition(NamedTuple):
+    """Text of a scrape, and its media type."""
+
+    text: bytes
+    media_type: str
+
+
+class Metrics:
+    """All metrics of the server.
+
+    Args:
+        sources: parts of the server.
+
+    Attributes:
+        registry: the collectors.
+        loop_lag_s: delay with which the event loop wakes up [s].
+    """
+
+    def __init__(self, sources: Sources) -> None:
+        self.registry = CollectorRegistry(auto_describe=False)
+        self.registry.register(SourcesCollector(sources))
+        self.loop_lag_s = Histogram(
+            "armbridge_event_loop_lag_seconds",
+            "Time by which the event loop woke up too late.",
+            buckets=LOOP_LAG_BUCKETS_S,
+            registry=self.registry,
+        )
+        started = Gauge("armbridge_start_time_seconds", "When the server started.", registry=self.registry)
+        started.set_to_current_time()
+        build = Info("armbridge_build", "Version of armbridge and of Python.", registry=self.registry)
+        build.info({"version": metadata.version("armbridge"), "python": platform.python_version()})
+
+    def expose(self, accept: str) -> Exposition:
+        """Return the metrics of this moment.
+
+        Args:
+            accept: the request's header Accept; empty for the text format of Prometheus.
+        """
+        encode, media_type = choose_encoder(accept)
+        return Exposition(encode(self.registry), media_type)
+
+
+class SourcesCollector(Collector):
+    """Reads the parts of the server at each scrape; between scrapes they only count.
+
+    Args:
+        sources: parts of the server.
+    """
+
+    def __init__(self, sources: Sources) -> None:
+        self._sources = sources
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the metrics of all parts that have been started."""
+        sources = self._sources
+        health = check_health(sources)
+        yield GaugeMetricFamily("armbridge_live", "Whether the server does what it can.", int(health.live))
+        yield GaugeMetricFamily("armbridge_ready", "Whether /readyz answers 200.", int(health.ready))
+        yield from _metrics_of(sources.traffic, client_metrics)
+        yield from _metrics_of(sources.refused_connections, refusal_metrics)
+        yield from _metrics_of(sources.zenoh, zenoh_metrics)
+        yield from _metrics_of(sources.goal_counters, GoalCounters.collect)
+        yield from _metrics_of(sources.queue, queue_metrics)
+        yield from _metrics_of(sources.planners, planner_metrics)
+        yield from _metrics_of(sources.recorder, recording_metrics)
+        yield from _metrics_of(sources.arm, arm_metrics)
+        yield from _metrics_of(_fresh(sources.arm_health), arm_health_metrics)
+        yield from process_metrics({"server": os.getpid(), **sources.children()})
+
+
+def _metrics_of(source: Source | None, metrics: Callable[[Source], Iterator[Metric]]) -> Iterator[Metric]:
+    return iter(()) if source is None else metrics(source)
+
+
+def _fresh(health: ArmHealth | None) -> ArmHealth | None:
+    """Return the arm's report, unless it is from before the arm was lost."""
+    if health is None or (time.time() - health.stamp_s) * health.real_time_factor > ARM_HEALTH_STALE_S:
+        return None
+    return health
+
+
+# Clients and other machines.
+
+
+def client_metrics(traffic: Traffic) -> Iterator[Metric]:
+    """Yield the metrics of clients."""
+    counts = traffic.counts()
+    queued_bytes, most_queued_bytes = traffic.queued_bytes()
+    yield GaugeMetricFamily("armbridge_clients", "Clients that are connected.", traffic.clients)
+    yield GaugeMetricFamily("armbridge_clients_queued_bytes", "What waits for all clients to read.", queued_bytes)
+    yield GaugeMetricFamily(
+        "armbridge_clients_queued_greatest_bytes", "What waits for the slowest client to read.", most_queued_bytes
+    )
+    for name, meaning, value in (
+        ("armbridge_connections", "Clients that have connected since the start.", traffic.connections),
+        ("armbridge_received_messages", "WebSocket messages that came from clients.", counts.received_messages),
+        ("armbridge_received_bytes", "Bytes that came from clients, handshakes included.", counts.received_bytes),
+        ("armbridge_sent_messages", "WebSocket messages that went to clients.", counts.sent_messages),
+        ("armbridge_sent_bytes", "Bytes of messages that went to clients.", counts.sent_bytes),
+        (
+            "armbridge_dropped_messages",
+            "Messages on topics that clients did not get because they read too slowly.",
+            counts.dropped_messages,
+        ),
+        ("armbridge_refused_operations", "Operations that were not carried out.", counts.refused_operations),
+    ):
+        yield CounterMetricFamily(name, meaning, value)
+
+
+def refusal_metrics(refused_connections: Callable[[], Mapping[str, int]]) -> Iterator[Metric]:
+    """Yield the refused connections by reason."""
+    family = CounterMetricFamily(
+        "armbridge_refused_connections", "Connections and requests that were not let in, by why.", labels=("reason",)
+    )
+    for reason, count in refused_connections().items():
+        family.add_metric((reason,), count)
+    yield family
+
+
+def zenoh_metrics(zenoh: ZenohSource) -> Iterator[Metric]:
+    """Yield the metrics of the zenoh network."""
+    yield CounterMetricFamily(
+        "armbridge_zenoh_dropped_messages", "Messages lost because network or server were too slow.", zenoh.dropped
+    )
+
+
+# Goals, planners, the recording.
+
+
+def queue_metrics(queue: GoalQueueSource) -> Iterator[Metric]:
+    """Yield the metrics of goals that are not answered yet."""
+    yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
+    yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on, 0 or 1.", int(bool(queue.busy)))
+
+
+def planner_metrics(planners: PlannersSource) -> Iterator[Metric]:
+    """Yield the metrics of planners."""
+    for state, count in (("loaded", planners.loaded_count), ("idle", planners.idle_count)):
+        yield GaugeMetricFamily(f"armbridge_planners_{state}", f"Planner processes that are {state}.", count)
+    yield GaugeMetricFamily(
+        "armbridge_planners_waiting_requests", "Requests that wait for a planner.", planners.waiting_count
+    )
+
+
+def recording_metrics(recorder: RecorderSource) -> Iterator[Metric]:
+    """Yield the metrics of the recording."""
+    yield GaugeMetricFamily("armbridge_recording", "Whether messages are recorded.", int(not recorder.ended))
+    yield GaugeMetricFamily("armbridge_recording_waiting_messages", "Messages that wait for the file.", recorder.queued)
+    yield CounterMetricFamily(
+        "armbridge_recording_dropped_messages", "Messages missing in the recording.", recorder.dropped
+    )
+
+
+# The arm; metrics of devices that an ideal arm does not have are left out.
+
+
+def arm_metrics(arm: ArmSource) -> Iterator[Metric]:
+    """Yield the metrics of the arm's state."""
+    mode = GaugeMetricFamily("armbridge_arm_mode", "1 for what the arm is doing, 0 for all else.", labels=("mode",))
+    for each in Mode:
+        mode.add_metric((each.value,), int(arm.state.mode is each))
+    fault = GaugeMetricFamily("armbridge_arm_fault", "1 for the fault of the arm, 0 for others.", labels=("code",))
+    for code in FaultCode:
+        fault.add_metric((code.value,), int(arm.state.fault is not None and arm.state.fault.code is code))
+    yield from (mode, fault)
+    yield GaugeMetricFamily("armbridge_arm_state_age_seconds", "Time since the last state came.", arm.state_age_s)
+
+
+def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
+    """Yield the metrics of the arm's loop, its bus and its servos."""
+    if health.bus is not None:
+        yield from _bus_metrics(health.bus)
+        yield _quantiles("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
+    yield _quantiles(
+        "armbridge_arm_loop_lateness_seconds", "Start of the loop's ticks after their deadlines.", health.lateness_s
+    )
+    yield GaugeMetricFamily("armbridge_arm_real_time", "Whether the loop has real-time priority.", health.real_time)
+    yield GaugeMetricFamily(
+        "armbridge_arm_real_time_factor",
+        "Seconds of the arm's time that pass in one second; below 1 where a busy machine slows a simulated arm down.",
+        health.real_time_factor,
+    )
+    for name, meaning, value_of in _SERVO_METRICS:
+        family = GaugeMetricFamily(name, meaning, labels=("joint",))
+        for joint in health.joints:
+            if not math.isnan(value := value_of(joint)):
+                family.add_metric((joint.joint,), value)
+        yield family
+    silent = CounterMetricFamily(
+        "armbridge_servo_silent_cycles", "Cycles in which a servo did not answer.", labels=("joint",)
+    )
+    for joint in health.joints:
+        silent.add_metric((joint.joint,), joint.silent_cycles)
+    yield silent
+
+
+def _bus_metrics(bus: BusCounters) -> Iterator[Metric]:
+    for name, meaning, value in (
+        ("instructions", "Instructions written to the bus.", bus.sent),
+        ("replies", "Valid replies of servos.", bus.replies),
+        ("timeouts", "Replies that did not come, or not soundly.", bus.timeouts),
+        ("discarded_bytes", "Bytes that belonged to no valid reply.", bus.discarded_bytes),
+        ("retries", "Instructions that were repeated.", bus.retries),
+    ):
+        yield CounterMetricFamily(f"armbridge_bus_{name}", f"{meaning} Since the bus was opened.", value)
+
+
+def _quantiles(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:
+    family = GaugeMetricFamily(name, f"{meaning} Over the last second.", labels=("quantile",))
+    for quantile, value_s in zip(QUANTILES, values_s, strict=True):
+        family.add_metric((quantile,), value_s)
+    return family
+
+
+# Processes.
+
+
+def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
+    """Yield the metrics of processes; those that have ended have none.
+
+    Args:
+        processes: process ids by the names of the processes.
+    """
+    threads = GaugeMetricFamily("armbridge_process_threads", "Threads.", labels=("process",))
+    families: dict[str, Metric] = {}
+    for name, pid in processes.items():
+        for found in _collect_process(pid):
+            family = families.setdefault(found.name, Metric(found.name, found.documentation, found.type))
+            family.samples += [sample._replace(labels={"process": name}) for sample in found.samples]
+        # ProcessCollector does not count them.
+        with contextlib.suppress(OSError):
+            threads.add_metric((name,), sum(1 for _ in Path(f"/proc/{pid}/task").iterdir()))
+    yield from (*families.values(), threads)
+
+
+def _collect_process(pid: int) -> Iterable[Metric]:
+    collector = ProcessCollector(namespace="armbridge", pid=lambda: pid, registry=None)
+    return (metric for metric in collector.collect() if metric.name in PROCESS_METRICS)
+
 
 # Often enough to notice anything that blocks the loop, seldom enough to cost nothing.
 PERIOD_S = 0.25
@@ -67,17 +418,17 @@ class Monitor:
         """Return the health of the server at this moment."""
         return check_health(self.sources)
 
-    async def _on_readyz(self, _request: Request) -> Answer:
+    async def _on_readyz(self, _request: Request) -> HttpResponse:
         health = self.health()
         return health.response(good=health.live and health.ready)
 
-    async def _on_livez(self, _request: Request) -> Answer:
+    async def _on_livez(self, _request: Request) -> HttpResponse:
         health = self.health()
         return health.response(good=health.live)
 
-    async def _on_metrics(self, request: Request) -> Answer:
+    async def _on_metrics(self, request: Request) -> HttpResponse:
         exposition = self._metrics.expose(", ".join(request.headers.get_all("Accept")))
-        return Answer.of_data(HTTPStatus.OK, exposition.text, exposition.media_type)
+        return HttpResponse.of_data(HTTPStatus.OK, exposition.text, exposition.media_type)
 
 
 class EventLoopMonitor:

@@ -21,13 +21,12 @@ from server.execution.queue import Answer, GoalQueue, QueuedGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.monitoring.metrics import GoalCounters
+from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.move_group import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
-from server.moveit.goal_checks import GoalChecks, GoalReports
 from server.moveit.goal_messages import GoalTranslator
-from server.moveit.goal_topics import Confirmation, GoalStatusTopics, GoalTopics
+from server.moveit.goal_topics import Confirmation, GoalChecks, GoalReports, GoalStatusTopics, GoalTopics
 from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
 from server.moveit.named_states import NamedStates, NamedStatesFile, NamedStatesServices, default_path
 from server.moveit.parameters import PlannerParameters

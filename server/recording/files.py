@@ -13,7 +13,7 @@ from typing import BinaryIO, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
-from protocol import interface_text
+from protocol import type_descriptions
 from protocol.registry import Registry
 
 log = logging.getLogger("armbridge.recording")
@@ -127,7 +127,7 @@ class McapFile:
     def _register(self, message: RecordedMessage) -> int:
         schema = self._schemas.get(message.type_name)
         if schema is None:
-            text = interface_text.full_text(self._registry, message.type_name)
+            text = type_descriptions.full_text(self._registry, message.type_name)
             schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
             self._schemas[message.type_name] = schema
         return self._writer.register_channel(message.topic, "cdr", schema, channel_metadata(message.latched))

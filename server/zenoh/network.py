@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 
-from protocol import type_hash
+from protocol import type_descriptions
 from protocol.errors import InterfaceError
 from protocol.registry import Registry
 from server.graph.node import Node
@@ -26,8 +26,8 @@ log = logging.getLogger("armbridge.zenoh")
 SharedKind: TypeAlias = Literal["msg", "srv"]
 
 _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
-    "msg": type_hash.message_hash,
-    "srv": type_hash.service_hash,
+    "msg": type_descriptions.message_hash,
+    "srv": type_descriptions.service_hash,
 }
 
 # Names whose match is remembered, as many as a large robot has: all of them are matched twice a second.

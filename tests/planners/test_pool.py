@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import math
 import os
 import signal
 import subprocess
@@ -14,11 +15,24 @@ import numpy as np
 import psutil
 import pytest
 import pytest_asyncio
+from hypothesis import given
+from hypothesis import strategies as st
 
-from planners import budget, worker_process
+from planners import budget
 from planners import pool as pool_module
+from planners.budget import Deadline
 from planners.pipeline import Planner
-from planners.pool import MAX_WAITING, PlannerPool
+from planners.pool import (
+    MAX_ALLOWED_TIME_S,
+    MAX_WAITING,
+    OBJECT_BYTES,
+    PART_BYTES,
+    PlannerPool,
+    WorkerProcess,
+    allowed_time_s,
+    parts,
+    timeout_at,
+)
 from planners.problem import (
     Answer,
     MoveItErrorCode,
@@ -28,11 +42,149 @@ from planners.problem import (
     Request,
     StateAnswer,
 )
-from planners.scene import Scene
+from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.servo.question import JointVelocities, ServoQuestion
+from robot.channel import MAX_MESSAGE_BYTES
 from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.requests import EASY, LONG, REQUESTS, START, STATE, STILL, broken
+
+TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def worker() -> AsyncIterator[WorkerProcess]:
+    loaded = asyncio.Event()
+    made = WorkerProcess(model.builtin(), 1 << 30, lambda _worker, _refusal: loaded.set(), lambda _worker: None)
+    await made.start()
+    await asyncio.wait_for(loaded.wait(), 60.0)
+    yield made
+    await made.kill()
+
+
+in_one_loop = pytest.mark.asyncio(loop_scope="module")
+
+
+def boxes(count: int) -> tuple[SceneObject, ...]:
+    return tuple(
+        SceneObject(f"box {i}", ((Box((0.01, 0.01, 0.01)), Pose()),), Pose((2.0 + 0.02 * i, 0.0, 0.0)))
+        for i in range(count)
+    )
+
+
+@in_one_loop
+async def test_a_scene_is_sent_again_only_when_its_version_is_another(worker: WorkerProcess) -> None:
+    assert isinstance(await worker.ask(STATE, Scene(1, TWINS)), PlanningFailure)
+    # The same version says that nothing has changed; the worker still holds what it refused.
+    assert isinstance(await worker.ask(STATE, Scene(1)), PlanningFailure)
+    assert isinstance(await worker.ask(STATE, Scene(2)), StateAnswer)
+    assert worker.has(Scene(2))
+    assert not worker.has(Scene(1))
+
+
+@in_one_loop
+async def test_a_scene_given_up_half_way_is_sent_anew(worker: WorkerProcess) -> None:
+    large = Scene(3, boxes(600))
+    asking = asyncio.create_task(worker.ask(STATE, large))
+    await asyncio.sleep(0)
+    asking.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await asking
+    await worker.cancel()
+    assert not worker.has(large)
+    # Objects that came twice would be refused as duplicates.
+    assert isinstance(await worker.ask(STATE, large), StateAnswer)
+
+
+@in_one_loop
+async def test_what_no_message_can_hold_is_refused_and_harms_nothing(worker: WorkerProcess) -> None:
+    huge = Mesh(np.zeros((MAX_MESSAGE_BYTES // 24 + 1, 3)), np.zeros((0, 3), dtype=np.int32))
+    answer = await worker.ask(STATE, Scene(4, (SceneObject("huge", ((huge, Pose()),)),)))
+    assert isinstance(answer, PlanningFailure)
+    assert str(MAX_MESSAGE_BYTES) in answer.message
+    assert isinstance(await worker.ask(STATE, Scene(5)), StateAnswer)
+
+
+@in_one_loop
+async def test_a_cancelled_worker_that_waits_for_a_core_is_waited_for(
+    worker: WorkerProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool_module, "CANCEL_TIMEOUT_S", 0.02)
+    monkeypatch.setattr(pool_module, "read_run_delay_s", lambda _pid: time.monotonic())
+    asking = asyncio.create_task(worker.ask(LONG, Scene(6)))
+    await asyncio.sleep(0.05)
+    os.kill(worker.pid, signal.SIGSTOP)
+    cancelling = asyncio.create_task(worker.cancel())
+    await asyncio.sleep(0.2)
+    os.kill(worker.pid, signal.SIGCONT)
+    await asyncio.gather(cancelling, asking)
+    assert worker.usable
+
+
+async def test_what_is_in_work_is_ended_once_its_deadline_has_passed() -> None:
+    with pytest.raises(TimeoutError):
+        async with timeout_at(Deadline(0.01, lambda: 0.0)):
+            await asyncio.sleep(10.0)
+
+
+async def test_what_is_in_work_is_not_ended_while_its_process_waits_for_a_core() -> None:
+    async with timeout_at(Deadline(0.01, time.monotonic)):
+        await asyncio.sleep(0.1)
+
+
+async def test_what_is_in_work_is_ended_when_its_process_waits_no_more() -> None:
+    waits_until_s = time.monotonic() + 0.1
+    with pytest.raises(TimeoutError):
+        async with timeout_at(Deadline(0.01, lambda: min(time.monotonic(), waits_until_s))):
+            await asyncio.sleep(10.0)
+
+
+async def test_nothing_looks_at_a_deadline_once_the_work_is_done() -> None:
+    looked_at_s: list[float] = []
+
+    def run_delay_s() -> float:
+        looked_at_s.append(time.monotonic())
+        return 0.0
+
+    async with timeout_at(Deadline(0.01, run_delay_s)):
+        pass
+    done_s = time.monotonic()
+    await asyncio.sleep(0.05)
+    assert max(looked_at_s) <= done_s
+
+
+meshes = st.integers(0, 3 * PART_BYTES // 24).map(
+    lambda vertices: Mesh(np.zeros((vertices, 3)), np.zeros((0, 3), dtype=np.int32))
+)
+
+
+@given(st.lists(st.one_of(meshes, st.just(Box((1.0, 1.0, 1.0)))), max_size=20))
+def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shapes: list[Mesh | Box]) -> None:
+    objects = tuple(SceneObject(str(i), ((shape, Pose()),)) for i, shape in enumerate(shapes))
+    divided = list(parts(objects))
+    assert tuple(each for part in divided for each in part) == objects
+    for part in divided:
+        sizes = [
+            OBJECT_BYTES + (shape.vertices_m.nbytes if isinstance(shape, Mesh) else 0)
+            for each in part
+            for shape, _ in each.shapes
+        ]
+        assert sum(sizes[:-1]) < PART_BYTES
+
+
+def test_ten_thousand_objects_come_in_many_parts() -> None:
+    assert max(len(part) for part in parts(boxes(10_000))) <= 128
+
+
+@pytest.mark.parametrize("allowed_s", [math.nan, math.inf, -1.0, 1e9])
+def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever(allowed_s: float) -> None:
+    assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=allowed_s)) == MAX_ALLOWED_TIME_S
+
+
+def test_every_kind_of_request_has_an_allowed_time() -> None:
+    assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=0.7)) == 0.7
+    assert all(0.0 < allowed_time_s(request) < 10.0 for request, _ in REQUESTS)
+
 
 # Workers load for half a second: one pool serves the tests of this file, and so shows that it survives each.
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -49,7 +201,7 @@ def made_of(robot: model.RobotModel) -> PlannerPool:
 async def pool() -> AsyncIterator[PlannerPool]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(ROOT))
-        patch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.broken_planner")
+        patch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.broken_planner")
         made = made_of(model.builtin())
         await made.start()
         assert made.idle_count == 0
@@ -166,7 +318,7 @@ async def test_cancelling_ends_a_long_search_and_keeps_its_worker(both_idle: Pla
 async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
     both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker_process, "CANCEL_TIMEOUT_S", 60.0)
+    monkeypatch.setattr(pool_module, "CANCEL_TIMEOUT_S", 60.0)
     before = set(both_idle.pids)
     await given_up(both_idle, broken(broken_planner.DEAF), 0.05)
     assert isinstance(await asyncio.wait_for(both_idle.ask(EASY), 30.0), Plan)
@@ -218,25 +370,25 @@ async def test_where_workers_have_loaded_requests_wait_for_the_next_that_does(
     both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.1)
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
+    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.no_such_module")
     kill_all(both_idle)
     asking = asyncio.create_task(both_idle.ask(EASY))
     async with asyncio.timeout(60.0):
         while both_idle._failed_starts < pool_module.MAX_FAILED_STARTS:
             await asyncio.sleep(0.01)
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.broken_planner")
+    monkeypatch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.broken_planner")
     assert isinstance(await asking, Plan)
 
 
 async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
+    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.no_such_module")
     pool = made_of(model.builtin())
     await pool.start()
     answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
     assert isinstance(answer, PlanningFailure)
     assert "planner processes ended while starting" in answer.message
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.worker")
+    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.worker")
     async with asyncio.timeout(60.0):
         while pool.load_failure is not None:
             await asyncio.sleep(0.01)
@@ -249,7 +401,7 @@ async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.M
     monkeypatch.setattr(pool_module, "MAX_FAILED_STARTS", 1)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     # It lives, but never says that it has loaded anything.
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.echo_child")
+    monkeypatch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.echo_child")
     pool = made_of(model.builtin())
     await pool.start()
     async with asyncio.timeout(60.0):
@@ -309,7 +461,7 @@ LATE = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "late")
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Deadlines of questions, and of motions in EASY_AT_ONCE, that pass before a starved worker answers."""
-    monkeypatch.setattr(worker_process, "CHECK_TIME_S", 0.05)
+    monkeypatch.setattr(pool_module, "CHECK_TIME_S", 0.05)
     monkeypatch.setattr(pool_module, "OVERTIME_S", 0.05)
 
 

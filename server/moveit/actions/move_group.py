@@ -26,7 +26,9 @@ from server.execution.queue import Answer, GoalQueue
 from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import (
+from server.moveit.actions.joint_trajectory_controller import (
+    ControllerStatePublisher,
+    JointTrajectoryController,
     MoveGroupFeedback,
     code_message,
     finish_goal,
@@ -35,7 +37,6 @@ from server.moveit.actions.goal_bridge import (
     sequence_result,
     submit_goal,
 )
-from server.moveit.actions.joint_trajectory_controller import ControllerStatePublisher, JointTrajectoryController
 from server.moveit.requests.error_codes import refused
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests

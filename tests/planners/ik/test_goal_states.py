@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import math
 import time
 
@@ -17,7 +19,18 @@ from planners.goals import (
     PositionConstraint,
     PositionGoal,
 )
-from planners.ik.goal_states import Asker, GoalStates
+from planners.ik.constraints import ConditionSet, wish
+from planners.ik.goal_states import (
+    AS_GOOD_RAD,
+    DISTINCT_RAD,
+    FRUITLESS_RESTARTS,
+    HOPELESS_RESTARTS,
+    MAX_SOLUTIONS,
+    Asker,
+    Findings,
+    GoalSearch,
+    GoalStates,
+)
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box, Pose, Scene, SceneObject
 from tests.planners.ik.test_constraints import pose_of
@@ -25,6 +38,218 @@ from tests.planners.invariants import never
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)
+FOLDED = np.array([0.0, -1.7, 1.69, 1.2, 0.0, 0.0])
+# Turning the last joint of the arm moves the tip by less than a millimetre.
+ROLL = np.eye(6)[4]
+
+
+def no_time(_):
+    return 0.0
+
+
+@pytest.fixture
+def findings(goal_states, collision, joints):
+    def make(center, tolerance_m=0.1):
+        goal = PositionGoal(TIP, tuple(collision.tip_positions([center], TIP)[0]), tolerance_m)
+        return Findings(goal_states.forward, collision, wish(goal, joints))
+
+    return make
+
+
+def test_ends_that_are_nearly_the_same_are_one_solution(findings):
+    found = findings(HOME)
+    for q in (HOME, HOME + 0.9 * DISTINCT_RAD * ROLL, HOME + 1.1 * DISTINCT_RAD * ROLL):
+        found.add(q)
+    assert len(found.result(no_time).solutions) == 2
+
+
+def test_collision_is_told_only_where_no_solution_is_free(findings):
+    found = findings(FOLDED, tolerance_m=1.0)
+    found.add(FOLDED)
+    assert found.result(no_time).colliding
+    assert found.only_colliding
+    found.add(HOME)
+    assert not found.result(no_time).colliding
+    assert not found.only_colliding
+
+
+def test_what_can_be_had_only_with_a_contact_is_told_apart_from_what_is_out_of_reach(findings):
+    touching, out_of_reach = findings(FOLDED, tolerance_m=1.0), findings(HOME + 0.5, tolerance_m=0.001)
+    touching.add(FOLDED)
+    out_of_reach.add(FOLDED)
+    assert touching.only_touching
+    assert not out_of_reach.only_touching
+    touching.add(HOME)
+    assert not touching.only_touching
+
+
+def test_a_row_of_descents_is_as_patient_as_it_is_told(findings):
+    hopeless = findings(HOME + 0.5, tolerance_m=0.001)
+    hopeless.begin(patience=2 * HOPELESS_RESTARTS)
+    for _ in range(2 * HOPELESS_RESTARTS):
+        assert not hopeless.enough(wanted=6)
+        hopeless.add(HOME)
+    hopeless.add(HOME)
+    assert hopeless.enough(wanted=6)
+
+
+def test_nearest_is_free_even_if_one_in_contact_is_nearer(findings):
+    found = findings(FOLDED, tolerance_m=0.001)
+    found.add(FOLDED)
+    found.add(HOME)
+    assert found.result(no_time).nearest_q is HOME
+
+
+def test_contacts_count_only_where_they_are_minded(goal_states, collision, joints):
+    goal = PositionGoal(TIP, tuple(collision.tip_positions([FOLDED], TIP)[0]), 0.1)
+    found = Findings(goal_states.forward, None, wish(goal, joints))
+    found.add(FOLDED)
+    assert len(found.result(no_time).solutions) == 1
+
+
+def test_patience_ends_sooner_once_there_is_a_solution(findings):
+    found, hopeless = findings(HOME), findings(HOME + 0.5, tolerance_m=0.001)
+    found.add(HOME)
+    hopeless.add(HOME)
+    for _ in range(FRUITLESS_RESTARTS):
+        found.add(HOME)
+        hopeless.add(HOME)
+    assert found.enough(wanted=6)
+    assert not hopeless.enough(wanted=6)
+    for _ in range(HOPELESS_RESTARTS):
+        hopeless.add(HOME)
+    assert hopeless.enough(wanted=6)
+
+
+def test_of_preferences_only_the_best_met_stay(goal_states, collision, joints):
+    forward = goal_states.forward
+    forward.place(HOME)
+    position_m = tuple(collision.tip_positions([HOME], TIP)[0])
+    rotation = forward.placement(TIP).rotation
+    goal = PoseGoal(TIP, Pose(position_m, tuple(_quaternion(rotation))), 0.05, (0.02, 0.02, 0.02))
+    found = Findings(forward, collision, wish(goal, joints))
+    found.add(HOME + 0.5 * ROLL)
+    found.add(HOME)
+    assert [q is HOME for q in found.result(no_time).solutions] == [True]
+
+
+def _quaternion(rotation):
+    w = 0.5 * np.sqrt(1.0 + np.trace(rotation))
+    skew = rotation - rotation.T
+    return *(np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4.0 * w)), w
+
+
+@pytest.fixture(scope="module")
+def search(robot, collision):
+    return GoalSearch(robot, collision)
+
+
+@pytest.fixture(scope="module")
+def free_states(collision):
+    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (80, 6))
+    states[:, collision.joint_names.index("gripper")] = 0.0
+    return [q for q in states if not collision.in_collision(q)]
+
+
+def axis_goal(search, q):
+    pose = pose_of(search.forward, q)
+    direction = search.forward.placement(TIP).rotation[:, 2]
+    return AxisGoal(TIP, pose.position_m, 0.001, (0.0, 0.0, 1.0), tuple(direction), 0.05)
+
+
+@pytest.mark.parametrize(
+    "goal_at",
+    [
+        lambda search, q: PositionGoal(TIP, pose_of(search.forward, q).position_m, 0.001),
+        lambda search, q: PoseGoal(TIP, pose_of(search.forward, q), 0.001, (0.02, 0.02, 0.02), strict=True),
+        axis_goal,
+    ],
+    ids=["position", "pose", "axis"],
+)
+def test_what_a_free_configuration_has_is_found_free_and_within_limits(
+    search, collision, arm, joints, free_states, goal_at
+):
+    for state in free_states:
+        wanted = wish(goal_at(search, state), joints)
+        found = search.find(arm, wanted, HOME, never)
+        assert found.solutions, state
+        for q in found.solutions:
+            assert ConditionSet(search.forward, wanted.required).holds(q)
+            assert not collision.colliding_pairs(q)
+            assert np.all((q >= collision.lower_rad) & (q <= collision.upper_rad))
+
+
+def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_states):
+    for state in free_states[:20]:
+        goal = PositionGoal(TIP, pose_of(search.forward, state).position_m, 0.001)
+        solutions = search.find(arm, wish(goal, joints), HOME, never).solutions
+        times_s = [search.move_time_s(HOME, q) for q in solutions]
+        assert times_s == sorted(times_s)
+        assert len(solutions) <= MAX_SOLUTIONS
+        for i, q in enumerate(solutions):
+            assert all(np.max(np.abs(q - other)) >= DISTINCT_RAD for other in solutions[:i])
+
+
+def test_no_more_solutions_are_found_than_wanted(search, arm, joints):
+    goal = PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001)
+    assert len(search.find(arm, wish(goal, joints), HOME, never, wanted=1).solutions) == 1
+
+
+def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, free_states):
+    rng = np.random.default_rng(6)
+    for state in free_states[:15]:
+        orientation = rng.normal(size=4)
+        pose = Pose(pose_of(search.forward, state).position_m, tuple(orientation / np.linalg.norm(orientation)))
+        wanted = wish(PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02)), joints)
+        found = search.find(arm, wanted, HOME, never)
+        assert found.solutions
+        turned = [ConditionSet(search.forward, wanted.preferred).beyond_m(q) for q in found.solutions]
+        assert max(turned) - min(turned) <= 0.1 * AS_GOOD_RAD + 1e-9
+
+
+def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, joints, collision, free_states):
+    rng = np.random.default_rng(7)
+    target_m = np.array([0.25, 0.1, 0.15])
+    wanted = wish(PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), joints)
+    found = search.find(arm, wanted, HOME, never)
+    preferred = ConditionSet(search.forward, wanted.preferred)
+    states = rng.uniform(collision.lower_rad, collision.upper_rad, (30_000, 6))
+    near = np.linalg.norm(search.forward.placements(states, TIP).positions_m - target_m, axis=1) < 0.02
+    sampled = min(preferred.deviation(q).orientation_rad for q in states[near] if not collision.in_collision(q))
+    assert preferred.deviation(found.solutions[0]).orientation_rad <= sampled + 0.1
+
+
+def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_best(search, arm, joints, collision):
+    rng = np.random.default_rng(8)
+    states = rng.uniform(collision.lower_rad, collision.upper_rad, (20_000, 6))
+    positions_m = search.forward.placements(states, TIP).positions_m
+    for target_m in ((0.1, 0.0, 0.15), (0.6, 0.2, 0.3), (0.0, 0.7, 0.1)):
+        found = search.find(arm, wish(PositionGoal(TIP, target_m, 0.001), joints), HOME, never)
+        order = np.argsort(np.linalg.norm(positions_m - target_m, axis=1))
+        best = next(i for i in order if not collision.in_collision(states[i]))
+        assert not found.solutions
+        assert not collision.in_collision(found.nearest_q)
+        assert found.nearest.position_m <= np.linalg.norm(positions_m[best] - target_m) + 0.002
+
+
+def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, joints):
+    wanted = wish(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), joints)
+    assert search.find(arm, wanted, HOME, never).colliding
+    assert search.find(arm, wanted, HOME, never, avoid_collisions=False).solutions
+
+
+def test_descents_end_when_told_to(search, arm, joints):
+    found = search.find(arm, wish(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints), HOME, lambda: True)
+    assert len(found.solutions) <= 1
+
+
+def test_same_question_has_the_same_answer(robot, collision, search, arm, joints):
+    wanted = wish(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints)
+    answers = [each.find(arm, wanted, HOME, never).solutions for each in (search, GoalSearch(robot, collision), search)]
+    np.testing.assert_array_equal(answers[0], answers[1])
+    np.testing.assert_array_equal(answers[0], answers[2])
+
+
 TIP_AT_HOME = (0.3914, 0.0, 0.2264)
 
 

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.motions.curve import TICK_S, Curve, standing
-from planners.motions.ramps import polyline
+from planners.motions.curve import TICK_S, Curve, polyline, standing
 from planners.problem import RateLimits
 from tests.planners.invariants import assert_well_formed
 

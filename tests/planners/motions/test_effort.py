@@ -9,8 +9,8 @@ from planners.geometry.joint_space import JointSpace
 from planners.geometry.sweep import ANYTHING
 from planners.goals import Constraints, OrientationConstraint
 from planners.ik.constraints import ConditionSet, conditions
+from planners.motions.curve import line, polyline
 from planners.motions.path import CountedSpace, Query, checks_in, coarse_first, projected_search
-from planners.motions.ramps import line, polyline
 from planners.problem import RateLimits
 from tests.planners.invariants import BLOCKED_LINES, never
 

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from planners.motions.curve import TICK_S, averaged, averaging_start, window_ticks
-from planners.motions.ramps import from_moving, line, polyline
+from planners.motions.curve import TICK_S, averaged, averaging_start, from_moving, line, polyline, window_ticks
 from planners.problem import RateLimits
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
 

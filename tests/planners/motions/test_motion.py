@@ -5,9 +5,8 @@ import pytest
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
-from planners.motions.curve import TICK_S
+from planners.motions.curve import TICK_S, least_time_s, polyline
 from planners.motions.motion import STRAIGHT_LINE, Motion, MotionTask, find_motion, smooth
-from planners.motions.ramps import least_time_s, polyline
 from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits
 from tests.planners.invariants import (
     BLOCKED_LINES,

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from planners.motions.curve import TICK_S
-from planners.motions.ramps import connect, least_time_s, reduced, whole_ticks
+from planners.motions.curve import TICK_S, connect, least_time_s, reduced, whole_ticks
 from planners.problem import RateLimits
 from tests.helpers.examples import examples
 

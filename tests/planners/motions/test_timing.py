@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.motions.curve import TICK_S
-from planners.motions.ramps import brake, from_moving, line, polyline, same_point
+from planners.motions.curve import TICK_S, brake, from_moving, line, polyline, same_point
 from planners.problem import RateLimits
 from tests.helpers.examples import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed

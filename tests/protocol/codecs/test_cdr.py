@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from protocol.codecs import cdr
-from protocol.codecs.arrays import with_octets
+from protocol.codecs.cbor import with_octets
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from tests.helpers.cdr import deserialize

@@ -8,15 +8,176 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+import serial
 
 from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.faults import PROBABILITIES
-from robot.emulator.process import LINGER_S, Control, add_options, build_bus
+from robot.emulator.process import LINGER_S, Control, PseudoTerminal, UsbAdapter, add_options, build_bus
+from robot.emulator.servo_bus import Reply
 from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+
+
+def test_a_terminal_passes_every_byte_unaltered():
+    with contextlib.closing(PseudoTerminal()) as terminal:
+        client = os.open(terminal.port, os.O_RDWR | os.O_NOCTTY)
+        every_byte = bytes(range(256))
+        terminal.write(every_byte)
+        assert os.read(client, 512) == every_byte
+        os.write(client, every_byte)
+        assert terminal.read() == every_byte
+        assert terminal.read() == b""
+        os.close(client)
+
+
+def test_bytes_that_are_not_read_are_lost_without_a_wait():
+    with contextlib.closing(PseudoTerminal()) as terminal:
+        for _ in range(100):
+            terminal.write(bytes(4096))
+
+
+@pytest.mark.parametrize(("set_to", "seen"), [(1_000_000, 1_000_000), (115_200, 115_200), (9600, 0)])
+def test_the_baud_rate_is_the_one_that_the_client_sets(set_to, seen):
+    with contextlib.closing(PseudoTerminal()) as terminal, serial.Serial(terminal.port, set_to):
+        assert terminal.baudrate == seen
+
+
+def test_a_link_leads_to_the_terminal_as_long_as_it_is_there(tmp_path):
+    link = tmp_path / "arm"
+    link.symlink_to("/dev/null")
+    terminal = PseudoTerminal(link)
+    assert str(link.readlink()) == terminal.port
+    terminal.close()
+    assert not link.is_symlink()
+
+
+def test_a_link_that_was_left_stays(tmp_path):
+    link = tmp_path / "arm"
+    terminal = PseudoTerminal(link)
+    terminal.leave_link()
+    terminal.close()
+    assert link.is_symlink()
+
+
+def test_a_file_in_the_place_of_the_link_is_left_alone(tmp_path):
+    link = tmp_path / "arm"
+    link.write_text("mine")
+    with pytest.raises(FileExistsError):
+        PseudoTerminal(link)
+    assert link.read_text() == "mine"
+
+
+@pytest.fixture
+def adapter(tmp_path):
+    adapter = UsbAdapter(tmp_path / "arm")
+    yield adapter
+    adapter.unplug()
+
+
+@pytest.fixture
+def client(adapter):
+    with serial.Serial(adapter.port, 1_000_000, timeout=0) as line:
+        yield line
+
+
+def reply(due_s, data):
+    return Reply(due_s - 1e-5 * len(data), 1e-5, due_s, due_s, data)
+
+
+BURST = [reply(1.0004, b"one"), reply(1.0012, b"two")]
+
+
+def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due(adapter, client):
+    adapter.take(BURST)
+    adapter.deliver(1.0011)
+    assert client.read(9) == b""
+    adapter.deliver(1.0012)
+    assert client.read(9) == b"onetwo"
+
+
+def test_a_burst_does_not_wait_for_the_next(adapter, client):
+    adapter.take(BURST)
+    adapter.take([reply(9.0, b"late")])
+    adapter.deliver(1.0012)
+    assert client.read(9) == b"onetwo"
+
+
+def test_with_frames_bytes_are_given_at_the_end_of_theirs(adapter, client):
+    adapter.frame_s = 0.001
+    adapter.take(BURST)
+    adapter.deliver(1.0009)
+    assert client.read(9) == b""
+    adapter.deliver(1.0011)
+    assert client.read(9) == b"one"
+    adapter.deliver(1.0019)
+    assert client.read(9) == b""
+    adapter.deliver(1.0021)
+    assert client.read(9) == b"two"
+
+
+def test_the_wait_lasts_until_the_next_bytes_are_due(adapter):
+    assert adapter.wait_s(1.0, 0.02) == 0.02
+    adapter.take(BURST)
+    assert adapter.wait_s(1.0, 0.02) == pytest.approx(0.0012)
+    assert adapter.wait_s(5.0, 0.02) == 0.0
+    adapter.frozen = True
+    assert adapter.wait_s(5.0, 0.02) == 0.02
+
+
+def test_a_frozen_adapter_takes_and_gives_nothing_until_it_goes_on(adapter, client):
+    adapter.frozen = True
+    adapter.take(BURST)
+    client.write(b"late")
+    adapter.deliver(9.0)
+    assert client.read(9) == b""
+    assert adapter.descriptors == []
+    adapter.frozen = False
+    adapter.deliver(9.0)
+    assert client.read(9) == b"onetwo"
+    assert len(adapter.descriptors) == 1
+    assert adapter.read() == b"late"
+
+
+def test_an_adapter_that_is_pulled_takes_port_and_link_away(adapter, client, tmp_path):
+    adapter.take(BURST)
+    adapter.unplug()
+    assert not (tmp_path / "arm").is_symlink()
+    with pytest.raises(serial.SerialException):
+        client.read(1)
+    assert adapter.descriptors == []
+    assert (adapter.read(), adapter.baudrate) == (b"", 0)
+    adapter.take(BURST)
+    adapter.deliver(9.0)
+    adapter.unplug()
+
+
+def test_an_adapter_that_comes_back_has_dropped_its_queue(adapter, tmp_path):
+    adapter.take(BURST)
+    adapter.unplug()
+    adapter.plug_in()
+    assert str((tmp_path / "arm").readlink()) == adapter.port
+    with serial.Serial(str(tmp_path / "arm"), timeout=0) as line:
+        adapter.deliver(9.0)
+        assert line.read(9) == b""
+
+
+def test_it_may_come_back_under_another_name_and_the_link_leads_there(adapter, tmp_path):
+    before = adapter.port
+    adapter.unplug()
+    adapter.plug_in(renamed=True)
+    assert adapter.port != before
+    assert str((tmp_path / "arm").readlink()) == adapter.port
+    assert Path(adapter.port).exists()
+
+
+def test_an_adapter_that_is_there_is_not_plugged_in_twice(adapter):
+    before, descriptors = adapter.port, adapter.descriptors
+    adapter.plug_in(renamed=True)
+    assert (adapter.port, adapter.descriptors) == (before, descriptors)
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from robot.emulator.servo_bus import BAUDRATE
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.interface import run_to_end
 from server import cli
+from server.commands import arm as arm_module
 from server.commands import options as command_options
-from server.commands import relax
 from server.commands.terminal import Terminal
 from tests.helpers.stepped_emulator import SteppedEmulator
 from tests.robot.conftest import (  # noqa: F401 - fixtures
@@ -47,7 +47,7 @@ def armbridge(emulator: SteppedEmulator, monkeypatch: pytest.MonkeyPatch, capsys
 
     monkeypatch.setattr(Bus, "open", open_bus)
     # Torque is lowered in the servos' time.
-    monkeypatch.setattr(relax, "run_to_end", functools.partial(run_to_end, wait=emulator.run))
+    monkeypatch.setattr(arm_module, "run_to_end", functools.partial(run_to_end, wait=emulator.run))
 
     def run(
         command: str, *options: str, answers: str = "", descriptor: int | None = None

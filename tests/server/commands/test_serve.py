@@ -1,13 +1,20 @@
 from __future__ import annotations
 
+import argparse
+import contextlib
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from robot.hardware.feetech.bus import Bus
 from server import cli
 from server.app import App
+from server.commands import serve
 from server.commands.terminal import ExitCode
+from tests.helpers.recorded import record, text
 from tests.helpers.seven_joint_arm import SRDF, URDF
 
 
@@ -60,8 +67,8 @@ def never_served(monkeypatch):
 def described(folder: Path, urdf: str) -> list[str]:
     """The options that name a robot's description, which is written to files."""
     files = {"--urdf": (folder / "arm.urdf", urdf), "--srdf": (folder / "arm.srdf", SRDF)}
-    for path, text in files.values():
-        path.write_text(text)
+    for path, content in files.values():
+        path.write_text(content)
     return [word for option, (path, _) in files.items() for word in (option, str(path))]
 
 
@@ -80,3 +87,92 @@ def test_a_fault_of_a_bus_is_refused_for_an_ideal_arm_which_has_none(tmp_path, c
         "armbridge: emulator.drop: the ideal arm (arm.urdf without arm.serial or arm.calibration) has no servo bus "
         "that 0.1 could apply to\n"
     )
+
+
+def test_a_recording_is_played_to_its_end(tmp_path: Path) -> None:
+    path = record(tmp_path / "run.mcap", [text(0), text(1)])
+    assert cli.main(["replay", str(path), "--port", "0", "--rate", "100"]) == ExitCode.DONE
+
+
+def test_a_file_that_is_no_recording_is_one_line_and_exit_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "notes.txt").write_text("no recording")
+    assert cli.main(["replay", str(tmp_path / "notes.txt"), "--port", "0"]) == ExitCode.FAILED
+    assert capsys.readouterr().err == f"armbridge: recording {tmp_path / 'notes.txt'}: is not an MCAP file\n"
+
+
+def test_an_address_that_others_reach_needs_a_token_here_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = record(tmp_path / "run.mcap", [text(0), text(1)])
+    arguments = ["replay", str(path), "--host", "0.0.0.0", "--port", "0", "--rate", "100"]
+    assert cli.main(arguments) == ExitCode.USAGE
+    assert "ARMBRIDGE_ACCESS__TOKEN" in capsys.readouterr().err
+    assert cli.main([*arguments, "--insecure"]) == ExitCode.DONE
+    monkeypatch.setenv("ARMBRIDGE_ACCESS__TOKEN", "correct-horse-battery")
+    assert cli.main(arguments) == ExitCode.DONE
+
+
+def test_the_settings_of_a_file_hold_here_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(tmp_path / "run.mcap", [text(0), text(1)])
+    (tmp_path / "armbridge.toml").write_text("[server]\nport = 70000\n")
+    assert cli.main(["replay", str(path), "--config", str(tmp_path / "armbridge.toml")]) == ExitCode.USAGE
+    assert "server.port" in capsys.readouterr().err
+
+
+WRONG = {
+    "rate": (["--rate", "0"], "argument --rate: must be 0.01 to 100, not '0'"),
+    "no number": (["--rate", "fast"], "argument --rate: must be 0.01 to 100, not 'fast'"),
+    "port": (["--port", "70000"], "argument --port: must be 0 to 65535, not '70000'"),
+    "delay": (["--delay", "-1"], "argument --delay: must be 0 to 3600, not '-1'"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), WRONG.values(), ids=WRONG.keys())
+def test_an_option_out_of_range_is_named_with_its_limits(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["replay", "run.mcap", *arguments])
+    assert ended.value.code == ExitCode.USAGE
+    assert words in capsys.readouterr().err
+
+
+def parse(*arguments: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    serve.add_parser(parser.add_subparsers())
+    return parser.parse_args(["emulate", *arguments])
+
+
+def test_a_start_that_cannot_be_is_told_in_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    options = parse("--start=0,0")
+    assert options.run(options) == ExitCode.FAILED
+    assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
+
+
+def test_help_lists_options_and_live_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parse("--help")
+    printed = capsys.readouterr().out
+    assert "--lose-instruction" in printed
+    assert '{"plugged": "renamed"}' in printed
+
+
+def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: Path) -> None:
+    program = f"""
+import argparse
+from server.commands import serve
+parser = argparse.ArgumentParser()
+serve.add_parser(parser.add_subparsers())
+options = parser.parse_args(["emulate", "--link", {str(tmp_path / "arm")!r}])
+raise SystemExit(options.run(options))
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().strip() == str((tmp_path / "arm").readlink())
+            with contextlib.closing(Bus.open(str(tmp_path / "arm"))) as bus:
+                assert [bus.ping(servo_id) for servo_id in range(1, 7)] == [777] * 6
+            process.terminate()
+            assert process.wait(5.0) == 0
+        finally:
+            process.kill()

@@ -10,8 +10,9 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
 from robot.messages import Course, MotionEnded, Outcome, Pace
-from server.execution import player
-from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, Player
+from server.execution import executor
+from server.execution import executor as executor_module
+from server.execution.executor import CODE_OF_OUTCOME, CheckedMotion, Player
 from server.execution.queue import Answer, Progress
 from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
@@ -119,7 +120,7 @@ async def test_on_the_way_back_it_asks_about_the_whole_motion(stage: Stage) -> N
 async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(player, "ExecutionDeadline", worn)
+    monkeypatch.setattr(executor_module, "ExecutionDeadline", worn)
     stage = Stage()
     await stage.begin()
     answer = await stage.answer()
@@ -143,8 +144,8 @@ async def stubborn() -> Stage:
     return made
 
 
-LOOKS_S = 10.0 * player.PROGRESS_PERIOD_S
-BRAKING_S = player.BRAKING_TIMEOUT_S
+LOOKS_S = 10.0 * executor.PROGRESS_PERIOD_S
+BRAKING_S = executor.BRAKING_TIMEOUT_S
 ALLOWED_S = LIMITS.allowed_s(MOTION.trajectory.duration_s)
 
 

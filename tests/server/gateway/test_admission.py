@@ -20,7 +20,7 @@ from server.gateway.admission import (
     own_names,
     read_authority,
 )
-from server.gateway.http import Answer
+from server.gateway.http import HttpResponse
 from tests.helpers.clock import FakeClock
 
 SECRET, OTHER = "correct-horse-battery", "another-token-of-mine"
@@ -36,7 +36,7 @@ def request_for(
 
 
 def refused(admitted: object) -> tuple[int, str]:
-    assert isinstance(admitted, Answer), admitted
+    assert isinstance(admitted, HttpResponse), admitted
     return admitted.status, admitted.body.decode()
 
 
@@ -145,7 +145,7 @@ def test_a_wrong_token_is_refused_and_not_logged(path: str, tokens: Tokens, capl
     caplog.set_level("DEBUG")
     admitted = AdmissionPolicy(tokens).check(request_for(path))
     assert refused(admitted) == (401, "this token is nobody's\n")
-    assert isinstance(admitted, Answer)
+    assert isinstance(admitted, HttpResponse)
     assert admitted.headers["WWW-Authenticate"] == "Bearer"
     assert "::1 has shown a token that is nobody's" in caplog.text
     assert path[8:24] not in caplog.text or path == "/?token="
@@ -168,7 +168,7 @@ def test_who_guesses_is_refused_for_a_while_even_with_the_right_one() -> None:
     right = request_for(f"/?token={SECRET}", address="192.0.2.1")
     admitted = policy.check(right)
     assert refused(admitted)[0] == 429
-    assert isinstance(admitted, Answer)
+    assert isinstance(admitted, HttpResponse)
     assert admitted.headers["Retry-After"] == "60"
     assert policy.check(request_for(f"/?token={SECRET}", address="192.0.2.2")) == ALICE
     clock.advance(WINDOW_S)

@@ -15,9 +15,8 @@ from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway import connection
-from server.gateway.admission import AdmissionPolicy
+from server.gateway.admission import AdmissionPolicy, ConnectionLimits
 from server.gateway.connection import Traffic, TrafficCounts
-from server.gateway.connection_limits import ConnectionLimits
 from server.gateway.listener import Listener, ListenerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph

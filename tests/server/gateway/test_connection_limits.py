@@ -7,8 +7,8 @@ from http import HTTPStatus
 import pytest
 from websockets.asyncio.client import connect
 
-from server.gateway import connection_limits
-from server.gateway.connection_limits import (
+from server.gateway import admission as admission_module
+from server.gateway.admission import (
     ANSWERS_PER_S,
     BURST_TIME_S,
     MAX_ANSWERED,
@@ -129,7 +129,7 @@ def test_only_so_many_answers_are_on_their_way() -> None:
 
 
 def test_addresses_that_have_gone_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection_limits, "MAX_ABSENT", 3)
+    monkeypatch.setattr(admission_module, "MAX_ABSENT", 3)
     limiter = limits()
     for number in range(10):
         acquire(limiter, f"192.0.2.{number}").release()

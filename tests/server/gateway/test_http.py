@@ -26,9 +26,9 @@ from server.access.rate_limits import MAX_REFUSAL_LINES
 from server.errors import FileTooLargeError, ServiceError
 from server.gateway import http as gate
 from server.gateway.http import (
-    Answer,
     FileCache,
     HttpHandler,
+    HttpResponse,
     StoredFile,
     accepts_gzip,
     compressible,
@@ -93,8 +93,8 @@ class Site:
             connection.close()
 
 
-async def live(_request: Request) -> Answer:
-    return Answer.of_data(HTTPStatus.OK, b"yes", "text/plain")
+async def live(_request: Request) -> HttpResponse:
+    return HttpResponse.of_data(HTTPStatus.OK, b"yes", "text/plain")
 
 
 @asynccontextmanager
@@ -136,8 +136,8 @@ async def test_a_file_is_there_as_what_it_is(site: Site, path: str, kind: str) -
 
 
 async def test_a_route_is_asked_before_the_page_and_for_its_own_path_alone(folders: Path) -> None:
-    async def answer(request: Request) -> Answer:
-        return Answer.of_data(HTTPStatus.OK, request.path.encode(), "text/x-path")
+    async def answer(request: Request) -> HttpResponse:
+        return HttpResponse.of_data(HTTPStatus.OK, request.path.encode(), "text/x-path")
 
     gate_with_routes = HttpHandler(None, folders / "dist", {"index.html": answer, "healthz": answer})
     asked = [Request(path, Headers()) for path in ("/index.html", "/healthz?verbose", "/healthz/x", "/")]
@@ -404,7 +404,7 @@ def test_a_header_may_come_in_several_lines() -> None:
 
 @pytest.mark.parametrize("held", ['"name"', 'W/"name"', '"a", "name"', "*"])
 def test_content_that_is_there_already_is_not_sent(held: str) -> None:
-    answer = Answer.of_file(FILE, "text/css", "no-cache")
+    answer = HttpResponse.of_file(FILE, "text/css", "no-cache")
     sent = answer.response(Request("/", Headers({"If-None-Match": held})))
     assert (sent.status_code, sent.body) == (HTTPStatus.NOT_MODIFIED, b"")
     assert sent.headers["ETag"] == '"name"'
@@ -412,19 +412,23 @@ def test_content_that_is_there_already_is_not_sent(held: str) -> None:
 
 
 def test_other_content_is_sent_with_what_it_is() -> None:
-    sent = Answer.of_file(FILE, "text/css", "no-cache").response(Request("/", Headers({"If-None-Match": '"other"'})))
+    sent = HttpResponse.of_file(FILE, "text/css", "no-cache").response(
+        Request("/", Headers({"If-None-Match": '"other"'}))
+    )
     assert (sent.status_code, sent.body, sent.headers["Content-Encoding"]) == (200, b"content", "gzip")
 
 
 def test_a_sentence_has_no_name_to_be_known_by() -> None:
-    answer = Answer.of_text(HTTPStatus.NOT_FOUND, "no \udcff")
+    answer = HttpResponse.of_text(HTTPStatus.NOT_FOUND, "no \udcff")
     sent = answer.response(Request("/", Headers({"If-None-Match": "*"})))
     assert (sent.status_code, sent.body, sent.headers["Cache-Control"]) == (404, b"no \\udcff\n", "no-store")
     assert answer.response(Request("/", Headers(), "HEAD")).headers["Content-Length"] == "10"
 
 
 def test_what_holds_at_the_moment_is_not_to_be_kept() -> None:
-    sent = Answer.of_data(HTTPStatus.SERVICE_UNAVAILABLE, b"{}", "application/json").response(Request("/", Headers()))
+    sent = HttpResponse.of_data(HTTPStatus.SERVICE_UNAVAILABLE, b"{}", "application/json").response(
+        Request("/", Headers())
+    )
     assert (sent.status_code, sent.body, sent.headers["Content-Type"]) == (503, b"{}", "application/json")
     assert sent.headers["Cache-Control"] == "no-store"
 

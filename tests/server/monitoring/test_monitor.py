@@ -3,33 +3,394 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import mmap
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from prometheus_client import Histogram
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families
+from prometheus_client.parser import text_string_to_metric_families as parse
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from server.monitoring import monitor as monitor_module
+from planners.problem import MoveItErrorCode
+from robot.faults import FaultCode
+from robot.messages import Mode
+from robot.trajectory import Trajectory
+from server.execution.queue import Answer, Performed
+from server.gateway.connection import Traffic, TrafficCounts
+from server.monitoring import health as monitor_module
 from server.monitoring.health import Health, Sources
-from server.monitoring.metrics import Metrics
-from server.monitoring.monitor import WATCHDOG_NOTIFICATIONS, EventLoopMonitor, Monitor
+from server.monitoring.monitor import (
+    ARM_HEALTH_STALE_S,
+    WATCHDOG_NOTIFICATIONS,
+    EventLoopMonitor,
+    GoalCounters,
+    Metrics,
+    Monitor,
+    arm_health_metrics,
+    arm_metrics,
+    client_metrics,
+    planner_metrics,
+    process_metrics,
+    queue_metrics,
+    recording_metrics,
+    refusal_metrics,
+    zenoh_metrics,
+)
 from server.monitoring.systemd import SystemdNotifier
 from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
 from tests.helpers.metric_samples import samples
 from tests.helpers.server import RunningServer
 from tests.helpers.stepped_loop import SteppedLoop
+from tests.helpers.watched_parts import (
+    WatchedArm,
+    WatchedPlanners,
+    WatchedQueue,
+    WatchedRecorder,
+    arm_health,
+    arm_state,
+)
+
+HISTOGRAMS = ("event_loop_lag", "goal_planning", "goal_motion")
+
+# A scrape holds the event loop up for so long at most [s of processor time].
+SCRAPE_S = 0.005
+
+
+@pytest.fixture
+def sources() -> Sources:
+    return Sources(
+        traffic=Traffic(),
+        goal_counters=GoalCounters(),
+        queue=WatchedQueue(),
+        arm=WatchedArm(arm_state()),
+        arm_health=arm_health(),
+        planners=WatchedPlanners(),
+        recorder=WatchedRecorder(),
+        started=True,
+    )
+
+
+def exposed(sources: Sources) -> Mapping[str, float]:
+    """Every sample by its name and labels."""
+    text = Metrics(sources).expose("").text.decode()
+    found: dict[str, float] = {}
+    for family in parse(text):
+        for each in family.samples:
+            labels = ",".join(f"{key}={value}" for key, value in sorted(each.labels.items()))
+            key = f"{each.name}{{{labels}}}" if labels else each.name
+            assert key not in found
+            found[key] = each.value
+    return found
+
+
+def test_every_part_is_in_the_text(sources: Sources) -> None:
+    found = exposed(sources)
+    assert found["armbridge_live"] == found["armbridge_ready"] == 1
+    assert found["armbridge_clients"] == 0
+    assert found["armbridge_goals_waiting"] == 2
+    assert found["armbridge_planners_waiting_requests"] == 3
+    assert found["armbridge_recording"] == 1
+    assert found["armbridge_servo_temperature_celsius{joint=gripper}"] == 32
+    assert found["armbridge_process_threads{process=server}"] >= 1
+
+
+def test_what_is_not_there_yet_has_no_metrics() -> None:
+    found = exposed(Sources())
+    assert found["armbridge_ready"] == 0
+    assert not [name for name in found if "servo" in name or "client" in name or "goal" in name]
+
+
+def test_an_old_condition_is_not_told_as_if_it_were_the_present_one(sources: Sources) -> None:
+    assert sources.arm_health is not None
+    sources.arm_health = replace(sources.arm_health, stamp_s=time.time() - ARM_HEALTH_STALE_S - 1.0)
+    assert not [name for name in exposed(sources) if name.startswith(("armbridge_servo", "armbridge_bus"))]
+
+
+def test_a_slow_simulated_arm_tells_its_condition_as_seldom_as_its_time_passes(sources: Sources) -> None:
+    assert sources.arm_health is not None
+    stamp_s = time.time() - ARM_HEALTH_STALE_S - 1.0
+    sources.arm_health = replace(sources.arm_health, stamp_s=stamp_s, real_time_factor=0.25)
+    assert exposed(sources)["armbridge_arm_real_time_factor"] == 0.25
+
+
+def test_both_formats_can_be_read(sources: Sources) -> None:
+    text = Metrics(sources).expose("application/openmetrics-text").text.decode()
+    names = {family.name for family in parse_openmetrics(text)}
+    assert {"armbridge_goals", "armbridge_build"} <= names
+
+
+def test_names_keep_to_the_conventions(sources: Sources) -> None:
+    text = Metrics(sources).expose("").text.decode()
+    for family in parse(text):
+        assert family.name.startswith("armbridge_")
+        assert family.documentation.endswith(".")
+        assert not family.name.endswith(("_ms", "_mb", "_percent", "_total"))
+
+
+def test_nothing_that_strangers_choose_becomes_a_label(sources: Sources) -> None:
+    """However long the server runs, there are no more series than joints, faults, processes and results."""
+    assert sources.goal_counters is not None
+    for code in MoveItErrorCode:
+        sources.goal_counters.count("/moveit_goal_pose", Answer(code, "words of a client"))
+    sources.arm = WatchedArm(arm_state(fault=FaultCode.OVERHEATED))
+    found = exposed(sources)
+    assert len([name for name in found if name.startswith("armbridge_goals_total")]) == len(MoveItErrorCode)
+    assert len(found) < 250
+    assert "words" not in "".join(found)
+    assert "SECRET" not in "".join(found)
+
+
+def test_a_scrape_takes_little_of_the_event_loops_time(sources: Sources) -> None:
+    exposition = Metrics(sources)
+    exposition.expose("")
+    took_s = []
+    for _ in range(5):
+        began_s = time.thread_time()
+        exposition.expose("")
+        took_s.append(time.thread_time() - began_s)
+    assert min(took_s) < SCRAPE_S
+
+
+# Goals.
+
+MOTION = Trajectory(("gripper",), np.array([0.0, 3.0]), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)))
+
+
+def answered(code: MoveItErrorCode, performed: Performed | None = None) -> Answer:
+    return Answer(code, "", performed=performed)
+
+
+def test_answers_are_counted_by_where_their_goals_came_from_and_how_they_ended() -> None:
+    counters = GoalCounters()
+    for source, code in (("/a", 1), ("/a", 1), ("/a", -1), ("/b", 1)):
+        counters.count(source, answered(MoveItErrorCode(code)))
+    found = samples(counters.collect())
+    assert {tuple(labels): value for (name, *labels), value in found.items() if name == "armbridge_goals_total"} == {
+        ("/a", "SUCCESS"): 2,
+        ("/a", "PLANNING_FAILED"): 1,
+        ("/b", "SUCCESS"): 1,
+    }
+
+
+def test_only_what_was_planned_and_moved_is_timed() -> None:
+    counters = GoalCounters()
+    counters.count("/a", answered(MoveItErrorCode.FAILURE))
+    counters.count("/a", answered(MoveItErrorCode.SUCCESS, Performed({}, executed=MOTION)))
+    counters.count("/a", answered(MoveItErrorCode.SUCCESS, Performed({}, planning_time_s=0.02)))
+    found = samples(counters.collect())
+    for name, value_s in (("planning", 0.02), ("motion", 3.0)):
+        assert found[f"armbridge_goal_{name}_seconds_count",] == 1
+        assert found[f"armbridge_goal_{name}_seconds_sum",] == pytest.approx(value_s)
+
+
+# Queue, planners, recording.
+
+
+def test_goals_are_told_by_source_and_result() -> None:
+    counters = GoalCounters()
+    counters.count("/a", Answer(MoveItErrorCode.PLANNING_FAILED, "", performed=Performed({}, planning_time_s=0.3)))
+    found = samples(counters.collect())
+    assert found["armbridge_goals_total", "/a", "PLANNING_FAILED"] == 1
+    assert found["armbridge_goal_planning_seconds_bucket", "0.25"] == 0
+    assert found["armbridge_goal_planning_seconds_bucket", "0.5"] == 1
+    assert found["armbridge_goal_motion_seconds_count",] == 0
+
+
+def test_what_waits_is_told() -> None:
+    found = samples(queue_metrics(WatchedQueue(2, "goal 7 is worked on")))
+    assert found == {("armbridge_goals_waiting",): 2, ("armbridge_goals_in_hand",): 1}
+    assert samples(queue_metrics(WatchedQueue(0, "")))["armbridge_goals_in_hand",] == 0
+
+
+def test_planners_are_counted_by_what_they_do() -> None:
+    found = samples(planner_metrics(WatchedPlanners(loaded_count=2, idle_count=1, waiting_count=3)))
+    assert found == {
+        ("armbridge_planners_loaded",): 2,
+        ("armbridge_planners_idle",): 1,
+        ("armbridge_planners_waiting_requests",): 3,
+    }
+
+
+def test_a_recording_tells_what_is_missing_in_it() -> None:
+    found = samples(recording_metrics(WatchedRecorder(dropped=4, queued=5, ended=True)))
+    assert found == {
+        ("armbridge_recording",): 0,
+        ("armbridge_recording_waiting_messages",): 5,
+        ("armbridge_recording_dropped_messages_total",): 4,
+    }
+
+
+# Clients and other machines.
+
+
+class Talk:
+    """A connection."""
+
+    queued_bytes = 70
+
+    def counts(self) -> TrafficCounts:
+        return TrafficCounts(1, 2, 3, 4, 5, 6)
+
+
+def test_who_was_not_let_in_is_counted_by_why() -> None:
+    found = samples(refusal_metrics(lambda: {"origin": 3, "limit": 0}))
+    told = {("armbridge_refused_connections_total", "origin"): 3, ("armbridge_refused_connections_total", "limit"): 0}
+    assert found == told
+
+
+def test_what_was_lost_between_machines_is_told() -> None:
+    assert samples(zenoh_metrics(WatchedRecorder(dropped=7))) == {("armbridge_zenoh_dropped_messages_total",): 7}
+
+
+def test_each_count_is_told_under_its_own_name() -> None:
+    traffic = Traffic()
+    for _ in range(2):
+        traffic.add(Talk())
+    assert samples(client_metrics(traffic)) == {
+        ("armbridge_clients",): 2,
+        ("armbridge_clients_queued_bytes",): 140,
+        ("armbridge_clients_queued_greatest_bytes",): 70,
+        ("armbridge_connections_total",): 2,
+        ("armbridge_received_messages_total",): 2,
+        ("armbridge_received_bytes_total",): 4,
+        ("armbridge_sent_messages_total",): 6,
+        ("armbridge_sent_bytes_total",): 8,
+        ("armbridge_dropped_messages_total",): 10,
+        ("armbridge_refused_operations_total",): 12,
+    }
+
+
+# The arm.
+
+
+def test_the_arms_mode_and_fault_are_ones_among_zeros() -> None:
+    found = samples(arm_metrics(WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED), 0.25)))
+    assert [name[1:] for name, value in found.items() if value == 1] == [("fault",), ("overheated",)]
+    assert len(found) == len(Mode) + len(FaultCode) + 1
+    assert found["armbridge_arm_state_age_seconds",] == 0.25
+
+
+def test_without_a_fault_all_are_zero() -> None:
+    found = samples(arm_metrics(WatchedArm(arm_state())))
+    assert {value for (name, *_), value in found.items() if name == "armbridge_arm_fault"} == {0}
+
+
+def test_the_condition_is_told_in_base_units_by_joint() -> None:
+    found = samples(arm_health_metrics(arm_health()))
+    assert found["armbridge_bus_timeouts_total",] == 10
+    assert found["armbridge_bus_retries_total",] == 12
+    assert found["armbridge_arm_loop_lateness_seconds", "0.99"] == 0.001
+    assert found["armbridge_bus_round_trip_seconds", "1"] == 0.005
+    assert found["armbridge_servo_temperature_celsius", "shoulder_pan"] == 31
+    assert found["armbridge_servo_voltage_volts", "gripper"] == 5.0
+    assert found["armbridge_servo_silent_cycles_total", "gripper"] == 4
+    assert found["armbridge_arm_real_time_factor",] == 1.0
+
+
+def test_an_ideal_arm_has_no_metrics_of_what_it_does_not_have() -> None:
+    servos = arm_health()
+    nan = float("nan")
+    joints = [replace(joint, temperature_c=nan, voltage_v=nan, current_a=nan) for joint in servos.joints]
+    found = samples(arm_health_metrics(replace(servos, bus=None, joints=tuple(joints), real_time_factor=0.5)))
+    assert not [name for name, *_ in found if name.startswith(("armbridge_bus", "armbridge_servo_temperature"))]
+    assert not [name for name, *_ in found if name.endswith(("_volts", "_amperes"))]
+    assert found["armbridge_servo_reply_age_seconds", "gripper"] == 0.002
+    assert found["armbridge_arm_real_time_factor",] == 0.5
+
+
+# Processes.
+
+NO_PROCESS = 2**22 + 1
+
+
+def test_each_process_that_runs_is_told_by_what_it_is() -> None:
+    found = samples(process_metrics({"server": os.getpid(), "arm": os.getppid(), "planner_1": NO_PROCESS}))
+    for name in ("resident_memory_bytes", "threads", "open_fds", "cpu_seconds_total"):
+        assert found[f"armbridge_process_{name}", "arm"] >= 0
+        assert found[f"armbridge_process_{name}", "server"] > 0
+    assert len(found) == 8
+
+
+def test_the_loops_lag_is_a_histogram() -> None:
+    metrics = Metrics(Sources())
+    metrics.loop_lag_s.observe(0.03)
+    found = samples(metrics.registry.collect())
+    assert found["armbridge_event_loop_lag_seconds_bucket", "0.025"] == 0
+    assert found["armbridge_event_loop_lag_seconds_bucket", "0.05"] == 1
+    assert found["armbridge_event_loop_lag_seconds_bucket", "+Inf"] == 1
+
+
+def test_the_version_is_told() -> None:
+    assert [name[0] for name in samples(Metrics(Sources()).registry.collect()) if "build" in name[0]] == [
+        "armbridge_build_info"
+    ]
+
+
+def test_the_buckets_are_those_that_were_chosen() -> None:
+    metrics = Metrics(Sources(goal_counters=GoalCounters()))
+    found = samples(metrics.registry.collect())
+    bounds = [[key[1] for key in found if key[0] == f"armbridge_{name}_seconds_bucket"] for name in HISTOGRAMS]
+    assert [len(each) for each in bounds] == [12, 12, 10]
+    assert [(each[0], each[-2], each[-1]) for each in bounds] == [
+        ("0.001", "2.5", "+Inf"),
+        ("0.005", "10.0", "+Inf"),
+        ("0.25", "64.0", "+Inf"),
+    ]
+
+
+def figures_of(pid: int) -> dict[str, float]:
+    """Metrics of a process by the last part of their names."""
+    found = samples(process_metrics({"it": pid}))
+    return {name.removeprefix("armbridge_process_"): value for (name, _), value in found.items()}
+
+
+def test_what_this_process_uses_is_told() -> None:
+    before = figures_of(os.getpid())
+    release = threading.Event()
+    threads = [threading.Thread(target=release.wait) for _ in range(3)]
+    ends = os.pipe()
+    for thread in threads:
+        thread.start()
+    # Not from the heap, which may have as much to spare from the tests before.
+    held = mmap.mmap(-1, 40 << 20)
+    held.write(bytes(len(held)))
+    after = figures_of(os.getpid())
+    release.set()
+    for thread in threads:
+        thread.join()
+    for end in ends:
+        os.close(end)
+    size_bytes = len(held)
+    held.close()
+    assert after["threads"] - before["threads"] == 3
+    assert after["open_fds"] - before["open_fds"] == 2
+    grown_bytes = after["resident_memory_bytes"] - before["resident_memory_bytes"]
+    assert 0.9 * size_bytes < grown_bytes < 2.5 * size_bytes
+    assert 0.0 < before["cpu_seconds_total"] <= after["cpu_seconds_total"] < 1e5
+
+
+def test_a_process_that_has_ended_uses_nothing() -> None:
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    child.wait(10.0)
+    assert figures_of(child.pid) == {}
+
 
 TIMEOUT_S = 30.0
 

@@ -7,10 +7,10 @@ import re
 import pytest
 
 from robot.faults import FaultCode
-from server.commands.systemd_unit import unit
+from server.commands.config import unit
 from server.gateway.connection import Traffic
 from server.monitoring.health import Sources
-from server.monitoring.metrics import GoalCounters, Metrics
+from server.monitoring.monitor import GoalCounters, Metrics
 from tests.helpers.server import ROOT
 from tests.helpers.watched_parts import (
     WatchedArm,

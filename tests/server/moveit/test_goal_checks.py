@@ -16,8 +16,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
-from server.moveit import goal_checks
-from server.moveit.goal_checks import (
+from server.moveit import goal_topics as goal_topics_module
+from server.moveit.goal_topics import (
     GOAL_TIME_S,
     MAX_GOALS,
     NOT_CHECKED,
@@ -70,7 +70,7 @@ def point(x: float, y: float, z: float, frame: str = "") -> dict[str, Any]:
 
 
 async def test_poses_and_joint_goals_are_answered_in_their_order(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goal_checks, "GOAL_TIME_S", 1.0)
+    monkeypatch.setattr(goal_topics_module, "GOAL_TIME_S", 1.0)
     wall = SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.3, 0.3)))
     desk.scene.scene = Scene(version=77, objects=(wall,))
     answer = await desk.check(
@@ -119,7 +119,7 @@ class Slow:
         return answer
 
     async def answers(self, monkeypatch: pytest.MonkeyPatch, count: int) -> list[IkAnswer | PlanningFailure]:
-        monkeypatch.setattr("server.moveit.goal_checks.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("server.moveit.goal_topics.time.monotonic", lambda: self.now_s)
         problems: list[PlanningProblem | PlanningFailure] = [
             PlanningProblem("arm", HOME, JointGoal({"elbow_flex": at / count})) for at in range(count)
         ]

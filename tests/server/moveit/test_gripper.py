@@ -13,7 +13,7 @@ from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.player import BRAKING_TIMEOUT_S
+from server.execution.executor import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
 from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, SQUEEZE_PERIOD_S, Gripper, GripperCommand
 from tests.helpers.arm_server import ArmClient, ServerOnBus

@@ -21,7 +21,7 @@ from server.recording.files import (
     channel_metadata,
     is_latched,
 )
-from server.recording.reader import Recording
+from server.recording.replay import Recording
 from tests.helpers.recorded import REGISTRY, START_NS, entry, record, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.

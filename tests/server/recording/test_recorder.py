@@ -15,8 +15,8 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.recording import recorder as recorder_module
 from server.recording.files import FileSeries, RecordedMessage
-from server.recording.reader import Recording
 from server.recording.recorder import QueuedMessage, Recorder, WriterThread
+from server.recording.replay import Recording
 from tests.helpers.recorded import REGISTRY, wait_until
 
 TALKER = Node("talker")

@@ -12,7 +12,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from robot.calibration import RAD_PER_TICK
 from robot.description.limits import JointBounds
-from robot.emulator.adapter import PseudoTerminal
+from robot.emulator.process import PseudoTerminal
 from robot.errors import PortNotFound
 from robot.faults import FaultCode
 from robot.hardware.config import FeetechConfig

@@ -12,7 +12,7 @@ from server.execution.motions import PlannedMotion
 from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
-from server.moveit.actions.goal_bridge import (
+from server.moveit.actions.joint_trajectory_controller import (
     MoveGroupFeedback,
     goal_status,
     move_group_result,

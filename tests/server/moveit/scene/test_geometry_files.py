@@ -15,7 +15,7 @@ from protocol.registry import Registry
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.scene import geometry_files
+from server.moveit.scene import geometry_files as geometry_files_module
 from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within, read_geometry, write_geometry
 from tests.helpers.examples import examples
 from tests.helpers.planning_scene import BENT, box, current_state, diff, message, pose, scene_state
@@ -98,7 +98,7 @@ async def test_a_missing_or_malformed_file_changes_nothing(tmp_path, caplog):
 async def test_the_size_of_files_is_bounded_both_ways(tmp_path, monkeypatch, caplog):
     files = Files(tmp_path)
     assert await files.call(SAVE, "fits")
-    monkeypatch.setattr(geometry_files, "MAX_FILE_BYTES", 10)
+    monkeypatch.setattr(geometry_files_module, "MAX_FILE_BYTES", 10)
     with caplog.at_level(logging.WARNING, "armbridge"):
         assert not await files.call(SAVE, "new")
         assert not await files.call(LOAD, "fits")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from planners.problem import IkQuestion, MoveItErrorCode
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.planning_problems import MAX_LINKS, _goal_of_links
-from server.moveit.services.kinematics import within_limits
+from server.moveit.services.move_group_services import within_limits
 from tests.helpers.examples import examples
 from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, ball, context, joint, message, point, turned
 from tests.helpers.moveit_services import ServiceRig

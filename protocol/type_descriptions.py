@@ -1,12 +1,19 @@
 """Message types as rosapi describes them: the full text, as `gendeps --cat` prints it, and its TypeDefs.
 
 Both are told as one generation of ROS declares the type; a type that exists only in ROS 2 as if ROS 1 had it.
+
+The hash by which ROS 2 tells versions of a type apart (REP-2016, "RIHS01"): SHA-256 of the type's description.
+
+The description is JSON with the fields of the type and of all types in it; comments, constants and defaults do not
+count. How it is written, to the blank, is part of the standard (rosidl_generator_type_description).
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import json
-from typing import Any
+from typing import Any, TypeAlias
 
 from protocol import values
 from protocol.dialect import Dialect, declared_in_ros1, spell_type
@@ -128,3 +135,126 @@ def _example(field: Field) -> str:
     if not field.primitive:
         return "{}"
     return str(values.zero(field.base) if field.default is None else field.default)
+
+
+# Name and version of this way to hash.
+PREFIX = "RIHS01_"
+
+# As many as there are compiled types in protocol.codecs.
+MAX_HASHED_TYPES = 1024
+
+# type_description_interfaces/msg/FieldType; ROS 2 generates code for a char as for a uint8.
+_IDS = {
+    "int8": 2,
+    "uint8": 3,
+    "char": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+}
+_NESTED, _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 1, 48, 96, 144
+
+_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
+_STAMP = "builtin_interfaces/msg/Time"
+
+_Row: TypeAlias = dict[str, Any]
+
+
+@functools.lru_cache(maxsize=MAX_HASHED_TYPES)
+def message_hash(registry: Registry, name: str) -> str:
+    """Return the hash of a message type, with its prefix.
+
+    Args:
+        registry: the types of ROS 2.
+        name: name of a message type.
+
+    Raises:
+        InterfaceError: no such type.
+    """
+    canonical = registry.canonical(name)
+    return _hash(canonical, _with_nested(registry, canonical))
+
+
+@functools.lru_cache(maxsize=MAX_HASHED_TYPES)
+def service_hash(registry: Registry, name: str) -> str:
+    """Return the hash of a service type, which covers its request, its response and the event that tells of both.
+
+    Args:
+        registry: the types of ROS 2.
+        name: name of a service type.
+
+    Raises:
+        InterfaceError: no such type.
+    """
+    service = registry.service(name)
+    request, response, event = service.request.name, service.response.name, f"{service.name}_Event"
+    fields = {
+        **_with_nested(registry, request),
+        **_with_nested(registry, response),
+        **_with_nested(registry, _STAMP),
+        _EVENT_INFO: _EVENT_INFO_ROWS,
+        event: [
+            _row("info", _NESTED, nested=_EVENT_INFO),
+            _row("request", _BOUNDED_SEQUENCE + _NESTED, capacity=1, nested=request),
+            _row("response", _BOUNDED_SEQUENCE + _NESTED, capacity=1, nested=response),
+        ],
+        service.name: [
+            _row("request_message", _NESTED, nested=request),
+            _row("response_message", _NESTED, nested=response),
+            _row("event_message", _NESTED, nested=event),
+        ],
+    }
+    return _hash(service.name, fields)
+
+
+def _hash(name: str, fields: dict[str, list[_Row]]) -> str:
+    """Hash the type of this name, described with all others that are given."""
+    described = {each: {"type_name": each, "fields": fields[each]} for each in sorted(fields)}
+    description = {"type_description": described.pop(name), "referenced_type_descriptions": list(described.values())}
+    return PREFIX + hashlib.sha256(json.dumps(description).encode()).hexdigest()
+
+
+def _with_nested(registry: Registry, name: str) -> dict[str, list[_Row]]:
+    """Return the fields of a type and of all types in it, by name."""
+    found: dict[str, list[_Row]] = {}
+    waiting = [registry.canonical(name)]
+    while waiting:
+        message = registry.message(waiting.pop())
+        if message.name not in found:
+            found[message.name] = [_field_row(field) for field in message.fields] or [_PLACEHOLDER]
+            waiting += [field.base for field in message.fields if not field.primitive]
+    return found
+
+
+def _field_row(field: Field) -> _Row:
+    type_id, capacity = _IDS.get(field.base, _NESTED), 0
+    if field.array is not None:
+        bound = field.array.max_length
+        type_id += _SEQUENCE if bound is None else _ARRAY if field.array.fixed else _BOUNDED_SEQUENCE
+        capacity = bound or 0
+    return _row(field.name, type_id, capacity, "" if field.primitive else field.base)
+
+
+def _row(name: str, type_id: int, capacity: int = 0, nested: str = "") -> _Row:
+    kind = {"type_id": type_id, "capacity": capacity, "string_capacity": 0, "nested_type_name": nested}
+    return {"name": name, "type": kind}
+
+
+# What stands for no fields, as in protocol.codecs.cdr.
+_PLACEHOLDER = _row("structure_needs_at_least_one_member", _IDS["uint8"])
+
+# Part of every service since ROS 2 Iron; nobody sends one here, so the interface tables do without it.
+_EVENT_INFO_ROWS = [
+    _row("event_type", _IDS["uint8"]),
+    _row("stamp", _NESTED, nested=_STAMP),
+    _row("client_gid", _ARRAY + _IDS["char"], capacity=16),
+    _row("sequence_number", _IDS["int64"]),
+]

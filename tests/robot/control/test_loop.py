@@ -6,11 +6,11 @@ import sys
 import pytest
 
 from robot.calibration import Calibration
+from robot.control.loop import hardware_source
 from robot.description import model
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
-from robot.hardware.opening import hardware_source
 from robot.messages import ArmConfig
 from tests.helpers.stepped_emulator import SteppedClock
 
@@ -55,7 +55,7 @@ def test_the_ideal_arm_loads_no_serial_library() -> None:
     program = (
         "import sys; from robot.description import model; from robot.messages import ArmConfig; "
         "from robot.hardware.config import IdealConfig; from robot.hardware.clock import MachineClock; "
-        "from robot.hardware.opening import hardware_source; "
+        "from robot.control.loop import hardware_source; "
         "hardware_source(ArmConfig(model.builtin(), IdealConfig()), MachineClock()).open(); "
         "print(sorted({'serial', 'scservo_sdk'} & set(sys.modules)))"
     )

@@ -13,7 +13,7 @@ from typing import Any
 import uvloop
 
 from benchmarks.figures import percentiles, print_table
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -134,8 +134,8 @@ def _state() -> dict[str, Any]:
     return dict(JOINT_STATE)
 
 
-def _encode(publication: Publication) -> None:
-    publication.frame("/joint_states")
+def _encode(published: PublishedMessage) -> None:
+    published.frame("/joint_states")
 
 
 def _row(rate_hz: int, recorded: str, cost: Cost, plain: Cost) -> list[str]:

@@ -51,7 +51,7 @@ class Frame(NamedTuple):
         return struct.pack("!BBQ", opening, _EIGHT_BYTE_LENGTH, length) + self.data
 
 
-class Parcel:
+class EncodedMessage:
     """Frames that are sent or dropped as a whole.
 
     Args:
@@ -67,7 +67,7 @@ class Parcel:
     def __init__(self, *frames: Frame) -> None:
         self.frames = frames
         self.size_bytes = 0
-        # One frame, as a parcel mostly has, is not worth the set-up of a sum.
+        # One frame, as a message mostly has, is not worth the set-up of a sum.
         for frame in frames:
             self.size_bytes += len(frame.data) + FRAME_OVERHEAD_BYTES
         self._on_wire: bytes | None = None
@@ -81,7 +81,7 @@ class Parcel:
         return self._on_wire
 
 
-def pack(frame: Frame, fragment_size: int | None, fragment_id: str) -> Parcel:
+def pack(frame: Frame, fragment_size: int | None, fragment_id: str) -> EncodedMessage:
     """Cut a text frame that is too long for its client into fragments.
 
     Args:
@@ -92,9 +92,9 @@ def pack(frame: Frame, fragment_size: int | None, fragment_id: str) -> Parcel:
     """
     length = len(frame.data)
     if fragment_size is None or length <= fragment_size or not frame.text:
-        return Parcel(frame)
+        return EncodedMessage(frame)
     size = max(fragment_size, math.ceil(length / MAX_PIECES))
-    return Parcel(*(Frame(piece, text=True) for piece in split(frame.data.decode("ascii"), size, fragment_id)))
+    return EncodedMessage(*(Frame(piece, text=True) for piece in split(frame.data.decode("ascii"), size, fragment_id)))
 
 
 # What a subscription may ask for as its compression, and BSON for clients that speak it.
@@ -107,7 +107,7 @@ _Key: TypeAlias = tuple[str, Encoding, Dialect, int | None]
 _MAX_OPENINGS = 1024
 
 
-class Publication:
+class PublishedMessage:
     """A complete message of a topic, and the frames made of it.
 
     Args:
@@ -120,7 +120,7 @@ class Publication:
         publisher: who published it, for those whom it concerns.
     """
 
-    __slots__ = ("_encoded", "_parcels", "_registry", "msg", "publisher", "received", "topic", "type_name")
+    __slots__ = ("_by_key", "_encoded", "_registry", "msg", "publisher", "received", "topic", "type_name")
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class Publication:
         self._registry = registry
         self.received = received
         # Subscribers spell a topic with or without its leading slash: two spellings of each encoding and dialect.
-        self._parcels: dict[_Key, Parcel] = {}
+        self._by_key: dict[_Key, EncodedMessage] = {}
         # The message alone, the costly part, which frames of all spellings share.
         self._encoded: dict[tuple[Encoding, Dialect], bytes] = {}
 
@@ -155,23 +155,25 @@ class Publication:
         A message of a type that the registry does not know goes out as it came, and as ``cbor`` instead of
         ``cbor-raw``.
         """
-        return self.parcel(spelled_topic, encoding, dialect, None).frames[0]
+        return self.encoded(spelled_topic, encoding, dialect, None).frames[0]
 
-    def parcel(self, spelled_topic: str, encoding: Encoding, dialect: Dialect, fragment_size: int | None) -> Parcel:
+    def encoded(
+        self, spelled_topic: str, encoding: Encoding, dialect: Dialect, fragment_size: int | None
+    ) -> EncodedMessage:
         """Return the frame, or its fragments where it is longer than ``fragment_size`` [characters].
 
         The other arguments are those of :meth:`frame`.
         """
         key = spelled_topic, encoding, dialect, fragment_size
-        parcel = self._parcels.get(key)
-        if parcel is None:
-            parcel = self._parcels[key] = self._pack(key)
-        return parcel
+        encoded = self._by_key.get(key)
+        if encoded is None:
+            encoded = self._by_key[key] = self._pack(key)
+        return encoded
 
-    def _pack(self, key: _Key) -> Parcel:
+    def _pack(self, key: _Key) -> EncodedMessage:
         spelled_topic, encoding, dialect, fragment_size = key
         if fragment_size is None:
-            return Parcel(self._frame(spelled_topic, encoding, dialect))
+            return EncodedMessage(self._frame(spelled_topic, encoding, dialect))
         # All clients get the fragments under this id, which no other frame has.
         return pack(self.frame(spelled_topic, encoding, dialect), fragment_size, uuid.uuid4().hex)
 

@@ -1,7 +1,7 @@
-"""Parcels waiting for one client: topic data, which may be dropped, and replies, which may not.
+"""Encoded messages that wait for one client: topic data, which may be dropped, and replies, which may not.
 
 Topic data has one bound in bytes over all topics, and its rule is to drop the oldest. A slow client so costs
-a fixed amount of memory, and what it reads at last is recent. A message is a parcel:
+a fixed amount of memory, and what it reads at last is recent. A message is encoded already:
 one frame, or several fragments that are sent or dropped together.
 """
 
@@ -13,11 +13,11 @@ from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
 
 from protocol.limits import Limits
-from protocol.publication import Frame, Parcel
+from protocol.publication import EncodedMessage, Frame
 from protocol.subscriptions import Subscription
 
 
-class Outbox:
+class SendQueue:
     """The messages of one client, in order of queuing.
 
     Args:
@@ -37,13 +37,13 @@ class Outbox:
         self._limits = limits
         self._sequence = itertools.count()
         # By sequence number, oldest first.
-        self._replies: OrderedDict[int, Parcel] = OrderedDict()
+        self._replies: OrderedDict[int, EncodedMessage] = OrderedDict()
         self._reply_bytes = 0
         # Which of them are requests of others; these have a bound of their own.
         self._requests: set[int] = set()
         self._request_bytes = 0
         # All topic data by sequence number, oldest first; and which of them wait for each subscription.
-        self._topic_data: OrderedDict[int, tuple[Parcel, Subscription]] = OrderedDict()
+        self._topic_data: OrderedDict[int, tuple[EncodedMessage, Subscription]] = OrderedDict()
         self._topic_bytes = 0
         self._waiting: dict[Subscription, deque[int]] = {}
 
@@ -57,37 +57,37 @@ class Outbox:
         """Size of all that waits [bytes]."""
         return self._topic_bytes + self._reply_bytes + self._request_bytes
 
-    def put_reply(self, parcel: Parcel) -> None:
+    def put_reply(self, encoded: EncodedMessage) -> None:
         """Queue a reply; one alone may have any size, one too many beside others sets `overflowed`."""
-        if self._reply_bytes and self._reply_bytes + parcel.size_bytes > self._limits.max_queued_reply_bytes:
+        if self._reply_bytes and self._reply_bytes + encoded.size_bytes > self._limits.max_queued_reply_bytes:
             self.overflowed = True
             return
-        self._replies[next(self._sequence)] = parcel
-        self._reply_bytes += parcel.size_bytes
+        self._replies[next(self._sequence)] = encoded
+        self._reply_bytes += encoded.size_bytes
 
-    def put_request(self, parcel: Parcel) -> bool:
+    def put_request(self, encoded: EncodedMessage) -> bool:
         """Queue a call or goal for the client, in order with its replies.
 
         Returns:
             False when there is no room for it beside others; one alone may have any size.
         """
-        size_bytes = self._request_bytes + parcel.size_bytes
+        size_bytes = self._request_bytes + encoded.size_bytes
         if self._requests and size_bytes > self._limits.max_queued_request_bytes:
             return False
         sequence = next(self._sequence)
-        self._replies[sequence] = parcel
+        self._replies[sequence] = encoded
         self._requests.add(sequence)
         self._request_bytes = size_bytes
         return True
 
-    def put_topic_data(self, subscription: Subscription, parcel: Parcel) -> None:
+    def put_topic_data(self, subscription: Subscription, encoded: EncodedMessage) -> None:
         """Queue topic data that its subscription has admitted, and drop what is then too much."""
         while 0 < subscription.queue_length <= len(self._waiting.get(subscription, ())):
             self._drop(self._waiting[subscription][0])
         sequence = next(self._sequence)
         self._waiting.setdefault(subscription, deque()).append(sequence)
-        self._topic_data[sequence] = parcel, subscription
-        self._topic_bytes += parcel.size_bytes
+        self._topic_data[sequence] = encoded, subscription
+        self._topic_bytes += encoded.size_bytes
         # The newest always stays, even one that is larger than the bound: else it could never be delivered.
         while self._topic_bytes > self._limits.max_queued_topic_bytes and len(self._topic_data) > 1:
             self._drop(next(iter(self._topic_data)))
@@ -104,9 +104,9 @@ class Outbox:
         due: list[Frame] = []
         taken_bytes = 0
         for sequence in self._due(now):
-            parcel = self._take_reply(sequence) if sequence in self._replies else self._take_sent(sequence, now)
-            taken_bytes += parcel.size_bytes
-            due += parcel.frames
+            encoded = self._take_reply(sequence) if sequence in self._replies else self._take_sent(sequence, now)
+            taken_bytes += encoded.size_bytes
+            due += encoded.frames
             if taken_bytes >= budget_bytes:
                 break
         return due
@@ -119,12 +119,12 @@ class Outbox:
 
     def _take_only(self, now: float) -> list[Frame]:
         """Take out the one message that waits, as mostly with a client that keeps up, if it may leave."""
-        ((sequence, (parcel, subscription)),) = self._topic_data.items()
+        ((sequence, (encoded, subscription)),) = self._topic_data.items()
         if not subscription.closed and not subscription.due_count(1, now):
             return []
         self._take(sequence)
         subscription.sent(now)
-        return [] if subscription.closed else list(parcel.frames)
+        return [] if subscription.closed else list(encoded.frames)
 
     def _due(self, now: float) -> Iterator[int]:
         """Go over the sequence numbers of all that may leave, in order; taking them out meanwhile is fine."""
@@ -141,31 +141,31 @@ class Outbox:
             for sequence in list(self._waiting[subscription]):
                 self._take(sequence)
 
-    def _take_reply(self, sequence: int) -> Parcel:
-        parcel = self._replies.pop(sequence)
+    def _take_reply(self, sequence: int) -> EncodedMessage:
+        encoded = self._replies.pop(sequence)
         if sequence in self._requests:
             self._requests.remove(sequence)
-            self._request_bytes -= parcel.size_bytes
+            self._request_bytes -= encoded.size_bytes
         else:
-            self._reply_bytes -= parcel.size_bytes
-        return parcel
+            self._reply_bytes -= encoded.size_bytes
+        return encoded
 
-    def _take_sent(self, sequence: int, now: float) -> Parcel:
-        parcel, subscription = self._take(sequence)
+    def _take_sent(self, sequence: int, now: float) -> EncodedMessage:
+        encoded, subscription = self._take(sequence)
         subscription.sent(now)
-        return parcel
+        return encoded
 
     def _drop(self, sequence: int) -> None:
         _, subscription = self._take(sequence)
         self.dropped += 1
         self.throttled += subscription.paced
 
-    def _take(self, sequence: int) -> tuple[Parcel, Subscription]:
+    def _take(self, sequence: int) -> tuple[EncodedMessage, Subscription]:
         """Take out topic data; of its subscription it must be the oldest."""
-        parcel, subscription = self._topic_data.pop(sequence)
-        self._topic_bytes -= parcel.size_bytes
+        encoded, subscription = self._topic_data.pop(sequence)
+        self._topic_bytes -= encoded.size_bytes
         waiting = self._waiting[subscription]
         waiting.popleft()
         if not waiting:
             del self._waiting[subscription]
-        return parcel, subscription
+        return encoded, subscription

@@ -20,8 +20,8 @@ from protocol.errors import FrameError, OperationError
 from protocol.framing import FrameReader
 from protocol.limits import Limits
 from protocol.operations import Fragment, Operation, Png
-from protocol.publication import Encoding, Frame, Parcel, Publication, pack
-from protocol.send_queue import Outbox
+from protocol.publication import EncodedMessage, Encoding, Frame, PublishedMessage, pack
+from protocol.send_queue import SendQueue
 from protocol.subscriptions import Publications, Subscription, Subscriptions
 
 # What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
@@ -74,7 +74,7 @@ class Session:
         # None asked for: some clients log a traceback for every status message.
         self.status_level = "none"
         self.dialect = dialect
-        self._outbox = Outbox(self.limits)
+        self._send_queue = SendQueue(self.limits)
         self._reader = FrameReader(self.limits)
         self._reassembly = framing.Reassembly(self.limits)
         self._fragment_size: int | None = None
@@ -146,14 +146,17 @@ class Session:
     # What goes to the client.
 
     def deliver(
-        self, publication: Publication, now: float, send_at_once: Callable[[Parcel], bool] = lambda _parcel: False
+        self,
+        published: PublishedMessage,
+        now: float,
+        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
     ) -> bool:
         """Queue topic data, if the client has subscribed to the topic, under the rules of its subscription.
 
         After calling this, send what `data_to_send` returns as soon as the socket takes it.
 
         Args:
-            publication: the message.
+            published: the message.
             now: present time [s], monotonic.
             send_at_once: offered the message when nothing waits before it, and true when it has been sent: clients
                 that keep up are spared the queue.
@@ -164,16 +167,16 @@ class Session:
         Raises:
             ProtocolError: the message cannot be encoded as the subscription wants it.
         """
-        subscription = self.subscriptions.get(publication.topic)
+        subscription = self.subscriptions.get(published.topic)
         if subscription is None or not subscription.admit(now):
             return False
         encoding: Encoding = subscription.compression
         if encoding == "none" and self._reader.last_was_bson:
             encoding = "bson"
         size = subscription.fragment_size or self._fragment_size
-        parcel = publication.parcel(subscription.spelled_topic, encoding, self.dialect, size)
-        if subscription.paced or not self._outbox.empty or not send_at_once(parcel):
-            self._outbox.put_topic_data(subscription, parcel)
+        encoded = published.encoded(subscription.spelled_topic, encoding, self.dialect, size)
+        if subscription.paced or not self._send_queue.empty or not send_at_once(encoded):
+            self._send_queue.put_topic_data(subscription, encoded)
             return True
         return False
 
@@ -183,7 +186,7 @@ class Session:
         Args:
             fields: the operation, with the values of its message in the client's dialect.
         """
-        self._outbox.put_reply(self._parcel(fields))
+        self._send_queue.put_reply(self._encode_message(fields))
 
     def ask(self, fields: Mapping[str, Any]) -> bool:
         """Queue a call or goal of somebody else, which is never dropped.
@@ -191,11 +194,11 @@ class Session:
         Returns:
             False when too much of it waits already: then nothing is queued.
         """
-        return self._outbox.put_request(self._parcel(fields))
+        return self._send_queue.put_request(self._encode_message(fields))
 
     def feedback(self, fields: Mapping[str, Any]) -> None:
         """Queue an action_feedback, which is dropped when the client reads too slowly."""
-        self._outbox.put_topic_data(self._feedback, self._parcel(fields))
+        self._send_queue.put_topic_data(self._feedback, self._encode_message(fields))
 
     def status(self, level: Literal["error", "warning", "info"], text: str, mark: str | int | None) -> None:
         """Queue a status message, if the client has asked for this level.
@@ -219,7 +222,7 @@ class Session:
         """
         if self.dropped > self._drops_told:
             self._tell_drops(now)
-        return self._outbox.take_due(now, SEND_BUDGET_BYTES)
+        return self._send_queue.take_due(now, SEND_BUDGET_BYTES)
 
     def next_due(self, now: float) -> float | None:
         """Return when to call `data_to_send` next [s]: `now` when data is due, None when nothing waits.
@@ -227,17 +230,17 @@ class Session:
         Args:
             now: present time [s], monotonic.
         """
-        return self._outbox.next_due(now)
+        return self._send_queue.next_due(now)
 
     @property
     def waiting(self) -> bool:
         """True when anything is queued, due or not."""
-        return not self._outbox.empty
+        return not self._send_queue.empty
 
     @property
     def queued_bytes(self) -> int:
         """Size of all that waits to be sent [bytes]."""
-        return self._outbox.size_bytes
+        return self._send_queue.size_bytes
 
     @property
     def speaks_bson(self) -> bool:
@@ -247,12 +250,12 @@ class Session:
     @property
     def overflowed(self) -> bool:
         """True when replies have piled up beyond ``max_queued_reply_bytes``: close the connection."""
-        return self._outbox.overflowed
+        return self._send_queue.overflowed
 
     @property
     def dropped(self) -> int:
         """Number of topic messages dropped because the client was slow, not by its own throttle."""
-        return self._outbox.dropped - self._outbox.throttled
+        return self._send_queue.dropped - self._send_queue.throttled
 
     def _tell_drops(self, now: float) -> None:
         """Warn of dropped messages; only a client that reads gets here, and not too often."""
@@ -267,7 +270,7 @@ class Session:
             return Frame(bson.encode(fields), text=False)
         return Frame(json.encode(fields), text=True)
 
-    def _parcel(self, fields: Mapping[str, Any]) -> Parcel:
+    def _encode_message(self, fields: Mapping[str, Any]) -> EncodedMessage:
         return pack(self._encode(fields), self._fragment_size, f"reply:{next(self._fragment_ids)}")
 
 

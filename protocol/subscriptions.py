@@ -255,7 +255,7 @@ class Subscriptions:
         """
         none_left = self._rules.remove(topic, subscription_id)
         if none_left:
-            # Frames of it may still wait in the outbox, which holds the delivery, not the table.
+            # Frames of it may still wait in the send queue, which holds the delivery, not the table.
             self._merged.pop(qualify(topic)).closed = True
         else:
             self._merged[qualify(topic)].merge(self._rules.entries(topic))

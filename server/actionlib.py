@@ -15,7 +15,7 @@ from enum import IntEnum
 from typing import Any, TypeAlias
 
 from protocol.messages import Stamp
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.node import Node
@@ -195,7 +195,7 @@ class ActionlibBridge:
         """Open the topics of actions that are offered; one of a type that ROS 1 lacks has none."""
         for name in names:
             type_name = self._graph.actions.type_of(name)
-            if type_name is not None and has_actionlib_types(self._graph.interfaces.registry, type_name):
+            if type_name is not None and has_actionlib_types(self._graph.message_types.registry, type_name):
                 self._bridged.append(BridgedAction(self._graph, name, type_name, self._clock))
         self._beat()
 
@@ -240,9 +240,9 @@ class BridgedAction:
         if self._graph.subscribers(topic):
             self._graph.publish(self._node, topic, {"status_list": self._tracked.messages()})
 
-    def _take_goal(self, publication: Publication) -> None:
-        message, full = publication.msg, self._tracked.full
-        tracked = self._tracked.add(message["goal_id"], self._graph.interfaces.now())
+    def _take_goal(self, published: PublishedMessage) -> None:
+        message, full = published.msg, self._tracked.full
+        tracked = self._tracked.add(message["goal_id"], self._graph.message_types.now())
         if tracked is None:
             log.warning("%s: a goal of the id %r is known already", self._name, message["goal_id"]["id"])
             return
@@ -250,7 +250,7 @@ class BridgedAction:
             self._end(tracked.key, Status.REJECTED, f"too many goals of {self._name} are on their way", {})
             return
         self._tracked.update(tracked.key, Status.ACTIVE)
-        sender = publication.publisher if isinstance(publication.publisher, Node) else self._node
+        sender = published.publisher if isinstance(published.publisher, Node) else self._node
         self._send(tracked.key, sender, message["goal"])
         self.publish_status()
 
@@ -278,8 +278,8 @@ class BridgedAction:
         # Not by the sender's callback: when the sender leaves, others may still be listening.
         goal.when_ended(lambda result: self._on_result(key, result))
 
-    def _take_cancel(self, publication: Publication) -> None:
-        for key in self._tracked.to_cancel(publication.msg):
+    def _take_cancel(self, published: PublishedMessage) -> None:
+        for key in self._tracked.to_cancel(published.msg):
             goal = self._goals.get(key)
             if goal is not None:
                 self._tracked.update(key, Status.PREEMPTING)
@@ -312,7 +312,7 @@ class BridgedAction:
         self._graph.publish(self._node, f"{self._name}/{part.lower()}", message)
 
     def _fields_of(self, part: str) -> tuple[str, ...]:
-        message_type = self._graph.interfaces.registry.message(_message_type(self._type_name, part))
+        message_type = self._graph.message_types.registry.message(_message_type(self._type_name, part))
         return tuple(field.name for field in message_type.fields)
 
 

@@ -89,7 +89,7 @@ class RosApi:
         self._graph = graph
         self._services = graph.services
         self._actions = graph.actions
-        self._registry = graph.interfaces.registry
+        self._registry = graph.message_types.registry
         self._wall_clock = wall_clock
         # Foxglove asks for the texts of all topics every three seconds; there are no more types than the registry has.
         self._texts: dict[tuple[str, Dialect], str] = {}

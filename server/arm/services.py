@@ -72,7 +72,7 @@ class ArmServices:
         self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT))
         # Whoever writes to this topic wants the arm to stop, whatever the message looks like.
         stopper = Subscriber(
-            lambda _publication: _log_end(emergency_stop(EMERGENCY_STOP_TOPIC)),
+            lambda _published: _log_end(emergency_stop(EMERGENCY_STOP_TOPIC)),
             lambda _error: _log_end(emergency_stop(EMERGENCY_STOP_TOPIC)),
         )
         self._graph.subscribe(self._node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
@@ -138,7 +138,7 @@ class ArmPace:
             arm: who obeys.
         """
         subscriber = Subscriber(
-            lambda publication: _set_speed(arm, publication.msg["data"]),
+            lambda published: _set_speed(arm, published.msg["data"]),
             lambda error: log.warning("%s: %s", SPEED_FACTOR_TOPIC, error),
         )
         self._graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)

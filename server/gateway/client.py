@@ -39,7 +39,7 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import Parcel, Publication
+from protocol.publication import EncodedMessage, PublishedMessage
 from protocol.session import Refusal, Session, with_id
 from server.access.authorization import unlimited
 from server.access.permissions import ANYONE, Identity
@@ -126,18 +126,18 @@ class ClientTopics:
         if self._session.subscriptions.remove(operation.topic, operation.id):
             self._graph.unsubscribe(self._node, qualify(operation.topic))
 
-    def _deliver_earlier(self, topic: str, earlier: Sequence[Publication]) -> None:
+    def _deliver_earlier(self, topic: str, earlier: Sequence[PublishedMessage]) -> None:
         subscription = self._session.subscriptions.get(topic)
         # Under a throttle that drops, one of them gets through: it shall be the newest.
         newest_only = subscription is not None and subscription.skips
-        for publication in earlier[-1:] if newest_only else earlier:
-            self._deliver(publication, wake=False)
+        for published in earlier[-1:] if newest_only else earlier:
+            self._deliver(published, wake=False)
         # Not before all are there: of what waits for a throttle, only the last ones are to be sent.
         self._client.wake()
 
-    def _deliver(self, publication: Publication, *, wake: bool = True) -> None:
+    def _deliver(self, published: PublishedMessage, *, wake: bool = True) -> None:
         try:
-            queued = self._session.deliver(publication, self._client.clock(), self._client.send_at_once)
+            queued = self._session.deliver(published, self._client.clock(), self._client.send_at_once)
         except ProtocolError as error:
             self._client.status.refuse_error("subscribe", error)
         else:
@@ -429,7 +429,7 @@ class Client:
         clock: Callable[[], float],
         wake: Callable[[], None],
         dialect: Dialect = "ros2",
-        send_at_once: Callable[[Parcel], bool] = lambda _parcel: False,
+        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
         identity: Identity | None = ANYONE,
         auth: AuthContext | None = None,
     ) -> None:
@@ -441,7 +441,7 @@ class Client:
         self._graph = graph
         self._clock = clock
         self._authorizer = auth.access.authorizer(self.node)
-        translator = MessageTranslator(self.session, graph.interfaces.registry)
+        translator = MessageTranslator(self.session, graph.message_types.registry)
         context = ClientContext(
             self.node, graph, self.session, limits, translator, self.status, clock, wake, send_at_once
         )

@@ -26,7 +26,7 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import Parcel
+from protocol.publication import EncodedMessage
 from protocol.session import Refusal, Session
 from server.access.rate_limits import LogLimiter
 from server.errors import GraphError
@@ -157,7 +157,7 @@ class ClientContext:
     status: ClientStatus
     clock: Callable[[], float]
     wake: Callable[[], None]
-    send_at_once: Callable[[Parcel], bool]
+    send_at_once: Callable[[EncodedMessage], bool]
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation, which is never dropped."""

@@ -14,7 +14,7 @@ from websockets.protocol import State
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
-from protocol.publication import Parcel
+from protocol.publication import EncodedMessage
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access, unlimited
 from server.access.permissions import ANYONE, Identity, Role, display_name
@@ -247,7 +247,7 @@ class Connection:
             frames = self._client.session.data_to_send(time.monotonic())
             if not frames:
                 return
-            self._websocket.send_at_once(Parcel(*frames))
+            self._websocket.send_at_once(EncodedMessage(*frames))
 
     async def _until_something_is_due(self, wake: asyncio.Event) -> None:
         now_s = time.monotonic()

@@ -20,7 +20,7 @@ from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
-from protocol.publication import Parcel
+from protocol.publication import EncodedMessage
 from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 
@@ -185,7 +185,7 @@ class WebSocket(ServerConnection):
             return False
         return bool(self.transport.get_write_buffer_size() + self._unsent_bytes <= WRITE_LIMIT_BYTES)
 
-    def send_at_once(self, parcel: Parcel) -> bool:
+    def send_at_once(self, encoded: EncodedMessage) -> bool:
         """Send a message, in order of calling, if the socket takes it without waiting; return True when it is sent.
 
         A task and an event for each message would cost more than the message, and so would making its frame anew for
@@ -194,8 +194,8 @@ class WebSocket(ServerConnection):
         """
         if not self.takes_more:
             return False
-        on_wire = parcel.on_wire
-        self.sent_messages += len(parcel.frames)
+        on_wire = encoded.on_wire
+        self.sent_messages += len(encoded.frames)
         self.sent_bytes += len(on_wire)
         if not self._unsent:
             now_s = time.monotonic()

@@ -15,9 +15,9 @@ from typing import Any
 
 from protocol.errors import InterfaceError, MessageError
 from server.errors import GraphError
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.providers import Directory, Offer, Offers, Pending
+from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
 from server.graph.services import Services
 from server.timers import CallLater
 
@@ -47,7 +47,7 @@ class Result:
     values: Any
 
 
-class Goal(Pending[Result]):
+class Goal(PendingRequest[Result]):
     """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
 
     Args:
@@ -72,7 +72,7 @@ class Goal(Pending[Result]):
         action: str,
         type_name: str,
         request: dict[str, Any],
-        interfaces: Interfaces,
+        message_types: MessageTypes,
         on_feedback: Callable[[dict[str, Any]], None] | None,
         sender: Node,
     ) -> None:
@@ -83,7 +83,7 @@ class Goal(Pending[Result]):
         self.request = request
         self.goal_id = uuid.uuid4().bytes
         self.cancel_requested = False
-        self._interfaces = interfaces
+        self._message_types = message_types
         self._on_feedback = on_feedback
         self._when_canceled: list[Callable[[], None]] = []
 
@@ -93,7 +93,7 @@ class Goal(Pending[Result]):
         Raises:
             MessageError: the values do not fit the action's type.
         """
-        completed = self._interfaces.complete(f"{self.type_name}_Feedback", values)
+        completed = self._message_types.complete(f"{self.type_name}_Feedback", values)
         if self._on_feedback is not None and not self.ended:
             self._on_feedback(completed)
 
@@ -104,7 +104,7 @@ class Goal(Pending[Result]):
             MessageError: the values do not fit the action's type; the sender has been told that the goal failed.
         """
         try:
-            completed = self._interfaces.complete(f"{self.type_name}_Result", values)
+            completed = self._message_types.complete(f"{self.type_name}_Result", values)
         except MessageError as error:
             self.fail(f"Action {self.action} gave a result that does not fit {self.type_name}: {error}")
             raise
@@ -155,7 +155,7 @@ class Sender:
 
 
 @dataclass(eq=False)
-class ActionOffer(Offer):
+class ActionProvider(Provider):
     """An action that somebody offers.
 
     Attributes:
@@ -167,7 +167,7 @@ class ActionOffer(Offer):
     goals: dict[Goal, Sender] = field(default_factory=dict)
 
 
-class Actions(Directory[ActionOffer]):
+class Actions(ProviderDirectory[ActionProvider]):
     """All actions.
 
     Args:
@@ -176,9 +176,9 @@ class Actions(Directory[ActionOffer]):
         call_later: does something after a delay.
     """
 
-    def __init__(self, interfaces: Interfaces, services: Services, call_later: CallLater) -> None:
-        super().__init__(Offers("action", MAX_ACTIONS, interfaces, self._end_goals))
-        self._interfaces = interfaces
+    def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
+        super().__init__(Providers("action", MAX_ACTIONS, message_types, self._end_goals))
+        self._message_types = message_types
         self._services = services
         self._call_later = call_later
 
@@ -195,7 +195,7 @@ class Actions(Directory[ActionOffer]):
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
-        offer = ActionOffer(node, name, self._offers.claim(node, name, type_name), start)
+        offer = ActionProvider(node, name, self._offers.claim(node, name, type_name), start)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
@@ -234,7 +234,7 @@ class Actions(Directory[ActionOffer]):
             sender: who sends it.
             name: fully qualified name of the action.
             type_name: the action's type, as the sender knows it.
-            arguments: the goal message, as in `Interfaces.complete_arguments`.
+            arguments: the goal message, as in `MessageTypes.complete_arguments`.
             on_result: called once, perhaps before this returns; not if the sender leaves before.
             on_feedback: called with every feedback message.
 
@@ -243,23 +243,23 @@ class Actions(Directory[ActionOffer]):
         """
         try:
             offer = self._offer(name, type_name)
-            request = self._interfaces.complete_arguments(f"{offer.type_name}_Goal", arguments)
+            request = self._message_types.complete_arguments(f"{offer.type_name}_Goal", arguments)
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
-        goal = Goal(name, offer.type_name, request, self._interfaces, on_feedback, sender)
+        goal = Goal(name, offer.type_name, request, self._message_types, on_feedback, sender)
         self._start(goal, offer, Sender(sender, on_result))
         return goal
 
-    def _offer(self, name: str, type_name: str) -> ActionOffer:
+    def _offer(self, name: str, type_name: str) -> ActionProvider:
         offer = self._offers.get(name)
         if offer is None:
             raise GraphError("action", name, "does not exist")
-        if self._interfaces.canonical(type_name, "action") != offer.type_name:
+        if self._message_types.canonical(type_name, "action") != offer.type_name:
             raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
         return offer
 
-    def _start(self, goal: Goal, offer: ActionOffer, sender: Sender) -> None:
+    def _start(self, goal: Goal, offer: ActionProvider, sender: Sender) -> None:
         offer.goals[goal] = sender
         goal.when_ended(lambda _result: offer.goals.pop(goal))
         timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
@@ -271,7 +271,7 @@ class Actions(Directory[ActionOffer]):
             log.exception("action %s failed", goal.action)
             goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
 
-    def _end_goals(self, offer: ActionOffer) -> None:
+    def _end_goals(self, offer: ActionProvider) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         for goal in list(offer.goals):
             goal.fail(f"Action {offer.name} was withdrawn by its provider")
@@ -281,7 +281,7 @@ def _cancel_service(action: str) -> str:
     return f"{action}/_action/cancel_goal"
 
 
-def _cancel(offer: ActionOffer, request: dict[str, Any]) -> dict[str, Any]:
+def _cancel(offer: ActionProvider, request: dict[str, Any]) -> dict[str, Any]:
     """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
     wanted = request["goal_info"]["goal_id"]["uuid"]
     ids = {goal: b64encode(goal.goal_id).decode() for goal in offer.goals if not goal.cancel_requested}

@@ -12,7 +12,7 @@ from protocol.messages import Stamp
 from protocol.registry import Kind, Registry
 
 
-class Interfaces:
+class MessageTypes:
     """Types and messages, of whoever publishes or calls.
 
     Args:

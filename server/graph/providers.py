@@ -12,13 +12,13 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 from protocol.errors import InterfaceError
 from protocol.registry import Kind
 from server.errors import GraphError
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 
 End = TypeVar("End")
 
 
-class Pending(Generic[End]):
+class PendingRequest(Generic[End]):
     """Base of calls and goals on their way.
 
     Attributes:
@@ -41,13 +41,13 @@ class Pending(Generic[End]):
             callback(end)
 
 
-OfferedKind: TypeAlias = Literal["service", "action"]
+ProvidedKind: TypeAlias = Literal["service", "action"]
 
-_TYPE_KINDS: dict[OfferedKind, Kind] = {"service": "srv", "action": "action"}
+_TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
 
 @dataclass(eq=False)
-class Offer:
+class Provider:
     """A service or an action that a node provides.
 
     Attributes:
@@ -61,10 +61,10 @@ class Offer:
     type_name: str
 
 
-AnOffer = TypeVar("AnOffer", bound=Offer)
+AnyProvider = TypeVar("AnyProvider", bound=Provider)
 
 
-class Offers(Generic[AnOffer]):
+class Providers(Generic[AnyProvider]):
     """All offers of one kind, one a name.
 
     Args:
@@ -74,18 +74,20 @@ class Offers(Generic[AnOffer]):
         end: called with an offer that has just been withdrawn or replaced, to end what is on its way.
     """
 
-    def __init__(self, kind: OfferedKind, limit: int, interfaces: Interfaces, end: Callable[[AnOffer], None]) -> None:
+    def __init__(
+        self, kind: ProvidedKind, limit: int, message_types: MessageTypes, end: Callable[[AnyProvider], None]
+    ) -> None:
         self._kind = kind
         self._limit = limit
-        self._interfaces = interfaces
+        self._message_types = message_types
         self._end = end
-        self._offers: dict[str, AnOffer] = {}
+        self._offers: dict[str, AnyProvider] = {}
 
-    def get(self, name: str) -> AnOffer | None:
+    def get(self, name: str) -> AnyProvider | None:
         """Return the offer of a fully qualified name; None when there is none."""
         return self._offers.get(name)
 
-    def all(self) -> list[AnOffer]:
+    def all(self) -> list[AnyProvider]:
         """Return every offer; the table may change meanwhile."""
         return list(self._offers.values())
 
@@ -105,7 +107,7 @@ class Offers(Generic[AnOffer]):
             GraphError: the type is unknown, the name is taken by a part of the server, or there are too many offers.
         """
         try:
-            canonical = self._interfaces.canonical(type_name, _TYPE_KINDS[self._kind])
+            canonical = self._message_types.canonical(type_name, _TYPE_KINDS[self._kind])
         except InterfaceError as error:
             raise GraphError(self._kind, name, str(error)) from error
         present = self._offers.get(name)
@@ -117,7 +119,7 @@ class Offers(Generic[AnOffer]):
             raise GraphError(self._kind, name, f"cannot be added: there are {self._limit} {self._kind}s already")
         return canonical
 
-    def add(self, offer: AnOffer) -> None:
+    def add(self, offer: AnyProvider) -> None:
         """Enter an offer whose name has been claimed."""
         self._offers[offer.name] = offer
 
@@ -127,19 +129,19 @@ class Offers(Generic[AnOffer]):
         if offer is not None and offer.node is node:
             self._remove(offer)
 
-    def _remove(self, offer: AnOffer) -> None:
+    def _remove(self, offer: AnyProvider) -> None:
         del self._offers[offer.name]
         self._end(offer)
 
 
-class Directory(Generic[AnOffer]):
+class ProviderDirectory(Generic[AnyProvider]):
     """Names and types of what is provided, for introspection.
 
     Args:
         offers: the table.
     """
 
-    def __init__(self, offers: Offers[AnOffer]) -> None:
+    def __init__(self, offers: Providers[AnyProvider]) -> None:
         self._offers = offers
 
     def types(self) -> dict[str, str]:

@@ -16,9 +16,9 @@ from typing import Any, TypeAlias
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from server.errors import ServiceError
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.providers import Directory, Offer, Offers, Pending
+from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -40,7 +40,7 @@ class Response:
     values: Any
 
 
-class Call(Pending[Response]):
+class Call(PendingRequest[Response]):
     """A call that its provider is to end with :meth:`succeed` or :meth:`fail`; only the first end counts.
 
     Args:
@@ -64,7 +64,7 @@ class Call(Pending[Response]):
         service: str,
         type_name: str,
         request: dict[str, Any],
-        interfaces: Interfaces,
+        message_types: MessageTypes,
         caller: Node,
         dialect: Dialect = "ros2",
     ) -> None:
@@ -74,7 +74,7 @@ class Call(Pending[Response]):
         self.request = request
         self.caller = caller
         self.dialect = dialect
-        self._interfaces = interfaces
+        self._message_types = message_types
 
     def succeed(self, values: object) -> None:
         """Answer with a response message; what it leaves out gets its default.
@@ -83,7 +83,7 @@ class Call(Pending[Response]):
             MessageError: the values do not fit the service's type; the caller has been told that the call failed.
         """
         try:
-            completed = self._interfaces.complete(f"{self.type_name}_Response", values)
+            completed = self._message_types.complete(f"{self.type_name}_Response", values)
         except MessageError as error:
             self.fail(f"Service {self.service} gave a response that does not fit {self.type_name}: {error}")
             raise
@@ -143,7 +143,7 @@ MAX_SERVICES = 10_000
 
 
 @dataclass(eq=False)
-class ServiceOffer(Offer):
+class ServiceProvider(Provider):
     """A service that somebody offers.
 
     Attributes:
@@ -157,7 +157,7 @@ class ServiceOffer(Offer):
     calls: dict[Call, Node] = field(default_factory=dict)
 
 
-class Services(Directory[ServiceOffer]):
+class Services(ProviderDirectory[ServiceProvider]):
     """All services.
 
     Args:
@@ -165,9 +165,9 @@ class Services(Directory[ServiceOffer]):
         call_later: does something after a delay.
     """
 
-    def __init__(self, interfaces: Interfaces, call_later: CallLater) -> None:
-        super().__init__(Offers("service", MAX_SERVICES, interfaces, _fail_calls))
-        self._interfaces = interfaces
+    def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
+        super().__init__(Providers("service", MAX_SERVICES, message_types, _fail_calls))
+        self._message_types = message_types
         self._call_later = call_later
 
     def offer(
@@ -204,7 +204,7 @@ class Services(Directory[ServiceOffer]):
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
         canonical = self._offers.claim(node, name, type_name)
-        self._offers.add(ServiceOffer(node, name, canonical, start, timeout_s))
+        self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s))
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""
@@ -231,7 +231,7 @@ class Services(Directory[ServiceOffer]):
         Args:
             caller: who calls.
             name: fully qualified name.
-            arguments: the request, as in `Interfaces.complete_arguments`.
+            arguments: the request, as in `MessageTypes.complete_arguments`.
             on_response: called once, perhaps before this returns.
             timeout_s: how long to wait [s], 0 for `MAX_TIMEOUT_S`, None for what the service's offer says.
             dialect: which generation of ROS the caller wants to be told about.
@@ -242,16 +242,16 @@ class Services(Directory[ServiceOffer]):
             on_response(Response(ok=False, values=f"Service {name} does not exist"))
             return
         try:
-            request = self._interfaces.complete_arguments(f"{offer.type_name}_Request", arguments)
+            request = self._message_types.complete_arguments(f"{offer.type_name}_Request", arguments)
         except MessageError as error:
             on_response(Response(ok=False, values=f"Service {name}: {error}"))
             return
-        call = Call(name, offer.type_name, request, self._interfaces, caller, dialect)
+        call = Call(name, offer.type_name, request, self._message_types, caller, dialect)
         self._bound(call, offer, caller, timeout_s)
         call.when_ended(on_response)
         offer.start(call)
 
-    def _bound(self, call: Call, offer: ServiceOffer, caller: Node, timeout_s: float | None) -> None:
+    def _bound(self, call: Call, offer: ServiceProvider, caller: Node, timeout_s: float | None) -> None:
         """Keep account of a call until it ends, which it does in time."""
         bound_s = offer.timeout_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
         offer.calls[call] = caller
@@ -260,6 +260,6 @@ class Services(Directory[ServiceOffer]):
         call.when_ended(lambda _response: timer.cancel())
 
 
-def _fail_calls(offer: ServiceOffer) -> None:
+def _fail_calls(offer: ServiceProvider) -> None:
     for call in list(offer.calls):
         call.fail(f"Service {offer.name} was withdrawn by its provider")

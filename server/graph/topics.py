@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from protocol.errors import InterfaceError, MessageError
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph.actions import Actions
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.services import Services
 from server.timers import CallLater, call_later
@@ -40,12 +40,12 @@ MAX_RECENT_PER_TOPIC = 10
 class _Kept(NamedTuple):
     """A message, its size, and the time until which it is kept [s]."""
 
-    publication: Publication
+    published: PublishedMessage
     size_bytes: int
     until_s: float
 
 
-class Retained:
+class LatchedMessages:
     """Latched and recent messages of all topics, for those who subscribe later."""
 
     def __init__(self) -> None:
@@ -55,17 +55,17 @@ class Retained:
         self._recent: OrderedDict[str, deque[_Kept]] = OrderedDict()
         self._recent_bytes = 0
 
-    def latch(self, publication: Publication) -> bool:
+    def latch(self, published: PublishedMessage) -> bool:
         """Keep a message instead of the one latched before it.
 
         Returns:
             False when all that is latched would be too large; then the topic has no latched message.
         """
-        self.unlatch(publication.topic)
-        size_bytes = publication.size_bytes
+        self.unlatch(published.topic)
+        size_bytes = published.size_bytes
         if self._latched_bytes + size_bytes > MAX_LATCHED_BYTES:
             return False
-        self._latched[publication.topic] = _Kept(publication, size_bytes, math.inf)
+        self._latched[published.topic] = _Kept(published, size_bytes, math.inf)
         self._latched_bytes += size_bytes
         return True
 
@@ -81,24 +81,24 @@ class Retained:
         if kept is not None:
             self._latched[topic] = kept._replace(until_s=until_s)
 
-    def keep(self, publication: Publication, now: float, lifespan_s: float) -> None:
+    def keep(self, published: PublishedMessage, now: float, lifespan_s: float) -> None:
         """Keep a message for a while.
 
         Args:
-            publication: the message.
+            published: the message.
             now: present time [s], monotonic.
             lifespan_s: for how long [s]; the same for all.
         """
-        topic, size_bytes = publication.topic, publication.size_bytes
+        topic, size_bytes = published.topic, published.size_bytes
         recent = self._recent.setdefault(topic, deque())
-        recent.append(_Kept(publication, size_bytes, now + lifespan_s))
+        recent.append(_Kept(published, size_bytes, now + lifespan_s))
         self._recent.move_to_end(topic)
         self._recent_bytes += size_bytes
         if len(recent) > MAX_RECENT_PER_TOPIC:
             self._recent_bytes -= recent.popleft().size_bytes
         self._give_up_old(now)
 
-    def of(self, topic: str, now: float) -> list[Publication]:
+    def of(self, topic: str, now: float) -> list[PublishedMessage]:
         """Return what a new subscriber to the topic gets, oldest first.
 
         Args:
@@ -108,7 +108,7 @@ class Retained:
         latched = self._latched.get(topic)
         recent = self._recent.get(topic, ())
         kept_now = recent if latched is None else [latched, *recent]
-        return [kept.publication for kept in kept_now if kept.until_s >= now]
+        return [kept.published for kept in kept_now if kept.until_s >= now]
 
     def forget(self, topic: str) -> None:
         """Give up all that is kept of a topic."""
@@ -136,7 +136,7 @@ UNREGISTER_TIMEOUT_S = 10.0
 
 
 # Called with every message of every topic, before its subscribers, and whether it is latched.
-Watcher: TypeAlias = Callable[[Publication, bool], None]
+Watcher: TypeAlias = Callable[[PublishedMessage, bool], None]
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Subscriber:
             sender, and with a sentence that says why.
     """
 
-    deliver: Callable[[Publication], None]
+    deliver: Callable[[PublishedMessage], None]
     refused: Callable[[MessageError], None] | None = None
     turned_away: Callable[[Mapping[str, Any], Node, str], None] | None = None
 
@@ -203,13 +203,13 @@ class Graph:
         relay_unknown_types: bool = False,
         unregister_timeout_s: float = UNREGISTER_TIMEOUT_S,
     ) -> None:
-        self.interfaces = Interfaces(registry, wall_clock, relay_unknown_types=relay_unknown_types)
-        self.services = Services(self.interfaces, call_later)
-        self.actions = Actions(self.interfaces, self.services, call_later)
+        self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
+        self.services = Services(self.message_types, call_later)
+        self.actions = Actions(self.message_types, self.services, call_later)
         self._clock = clock
         self._unregister_timeout_s = unregister_timeout_s
         self._topics: dict[str, Topic] = {}
-        self._retained = Retained()
+        self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
 
     def watch(self, watcher: Watcher) -> None:
@@ -264,10 +264,10 @@ class Graph:
             topic.latching.discard(node)
             if last_latching:
                 # As the type, what is latched outlives a socket that is only closed to be opened anew.
-                self._retained.unlatch_at(name, self._clock() + self._unregister_timeout_s)
+                self._latched_messages.unlatch_at(name, self._clock() + self._unregister_timeout_s)
             self._left(topic)
 
-    def subscribe(self, node: Node, name: str, type_name: str | None, subscriber: Subscriber) -> list[Publication]:
+    def subscribe(self, node: Node, name: str, type_name: str | None, subscriber: Subscriber) -> list[PublishedMessage]:
         """Deliver the topic's messages to ``node``, one subscriber a node.
 
         Returns:
@@ -278,7 +278,7 @@ class Graph:
         """
         topic = self._topic(name, type_name)
         topic.subscribers[node] = subscriber
-        return self._retained.of(name, self._clock())
+        return self._latched_messages.of(name, self._clock())
 
     def unsubscribe(self, node: Node, name: str) -> None:
         """End the delivery to ``node``; nothing happens when there is none."""
@@ -310,9 +310,9 @@ class Graph:
             MessageError: the message does not fit the type; the topic's local subscribers are told as well.
         """
         topic = self._topic(name, None)
-        received = self.interfaces.now()
+        received = self.message_types.now()
         try:
-            completed = self.interfaces.complete(topic.type_name, message, received)
+            completed = self.message_types.complete(topic.type_name, message, received)
         except MessageError as error:
             for subscriber in list(topic.subscribers.values()):
                 if subscriber.refused is not None:
@@ -321,13 +321,15 @@ class Graph:
         topic.publishers.add(node)
         if latch:
             topic.latching.add(node)
-        publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received, node)
+        published = PublishedMessage(
+            topic.name, topic.type_name, completed, self.message_types.registry, received, node
+        )
         for watch in self._watchers:
-            watch(publication, topic.keeps(node))
+            watch(published, topic.keeps(node))
         for subscriber in list(topic.subscribers.values()):
-            subscriber.deliver(publication)
+            subscriber.deliver(published)
         # Afterwards, when it is known how large the message is.
-        self._retain(publication, topic.keeps(node), lifespan_s)
+        self._retain(published, topic.keeps(node), lifespan_s)
 
     def turn_away(self, node: Node, name: str, message: object, reason: str) -> None:
         """Have a message answered that is not let through, where its topic promises an answer.
@@ -345,7 +347,7 @@ class Graph:
         if topic is None or not listeners:
             return
         try:
-            completed: Mapping[str, Any] = self.interfaces.complete(topic.type_name, message)
+            completed: Mapping[str, Any] = self.message_types.complete(topic.type_name, message)
         except MessageError:
             completed = {}
         for turned_away in listeners:
@@ -363,11 +365,13 @@ class Graph:
             GraphError: nobody has said what type the topic has.
             MessageError: the message does not fit the type.
         """
-        topic, received = self._topic(name, None), self.interfaces.now()
+        topic, received = self._topic(name, None), self.message_types.now()
         subscriber = topic.subscribers.get(node)
         if subscriber is not None:
-            completed = self.interfaces.complete(topic.type_name, message, received)
-            subscriber.deliver(Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received))
+            completed = self.message_types.complete(topic.type_name, message, received)
+            subscriber.deliver(
+                PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
+            )
 
     def latch(self, name: str, message: object) -> None:
         """Keep a message for who subscribes later, and deliver it to nobody now.
@@ -382,16 +386,16 @@ class Graph:
             GraphError: nobody has said what type the topic has.
             MessageError: the message does not fit the type.
         """
-        topic, received = self._topic(name, None), self.interfaces.now()
-        completed = self.interfaces.complete(topic.type_name, message, received)
-        publication = Publication(topic.name, topic.type_name, completed, self.interfaces.registry, received)
-        self._retain(publication, latch=True, lifespan_s=0.0)
+        topic, received = self._topic(name, None), self.message_types.now()
+        completed = self.message_types.complete(topic.type_name, message, received)
+        published = PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
+        self._retain(published, latch=True, lifespan_s=0.0)
 
-    def _retain(self, publication: Publication, latch: bool, lifespan_s: float) -> None:
-        if latch and not self._retained.latch(publication):
-            log.warning("topic %s: too large to be latched beside what is latched already", publication.topic)
+    def _retain(self, published: PublishedMessage, latch: bool, lifespan_s: float) -> None:
+        if latch and not self._latched_messages.latch(published):
+            log.warning("topic %s: too large to be latched beside what is latched already", published.topic)
         elif not latch and lifespan_s > 0:
-            self._retained.keep(publication, self._clock(), lifespan_s)
+            self._latched_messages.keep(published, self._clock(), lifespan_s)
 
     def _topic(self, name: str, type_name: str | None) -> Topic:
         """The topic, made when it is new and ``type_name`` says what it carries."""
@@ -400,7 +404,7 @@ class Graph:
             if type_name is None:
                 raise GraphError("topic", name, "has no type yet: advertise it first, or name the type")
             self._make_room(name)
-            self._retained.forget(name)
+            self._latched_messages.forget(name)
             topic = self._topics[name] = Topic(name, self._canonical(name, type_name), self._clock())
         elif type_name is not None and self._canonical(name, type_name) != topic.type_name:
             raise GraphError("topic", name, f"is already established with type {topic.type_name}, not {type_name}")
@@ -408,7 +412,7 @@ class Graph:
 
     def _canonical(self, name: str, type_name: str) -> str:
         try:
-            return self.interfaces.canonical(type_name, "msg")
+            return self.message_types.canonical(type_name, "msg")
         except InterfaceError as error:
             raise GraphError("topic", name, str(error)) from error
 

@@ -19,7 +19,7 @@ import numpy as np
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose, Scene
 from protocol.errors import MessageError
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import rest_to_rest
@@ -305,7 +305,7 @@ class Confirmation:
     def open(self) -> None:
         """Subscribe to the topic, and offer the service."""
         subscriber = Subscriber(
-            lambda publication: self._take_decision(go=publication.msg["data"]),
+            lambda published: self._take_decision(go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
         )
         self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
@@ -442,8 +442,8 @@ class GoalTopics:
         self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event))
 
     def _take_goals(self, topic: str, type_name: str, translate: Translate) -> None:
-        def deliver(publication: Publication) -> None:
-            message = publication.msg
+        def deliver(published: PublishedMessage) -> None:
+            message = published.msg
             try:
                 motion = translate(message)
             except RefusedError as error:
@@ -463,14 +463,14 @@ class GoalTopics:
         subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized)
         self._graph.subscribe(self._node, topic, type_name, subscriber)
 
-    def _cancel(self, publication: Publication) -> None:
-        self._queue.cancel(publication.msg["data"], f"cancelled by {CANCEL_TOPIC}")
+    def _cancel(self, published: PublishedMessage) -> None:
+        self._queue.cancel(published.msg["data"], f"cancelled by {CANCEL_TOPIC}")
 
-    def _stop(self, _publication: Publication) -> None:
+    def _stop(self, _published: PublishedMessage) -> None:
         self._queue.stop(f"stopped by {STOP_TOPIC}")
 
-    def _on_event(self, publication: Publication) -> None:
-        event = publication.msg["data"]
+    def _on_event(self, published: PublishedMessage) -> None:
+        event = published.msg["data"]
         if event == "stop":
             self._queue.stop(f"stopped by {EVENT_TOPIC}")
         else:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from protocol.codecs import cdr
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.errors import StartError
 from server.graph.topics import Graph
@@ -72,7 +72,7 @@ class Recorder:
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._graph = graph
-        self._registry = graph.interfaces.registry
+        self._registry = graph.message_types.registry
         self._path = path
         self._clock_ns = clock_ns
         # A wall clock that is set during a recording would tear a gap into it.
@@ -108,33 +108,33 @@ class Recorder:
         if not await asyncio.to_thread(self._writer.close):
             log.error("recording: %s was not ended within %g s; what is in it can be read", self._path, CLOSE_TIMEOUT_S)
 
-    def _record(self, publication: Publication, latched: bool) -> None:
+    def _record(self, published: PublishedMessage, latched: bool) -> None:
         if self._writer.ended:
             return
-        if not self._registry.knows(publication.type_name):
-            self._log_unknown_type(publication)
+        if not self._registry.knows(published.type_name):
+            self._log_unknown_type(published)
             return
         log_time_ns = self._epoch_ns + self._clock_ns()
-        self._writer.put(QueuedMessage(publication, latched, publication.size_bytes, log_time_ns))
+        self._writer.put(QueuedMessage(published, latched, published.size_bytes, log_time_ns))
 
-    def _log_unknown_type(self, publication: Publication) -> None:
-        name = publication.type_name
+    def _log_unknown_type(self, published: PublishedMessage) -> None:
+        name = published.type_name
         if name not in self._logged_types and len(self._logged_types) < MAX_LOGGED_TYPES:
             self._logged_types.add(name)
-            log.warning("recording: %s is left out, the type %s is unknown", publication.topic, name)
+            log.warning("recording: %s is left out, the type %s is unknown", published.topic, name)
 
 
 class QueuedMessage(NamedTuple):
     """Message that waits to be written.
 
     Attributes:
-        publication: the message.
+        published: the message.
         latched: True if its topic is latched.
         size_bytes: its size.
         log_time_ns: time of recording [ns since the epoch].
     """
 
-    publication: Publication
+    published: PublishedMessage
     latched: bool
     size_bytes: int
     log_time_ns: int
@@ -237,11 +237,11 @@ class WriterThread:
             self._written_bytes += message.size_bytes
 
     def _recorded(self, message: QueuedMessage) -> RecordedMessage:
-        publication = message.publication
-        octets = cdr.serialize(self._registry, publication.type_name, publication.msg)
-        publish_time_ns = publication.received.sec * 1_000_000_000 + publication.received.nanosec
+        published = message.published
+        octets = cdr.serialize(self._registry, published.type_name, published.msg)
+        publish_time_ns = published.received.sec * 1_000_000_000 + published.received.nanosec
         return RecordedMessage(
-            publication.topic, publication.type_name, message.latched, message.log_time_ns, publish_time_ns, octets
+            published.topic, published.type_name, message.latched, message.log_time_ns, publish_time_ns, octets
         )
 
     def _log_drops(self) -> None:

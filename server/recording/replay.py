@@ -397,7 +397,7 @@ class Player:
         if recorded is None or recorded.type_name != message.type_name:
             return
         try:
-            values = cdr.deserialize(self._graph.interfaces.registry, message.type_name, message.octets)
+            values = cdr.deserialize(self._graph.message_types.registry, message.type_name, message.octets)
             self._graph.publish(self._node, message.topic, values)
         except (ProtocolError, GraphError) as error:
             self.unreadable += 1

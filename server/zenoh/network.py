@@ -164,7 +164,7 @@ class Network:
     @property
     def registry(self) -> Registry:
         """Message and service types of the graph."""
-        return self.graph.interfaces.registry
+        return self.graph.message_types.registry
 
     def declare(self, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> Declaration:
         """Declare entities on the session soon; see `Declaration`."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from server.access.authorization import Authorizer
 from server.errors import GraphError
 from server.graph.topics import Subscriber
@@ -45,27 +45,27 @@ class OutgoingTopic:
         self._name = name
         self._token = network.tokens.entity(EntityKind.PUBLISHER, endpoint, latched=latched)
         self._gid = gid_of(self._token)
-        self._waiting: deque[Publication] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[PublishedMessage] = deque(maxlen=MAX_WAITING)
         self._submitted = False
         self._sent = 0
         # Set in the session's thread, which alone uses it.
         self._publisher: Publisher | None = None
         self._declaration = network.declare(self._declare)
         subscriber = Subscriber(self._queue)
-        for publication in network.graph.subscribe(network.node, name, endpoint.type_name, subscriber):
-            self._queue(publication)
+        for published in network.graph.subscribe(network.node, name, endpoint.type_name, subscriber):
+            self._queue(published)
 
     def close(self) -> None:
         """Stop publishing the topic."""
         self._network.graph.unsubscribe(self._network.node, self._name)
         self._declaration.undeclare()
 
-    def _queue(self, publication: Publication) -> None:
+    def _queue(self, published: PublishedMessage) -> None:
         # Messages from the network are there already.
-        if publication.publisher is self._network.node:
+        if published.publisher is self._network.node:
             return
         self.dropped += len(self._waiting) == MAX_WAITING
-        self._waiting.append(publication)
+        self._waiting.append(published)
         if not self._submitted:
             self._submitted = self._network.thread.submit(self._send)
 
@@ -85,8 +85,8 @@ class OutgoingTopic:
         # First, so that later messages are submitted anew.
         self._submitted = False
         for _ in range(len(self._waiting)):
-            publication = self._waiting.popleft()
-            octets = cdr.serialize(self._network.registry, publication.type_name, publication.msg)
+            published = self._waiting.popleft()
+            octets = cdr.serialize(self._network.registry, published.type_name, published.msg)
             self._sent += 1
             attachment = Attachment(self._sent, time.time_ns(), self._gid).encode()
             if self._publisher is not None:

@@ -25,7 +25,7 @@ class AskedWorld:
         )
         RosApi(self.graph, lambda: 12.5)
         self.graph.advertise(ARM, "/joint_states", "sensor_msgs/JointState")
-        self.graph.subscribe(CLIENT, "/joint_states", None, Subscriber(lambda _publication: None))
+        self.graph.subscribe(CLIENT, "/joint_states", None, Subscriber(lambda _published: None))
         self.graph.advertise(CLIENT, "/chatter", "std_msgs/String")
         self.graph.services.offer(ARM, "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True})
 

@@ -17,7 +17,7 @@ from typing import Any
 import zenoh
 from rosbags.typesys import Stores, get_typestore
 
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
@@ -103,9 +103,9 @@ class Site:
             task.cancel()
             await asyncio.wait([task])
 
-    def hear(self, topic: str, type_name: str | None = None, node: Node | None = None) -> list[Publication]:
+    def hear(self, topic: str, type_name: str | None = None, node: Node | None = None) -> list[PublishedMessage]:
         """Subscribe, as the client if nobody else; what comes is appended to the list."""
-        heard: list[Publication] = []
+        heard: list[PublishedMessage] = []
         heard += self.graph.subscribe(node or self.client, topic, type_name, Subscriber(heard.append))
         return heard
 

@@ -3,14 +3,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.limits import Limits
-from protocol.publication import FRAME_OVERHEAD_BYTES, Frame, Parcel
-from protocol.send_queue import Outbox
+from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame
+from protocol.send_queue import SendQueue
 from protocol.subscriptions import Subscription
 
 
-def outbox(topic_frames=100, reply_frames=100, frame_bytes=10):
+def send_queue(topic_frames=100, reply_frames=100, frame_bytes=10):
     size_bytes = frame_bytes + FRAME_OVERHEAD_BYTES
-    return Outbox(
+    return SendQueue(
         Limits(max_queued_topic_bytes=topic_frames * size_bytes, max_queued_reply_bytes=reply_frames * size_bytes)
     )
 
@@ -19,8 +19,8 @@ def frames(count, start=0):
     return [b"frame %04d" % number for number in range(start, start + count)]
 
 
-def parcel(*frames):
-    return Parcel(*(Frame(frame, text=True) for frame in frames))
+def encoded(*frames):
+    return EncodedMessage(*(Frame(frame, text=True) for frame in frames))
 
 
 def taken(box, now, budget_bytes=10**9):
@@ -29,7 +29,7 @@ def taken(box, now, budget_bytes=10**9):
 
 def put_all(box, subscription, waiting):
     for frame in waiting:
-        box.put_topic_data(subscription, parcel(frame))
+        box.put_topic_data(subscription, encoded(frame))
 
 
 @pytest.fixture
@@ -38,18 +38,18 @@ def free():
 
 
 def test_nothing_is_due_when_nothing_waits():
-    box = outbox()
+    box = send_queue()
     assert taken(box, 1.0) == []
     assert box.next_due(1.0) is None
 
 
 def test_replies_and_topic_data_leave_once_in_order_of_queuing(free):
-    box, other = outbox(), Subscription("/other")
-    box.put_topic_data(free, parcel(b"1"))
-    box.put_reply(parcel(b"2"))
-    box.put_topic_data(other, parcel(b"3"))
-    box.put_topic_data(free, parcel(b"4"))
-    box.put_reply(parcel(b"5"))
+    box, other = send_queue(), Subscription("/other")
+    box.put_topic_data(free, encoded(b"1"))
+    box.put_reply(encoded(b"2"))
+    box.put_topic_data(other, encoded(b"3"))
+    box.put_topic_data(free, encoded(b"4"))
+    box.put_reply(encoded(b"5"))
     assert box.next_due(1.0) == 1.0
     assert taken(box, 1.0) == [b"1", b"2", b"3", b"4", b"5"]
     assert taken(box, 1.0) == []
@@ -57,7 +57,7 @@ def test_replies_and_topic_data_leave_once_in_order_of_queuing(free):
 
 
 def test_beyond_the_bound_the_oldest_topic_data_is_dropped_whatever_its_topic(free):
-    box, other = outbox(topic_frames=3), Subscription("/other")
+    box, other = send_queue(topic_frames=3), Subscription("/other")
     put_all(box, other, frames(2))
     put_all(box, free, frames(3, start=2))
     assert taken(box, 1.0) == frames(3, start=2)
@@ -65,14 +65,14 @@ def test_beyond_the_bound_the_oldest_topic_data_is_dropped_whatever_its_topic(fr
 
 
 def test_the_newest_message_stays_even_if_it_is_larger_than_the_bound(free):
-    box = outbox(topic_frames=3)
+    box = send_queue(topic_frames=3)
     put_all(box, free, frames(2))
-    box.put_topic_data(free, parcel(b"x" * 10_000))
+    box.put_topic_data(free, encoded(b"x" * 10_000))
     assert taken(box, 1.0) == [b"x" * 10_000]
 
 
 def test_what_left_makes_room_again(free):
-    box = outbox(topic_frames=3)
+    box = send_queue(topic_frames=3)
     for round_number in range(5):
         put_all(box, free, frames(3))
         assert taken(box, float(round_number)) == frames(3)
@@ -80,7 +80,7 @@ def test_what_left_makes_room_again(free):
 
 
 def test_a_queue_length_keeps_the_newest_of_its_topic_only(free):
-    box, short = outbox(), Subscription("/short", queue_length=2)
+    box, short = send_queue(), Subscription("/short", queue_length=2)
     put_all(box, free, frames(3))
     put_all(box, short, frames(5, start=3))
     assert taken(box, 1.0) == frames(3) + frames(2, start=6)
@@ -88,21 +88,21 @@ def test_a_queue_length_keeps_the_newest_of_its_topic_only(free):
 
 
 def test_a_queue_of_one_keeps_the_latest():
-    box, short = outbox(), Subscription("/short", queue_length=1)
+    box, short = send_queue(), Subscription("/short", queue_length=1)
     put_all(box, short, frames(5))
     assert taken(box, 1.0) == frames(1, start=4)
 
 
 def test_a_queue_that_was_shortened_is_cut_to_its_new_length():
-    box, short = outbox(), Subscription("/short", throttle_s=1.0, queue_length=5, last_sent_s=0.0)
+    box, short = send_queue(), Subscription("/short", throttle_s=1.0, queue_length=5, last_sent_s=0.0)
     put_all(box, short, frames(5))
     short.queue_length = 2
-    box.put_topic_data(short, parcel(b"newest"))
+    box.put_topic_data(short, encoded(b"newest"))
     assert taken(box, 1.0) + taken(box, 2.0) + taken(box, 3.0) == [b"frame 0004", b"newest"]
 
 
 def test_queued_messages_leave_one_per_throttle_interval_and_say_when():
-    box, paced = outbox(), Subscription("/paced", throttle_s=0.1, queue_length=10)
+    box, paced = send_queue(), Subscription("/paced", throttle_s=0.1, queue_length=10)
     put_all(box, paced, frames(3))
     assert taken(box, 5.0) == frames(1)
     assert box.next_due(5.0) == pytest.approx(5.1)
@@ -113,17 +113,17 @@ def test_queued_messages_leave_one_per_throttle_interval_and_say_when():
 
 
 def test_a_throttled_topic_holds_nothing_else_back(free):
-    box, paced = outbox(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
-    box.put_topic_data(paced, parcel(b"later"))
-    box.put_topic_data(free, parcel(b"now"))
-    box.put_reply(parcel(b"reply"))
+    box, paced = send_queue(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
+    box.put_topic_data(paced, encoded(b"later"))
+    box.put_topic_data(free, encoded(b"now"))
+    box.put_reply(encoded(b"reply"))
     assert taken(box, 5.0) == [b"now", b"reply"]
     assert box.next_due(5.0) == 5.5
     assert taken(box, 5.5) == [b"later"]
 
 
 def test_what_waits_for_a_closed_subscription_is_not_sent():
-    box, paced = outbox(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
+    box, paced = send_queue(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
     put_all(box, paced, frames(3))
     paced.closed = True
     assert box.next_due(5.0) == 5.0
@@ -132,34 +132,34 @@ def test_what_waits_for_a_closed_subscription_is_not_sent():
 
 
 def test_topic_data_never_pushes_a_reply_out(free):
-    box = outbox(topic_frames=2)
-    box.put_reply(parcel(b"reply"))
+    box = send_queue(topic_frames=2)
+    box.put_reply(encoded(b"reply"))
     put_all(box, free, frames(50))
     assert taken(box, 1.0) == [b"reply", *frames(2, start=48)]
 
 
 def test_replies_up_to_their_bound_are_kept_and_one_more_overflows():
-    box = outbox(reply_frames=3)
+    box = send_queue(reply_frames=3)
     for frame in frames(3):
-        box.put_reply(parcel(frame))
+        box.put_reply(encoded(frame))
     assert not box.overflowed
-    box.put_reply(parcel(b"one too many"))
+    box.put_reply(encoded(b"one too many"))
     assert box.overflowed
     assert taken(box, 1.0) == frames(3)
 
 
 def test_a_single_reply_of_any_size_passes():
-    box = outbox(reply_frames=1)
-    box.put_reply(parcel(b"x" * 10_000))
+    box = send_queue(reply_frames=1)
+    box.put_reply(encoded(b"x" * 10_000))
     assert not box.overflowed
     assert taken(box, 1.0) == [b"x" * 10_000]
 
 
 def test_replies_that_left_make_room_again():
-    box = outbox(reply_frames=3)
+    box = send_queue(reply_frames=3)
     for _ in range(5):
         for frame in frames(3):
-            box.put_reply(parcel(frame))
+            box.put_reply(encoded(frame))
         taken(box, 1.0)
     assert not box.overflowed
 
@@ -170,7 +170,7 @@ steps = st.lists(st.tuples(st.sampled_from("abcdr-"), st.integers(min_value=0, m
 @given(steps)
 def test_order_and_bound_hold_whatever_comes(actions):
     limit_bytes = 2000
-    box = Outbox(Limits(max_queued_topic_bytes=limit_bytes, max_queued_reply_bytes=1_000_000))
+    box = SendQueue(Limits(max_queued_topic_bytes=limit_bytes, max_queued_reply_bytes=1_000_000))
     lanes = {
         "a": Subscription("/a"),
         "b": Subscription("/b", queue_length=2),
@@ -181,11 +181,11 @@ def test_order_and_bound_hold_whatever_comes(actions):
     last_of = dict.fromkeys("abcdr", -1)
     for number, (action, size) in enumerate(actions):
         if action == "r":
-            box.put_reply(parcel(b"r %d" % number))
+            box.put_reply(encoded(b"r %d" % number))
         elif action in lanes:
             put += 1
             content = b"%s %d %s" % (action.encode(), number, b"x" * size)
-            box.put_topic_data(lanes[action], parcel(content))
+            box.put_topic_data(lanes[action], encoded(content))
         else:
             due = taken(box, number / 10)
             marks = [frame.split()[:2] for frame in due]
@@ -203,13 +203,13 @@ def test_order_and_bound_hold_whatever_comes(actions):
 # The budget
 
 
-def test_a_budget_is_kept_to_within_one_parcel_and_the_rest_leaves_later_in_order(free):
-    box, other = outbox(), Subscription("/other")
+def test_a_budget_is_kept_to_within_one_message_and_the_rest_leaves_later_in_order(free):
+    box, other = send_queue(), Subscription("/other")
     for number, frame in enumerate(frames(6)):
         if number % 3 == 2:
-            box.put_reply(parcel(frame))
+            box.put_reply(encoded(frame))
         else:
-            box.put_topic_data((free, other)[number % 3], parcel(frame))
+            box.put_topic_data((free, other)[number % 3], encoded(frame))
     budget_bytes = 2 * (10 + FRAME_OVERHEAD_BYTES)
     assert taken(box, 1.0, budget_bytes) == frames(2)
     assert box.next_due(1.0) == 1.0
@@ -219,31 +219,31 @@ def test_a_budget_is_kept_to_within_one_parcel_and_the_rest_leaves_later_in_orde
 
 
 def test_the_fragments_of_a_message_leave_together_whatever_the_budget(free):
-    box = outbox()
-    box.put_topic_data(free, parcel(b"1", b"2", b"3"))
-    box.put_reply(parcel(b"4"))
+    box = send_queue()
+    box.put_topic_data(free, encoded(b"1", b"2", b"3"))
+    box.put_reply(encoded(b"4"))
     assert taken(box, 1.0, 1) == [b"1", b"2", b"3"]
 
 
 def test_the_fragments_of_a_message_are_dropped_together():
-    box, short = outbox(), Subscription("/short", queue_length=1)
-    box.put_topic_data(short, parcel(b"1", b"2"))
-    box.put_topic_data(short, parcel(b"3", b"4"))
+    box, short = send_queue(), Subscription("/short", queue_length=1)
+    box.put_topic_data(short, encoded(b"1", b"2"))
+    box.put_topic_data(short, encoded(b"3", b"4"))
     assert taken(box, 1.0) == [b"3", b"4"]
     assert box.dropped == 1
 
 
 def test_a_message_that_waits_alone_for_its_throttle_stays():
-    box, paced = outbox(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
-    box.put_topic_data(paced, parcel(b"later"))
+    box, paced = send_queue(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
+    box.put_topic_data(paced, encoded(b"later"))
     assert taken(box, 5.0) == []
     assert taken(box, 5.5) == [b"later"]
     assert paced.last_sent_s == 5.5
 
 
 def test_a_message_that_waits_alone_for_a_closed_subscription_is_not_sent():
-    box, closed = outbox(), Subscription("/closed")
-    box.put_topic_data(closed, parcel(b"late"))
+    box, closed = send_queue(), Subscription("/closed")
+    box.put_topic_data(closed, encoded(b"late"))
     closed.closed = True
     assert taken(box, 5.0) == []
     assert box.next_due(5.0) is None
@@ -253,43 +253,43 @@ def test_a_message_that_waits_alone_for_a_closed_subscription_is_not_sent():
 
 
 def test_requests_leave_in_order_with_replies():
-    box = outbox()
-    box.put_reply(parcel(b"1"))
-    assert box.put_request(parcel(b"2"))
-    box.put_reply(parcel(b"3"))
+    box = send_queue()
+    box.put_reply(encoded(b"1"))
+    assert box.put_request(encoded(b"2"))
+    box.put_reply(encoded(b"3"))
     assert taken(box, 1.0) == [b"1", b"2", b"3"]
     assert box.empty
 
 
 def test_requests_beyond_their_bound_are_refused_until_there_is_room():
-    box = Outbox(Limits(max_queued_request_bytes=2 * parcel(b"1").size_bytes))
-    assert [box.put_request(parcel(frame)) for frame in (b"1", b"2", b"3")] == [True, True, False]
+    box = SendQueue(Limits(max_queued_request_bytes=2 * encoded(b"1").size_bytes))
+    assert [box.put_request(encoded(frame)) for frame in (b"1", b"2", b"3")] == [True, True, False]
     assert taken(box, 1.0) == [b"1", b"2"]
-    assert box.put_request(parcel(b"4"))
+    assert box.put_request(encoded(b"4"))
 
 
 def test_one_request_may_have_any_size():
-    assert Outbox(Limits(max_queued_request_bytes=1)).put_request(parcel(b"x" * 1000))
+    assert SendQueue(Limits(max_queued_request_bytes=1)).put_request(encoded(b"x" * 1000))
 
 
 def test_requests_take_no_room_from_replies():
-    box = Outbox(Limits(max_queued_reply_bytes=parcel(b"1").size_bytes))
-    box.put_request(parcel(b"x" * 1000))
-    box.put_reply(parcel(b"1"))
+    box = SendQueue(Limits(max_queued_reply_bytes=encoded(b"1").size_bytes))
+    box.put_request(encoded(b"x" * 1000))
+    box.put_reply(encoded(b"1"))
     assert not box.overflowed
-    box.put_reply(parcel(b"2"))
+    box.put_reply(encoded(b"2"))
     assert box.overflowed
 
 
 def test_one_reply_may_have_any_size_beside_requests():
-    box = Outbox(Limits(max_queued_reply_bytes=1))
-    box.put_request(parcel(b"1"))
-    box.put_reply(parcel(b"x" * 1000))
+    box = SendQueue(Limits(max_queued_reply_bytes=1))
+    box.put_request(encoded(b"1"))
+    box.put_reply(encoded(b"x" * 1000))
     assert not box.overflowed
 
 
 def test_what_a_clients_own_throttle_drops_is_told_apart():
-    box, paced = outbox(topic_frames=2), Subscription("/paced", throttle_s=1.0, queue_length=1)
+    box, paced = send_queue(topic_frames=2), Subscription("/paced", throttle_s=1.0, queue_length=1)
     put_all(box, paced, frames(3))
     assert (box.dropped, box.throttled) == (2, 2)
     put_all(box, Subscription("/free"), frames(3))

@@ -9,7 +9,7 @@ from protocol.codecs import png
 from protocol.limits import Limits
 from protocol.messages import Stamp
 from protocol.operations import OPERATIONS, Operation, Publish, Subscribe
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Refusal, Session
 
@@ -40,7 +40,7 @@ def subscribed(topic="/a", limits=None, **fields):
 
 
 def message(data, topic="/a"):
-    return Publication(topic, "std_msgs/msg/String", {"data": data}, REGISTRY, Stamp(1, 2))
+    return PublishedMessage(topic, "std_msgs/msg/String", {"data": data}, REGISTRY, Stamp(1, 2))
 
 
 def received_data(frames):
@@ -154,9 +154,9 @@ def test_two_ids_on_one_topic_get_one_message():
 
 
 def test_subscribers_share_the_bytes_of_a_frame():
-    first, second, publication = subscribed(), subscribed(), message("x")
+    first, second, published = subscribed(), subscribed(), message("x")
     for session in (first, second):
-        session.deliver(publication, 1.0)
+        session.deliver(published, 1.0)
     assert sent(first, 1.0)[0] is sent(second, 1.0)[0]
 
 

@@ -123,10 +123,10 @@ class ScriptedPeer:
     def _run(self) -> None:
         take_priority()  # of this thread: servos do not wait for a busy computer
         parser = InstructionParser()
-        outbox: deque[tuple[float, bytes]] = deque()
+        send_queue: deque[tuple[float, bytes]] = deque()
         while True:
             now = time.monotonic()
-            wait = max(0.0, outbox[0][0] - now) if outbox else None
+            wait = max(0.0, send_queue[0][0] - now) if send_queue else None
             ready, _, _ = select.select([self._master, self._wake], [], [], wait)
             if self._wake in ready:
                 return
@@ -135,10 +135,10 @@ class ScriptedPeer:
                 for instruction in parser.feed(os.read(self._master, 4096), now):
                     self.instructions.append(instruction)
                     for delay_s, data in self.script(instruction):
-                        last_due = outbox[-1][0] if outbox else now
-                        outbox.append((max(last_due, now + delay_s), data))
-            while outbox and outbox[0][0] <= now:
-                os.write(self._master, outbox.popleft()[1])
+                        last_due = send_queue[-1][0] if send_queue else now
+                        send_queue.append((max(last_due, now + delay_s), data))
+            while send_queue and send_queue[0][0] <= now:
+                os.write(self._master, send_queue.popleft()[1])
 
     def open_bus(self) -> Bus:
         return Bus.open(self.port)

@@ -103,7 +103,7 @@ class Stage:
         for name in (MOVE, FOLLOW):
             for part in ("status", "feedback", "result"):
                 messages = self.heard[f"{name}/{part}"] = []
-                subscriber = Subscriber(lambda publication, to=messages: to.append(publication.msg))
+                subscriber = Subscriber(lambda published, to=messages: to.append(published.msg))
                 self.graph.subscribe(self.client, f"{name}/{part}", None, subscriber)
 
     def send(self, name: str = "one", topic: str = f"{MOVE}/goal", **goal: Any) -> None:
@@ -229,9 +229,7 @@ def test_actions_that_ros_1_never_had_have_no_topics() -> None:
 def test_a_goal_of_a_client_that_may_not_send_one_is_rejected_to_it_alone(stage: Stage) -> None:
     other, heard = Node("other", remote=True), []
     for part in ("status", "result"):
-        stage.graph.subscribe(
-            other, f"{MOVE}/{part}", None, Subscriber(lambda publication: heard.append(publication.msg))
-        )
+        stage.graph.subscribe(other, f"{MOVE}/{part}", None, Subscriber(lambda published: heard.append(published.msg)))
     stage.send("driven")
     heard.clear()
     stage.heard[f"{MOVE}/status"].clear()

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from robot.arm import Arm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
@@ -284,9 +284,9 @@ class JointTrajectoryController:
         goal.when_ended(lambda _result: self._goals.pop(number, None))
         goal.when_canceled(lambda: self._queue.cancel(number, f"cancelled by a client of {goal.action}"))
 
-    def _play(self, publication: Publication) -> None:
+    def _play(self, published: PublishedMessage) -> None:
         """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm."""
-        trajectory = publication.msg
+        trajectory = published.msg
         if not trajectory["points"]:
             self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}")
             return

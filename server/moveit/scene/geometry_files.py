@@ -240,7 +240,7 @@ class GeometryFiles:
     def __init__(
         self, graph: Graph, node: Node, state: SceneState, current: CurrentState, directory: Path | None
     ) -> None:
-        self._interfaces = graph.interfaces
+        self._message_types = graph.message_types
         self._state = state
         self._current = current
         self._directory = directory
@@ -267,7 +267,7 @@ class GeometryFiles:
         except (OSError, UnicodeDecodeError) as error:
             raise invalid(f"{path} cannot be read: {error}") from error
         try:
-            world = self._interfaces.complete("moveit_msgs/msg/PlanningSceneWorld", {"collision_objects": objects})
+            world = self._message_types.complete("moveit_msgs/msg/PlanningSceneWorld", {"collision_objects": objects})
         except MessageError as error:
             raise invalid(f"{path}: {error}") from error
         # As in MoveIt, objects that the file does not name stay.

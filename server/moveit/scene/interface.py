@@ -10,7 +10,7 @@ from typing import Any
 
 from planners.scene import Pose
 from protocol.errors import MessageError
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.current_state import CurrentState, state_message
@@ -224,9 +224,9 @@ def _subscriber(topic: str, apply: Apply, current: CurrentState) -> Subscriber:
     def reject(error: MessageError | RefusedError) -> None:
         log.warning("%s: refused, nothing is changed: %s", topic, error)
 
-    def deliver(publication: Publication) -> None:
+    def deliver(published: PublishedMessage) -> None:
         try:
-            apply(publication.msg, current.positions_rad())
+            apply(published.msg, current.positions_rad())
         except RefusedError as error:
             reject(error)
 

@@ -14,7 +14,7 @@ from planners.pool import PlannerPool
 from planners.problem import PlanningFailure
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from protocol.errors import MessageError
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from robot.arm import Arm
 from robot.description.model import RobotModel
 from server.errors import RefusedError
@@ -279,10 +279,10 @@ class ServoNode:
     def _subscribe(self, kind: CommandType, gate: CommandGate, session: ServoSession, status: StatusPublisher) -> None:
         topic, type_name = _TOPICS[kind]
 
-        def deliver(publication: Publication) -> None:
-            rejection = gate.rejection(publication.publisher, kind, time.monotonic())
+        def deliver(published: PublishedMessage) -> None:
+            rejection = gate.rejection(published.publisher, kind, time.monotonic())
             if rejection is None:
-                follow(publication.msg)
+                follow(published.msg)
             elif rejection.from_owner:
                 status.publish(ServoStatus.INVALID, rejection.message)
             elif rejection.message != self._logged:

@@ -32,9 +32,9 @@ class Heard:
     def _listen(self, topic: str) -> list[Any]:
         messages: list[Any] = []
         before = self.graph.subscribe(
-            Node("test"), topic, None, Subscriber(lambda publication: messages.append(publication.msg))
+            Node("test"), topic, None, Subscriber(lambda published: messages.append(published.msg))
         )
-        messages += [publication.msg for publication in before]
+        messages += [published.msg for published in before]
         return messages
 
 

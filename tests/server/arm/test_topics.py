@@ -19,7 +19,7 @@ def heard() -> tuple[JointStates, list[Any]]:
     states = JointStates(graph)
     states.open()
     messages: list[Any] = []
-    graph.subscribe(Node("test"), TOPIC, None, Subscriber(lambda publication: messages.append(publication.msg)))
+    graph.subscribe(Node("test"), TOPIC, None, Subscriber(lambda published: messages.append(published.msg)))
     return states, messages
 
 

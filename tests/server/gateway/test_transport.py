@@ -13,8 +13,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
+from protocol.publication import EncodedMessage
 from protocol.publication import Frame as Payload
-from protocol.publication import Parcel
 from protocol.registry import Registry
 from server.gateway import listener as listener_module
 from server.gateway import transport
@@ -114,23 +114,23 @@ async def test_what_leaves_in_one_turn_of_the_loop_arrives_in_order(
 
 async def test_in_one_turn_of_the_loop_no_more_is_taken_than_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "BURST_S", 60.0)
-    parcel = Parcel(Payload(b"x" * 1000, text=True))
+    encoded = EncodedMessage(Payload(b"x" * 1000, text=True))
     async with linked() as link:
         taken = 0
-        while taken < 1000 and link.server.send_at_once(parcel):
+        while taken < 1000 and link.server.send_at_once(encoded):
             taken += 1
         # The first one has left already, and the last one may go beyond.
-        assert WRITE_LIMIT_BYTES < taken * len(parcel.on_wire) <= WRITE_LIMIT_BYTES + 2 * len(parcel.on_wire)
+        assert WRITE_LIMIT_BYTES < taken * len(encoded.on_wire) <= WRITE_LIMIT_BYTES + 2 * len(encoded.on_wire)
         await link.client.ping()
         assert [len(await link.client.recv()) for _ in range(taken)] == [1000] * taken
-        assert link.server.send_at_once(parcel)
+        assert link.server.send_at_once(encoded)
 
 
 async def test_a_connection_that_is_closed_takes_nothing() -> None:
     async with linked() as link:
         await link.client.close()
         await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
-        assert not link.server.send_at_once(Parcel(Payload(b"{}", text=True)))
+        assert not link.server.send_at_once(EncodedMessage(Payload(b"{}", text=True)))
 
 
 def flood_of(count: int) -> bytes:

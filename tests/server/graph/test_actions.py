@@ -9,12 +9,12 @@ from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph.actions import MAX_ACTIONS, MAX_GOAL_S, Actions, Goal, GoalStatus, Result
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.services import Response, Services
 from tests.helpers.clock import FakeClock
 
-INTERFACES = Interfaces(Registry.load())
+INTERFACES = MessageTypes(Registry.load())
 DEFAULT = {"position": 0.0, "effort": 0.0, "stalled": False, "reached_goal": False}
 
 
@@ -108,9 +108,9 @@ class World:
 
     def __init__(self) -> None:
         self.clock = FakeClock()
-        interfaces = Interfaces(REGISTRY)
-        self.services = Services(interfaces, self.clock.call_later)
-        self.actions = Actions(interfaces, self.services, self.clock.call_later)
+        message_types = MessageTypes(REGISTRY)
+        self.services = Services(message_types, self.clock.call_later)
+        self.actions = Actions(message_types, self.services, self.clock.call_later)
         self.results: list[Result] = []
         self.feedback: list[dict[str, Any]] = []
 

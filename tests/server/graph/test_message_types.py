@@ -5,12 +5,12 @@ import pytest
 from protocol.errors import InterfaceError, MessageError
 from protocol.messages import Stamp
 from protocol.registry import Registry
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 
 REGISTRY = Registry.load()
 
-STRICT = Interfaces(REGISTRY, wall_clock=lambda: 12.5)
-RELAYING = Interfaces(REGISTRY, relay_unknown_types=True)
+STRICT = MessageTypes(REGISTRY, wall_clock=lambda: 12.5)
+RELAYING = MessageTypes(REGISTRY, relay_unknown_types=True)
 
 
 def test_the_time_of_receipt_is_now() -> None:

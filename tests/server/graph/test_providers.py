@@ -4,14 +4,14 @@ import pytest
 
 from protocol.registry import Registry
 from server.errors import GraphError
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.providers import Offer, Offers, Pending
+from server.graph.providers import PendingRequest, Provider, Providers
 
 
 def test_the_first_end_is_told_once_to_all_in_order_of_asking() -> None:
     heard: list[str] = []
-    pending: Pending[str] = Pending()
+    pending: PendingRequest[str] = PendingRequest()
     pending.when_ended(lambda end: heard.append(f"a {end}"))
     pending.when_ended(lambda end: heard.append(f"b {end}"))
     pending._end("first")
@@ -20,19 +20,19 @@ def test_the_first_end_is_told_once_to_all_in_order_of_asking() -> None:
     assert pending.ended
 
 
-INTERFACES = Interfaces(Registry.load())
+INTERFACES = MessageTypes(Registry.load())
 SERVER, CLIENT, OTHER = Node("server"), Node("client", remote=True), Node("other", remote=True)
 
 
-class Table(Offers[Offer]):
+class Table(Providers[Provider]):
     """A table of at most two offers, and those that have ended."""
 
     def __init__(self) -> None:
-        self.ended: list[Offer] = []
+        self.ended: list[Provider] = []
         super().__init__("service", 2, INTERFACES, self.ended.append)
 
-    def offer(self, node: Node, name: str = "/s", type_name: str = "std_srvs/SetBool") -> Offer:
-        offer = Offer(node, name, self.claim(node, name, type_name))
+    def offer(self, node: Node, name: str = "/s", type_name: str = "std_srvs/SetBool") -> Provider:
+        offer = Provider(node, name, self.claim(node, name, type_name))
         self.add(offer)
         return offer
 
@@ -77,9 +77,9 @@ def test_an_offer_is_withdrawn_by_its_own_node_only(table: Table) -> None:
 
 
 def test_when_an_offer_is_told_of_its_end_it_is_gone_already() -> None:
-    seen: list[Offer | None] = []
-    table: Offers[Offer] = Offers("service", 2, INTERFACES, lambda offer: seen.append(table.get(offer.name)))
-    table.add(Offer(CLIENT, "/s", table.claim(CLIENT, "/s", "std_srvs/SetBool")))
+    seen: list[Provider | None] = []
+    table: Providers[Provider] = Providers("service", 2, INTERFACES, lambda offer: seen.append(table.get(offer.name)))
+    table.add(Provider(CLIENT, "/s", table.claim(CLIENT, "/s", "std_srvs/SetBool")))
     table.withdraw(CLIENT, "/s")
     assert seen == [None]
 

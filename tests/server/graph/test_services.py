@@ -8,7 +8,7 @@ import pytest
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.errors import GraphError, ServiceError
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.services import (
     DEFAULT_TIMEOUT_S,
@@ -22,7 +22,7 @@ from server.graph.services import (
 )
 from tests.helpers.clock import FakeClock
 
-INTERFACES = Interfaces(Registry.load())
+INTERFACES = MessageTypes(Registry.load())
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def clock() -> FakeClock:
 
 @pytest.fixture
 def services(clock: FakeClock) -> Services:
-    return Services(Interfaces(REGISTRY), clock.call_later)
+    return Services(MessageTypes(REGISTRY), clock.call_later)
 
 
 class Provider:

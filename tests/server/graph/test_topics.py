@@ -6,59 +6,66 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.messages import Stamp
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph import topics
 from server.graph.node import Node
-from server.graph.topics import MAX_RECENT_PER_TOPIC, MAX_TOPICS, UNREGISTER_TIMEOUT_S, Graph, Retained, Subscriber
+from server.graph.topics import (
+    MAX_RECENT_PER_TOPIC,
+    MAX_TOPICS,
+    UNREGISTER_TIMEOUT_S,
+    Graph,
+    LatchedMessages,
+    Subscriber,
+)
 
 REGISTRY = Registry.load()
 
 
-def publication(data: str, topic: str = "/t") -> Publication:
-    return Publication(topic, "std_msgs/msg/String", {"data": data}, REGISTRY, Stamp(1, 2))
+def published(data: str, topic: str = "/t") -> PublishedMessage:
+    return PublishedMessage(topic, "std_msgs/msg/String", {"data": data}, REGISTRY, Stamp(1, 2))
 
 
-def data_of(kept: Retained, now: float, topic: str = "/t") -> list[str]:
+def data_of(kept: LatchedMessages, now: float, topic: str = "/t") -> list[str]:
     return [one.msg["data"] for one in kept.of(topic, now)]
 
 
 @pytest.fixture
-def kept() -> Retained:
-    return Retained()
+def kept() -> LatchedMessages:
+    return LatchedMessages()
 
 
-def test_the_last_latched_message_is_kept_for_ever(kept: Retained) -> None:
-    assert kept.latch(publication("old"))
-    assert kept.latch(publication("new"))
+def test_the_last_latched_message_is_kept_for_ever(kept: LatchedMessages) -> None:
+    assert kept.latch(published("old"))
+    assert kept.latch(published("new"))
     assert data_of(kept, 1e9) == ["new"]
 
 
-def test_a_latched_message_can_be_given_an_end(kept: Retained) -> None:
-    kept.latch(publication("x"))
+def test_a_latched_message_can_be_given_an_end(kept: LatchedMessages) -> None:
+    kept.latch(published("x"))
     kept.unlatch_at("/t", 10.0)
     assert data_of(kept, 9.9) == ["x"]
     assert data_of(kept, 10.1) == []
 
 
-def test_latching_anew_takes_the_end_away(kept: Retained) -> None:
-    kept.latch(publication("x"))
+def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
+    kept.latch(published("x"))
     kept.unlatch_at("/t", 10.0)
-    kept.latch(publication("y"))
+    kept.latch(published("y"))
     assert data_of(kept, 100.0) == ["y"]
 
 
-def test_messages_are_kept_for_their_lifespan_in_order(kept: Retained) -> None:
+def test_messages_are_kept_for_their_lifespan_in_order(kept: LatchedMessages) -> None:
     for now, data in enumerate("abc"):
-        kept.keep(publication(data), float(now), lifespan_s=1.5)
+        kept.keep(published(data), float(now), lifespan_s=1.5)
     assert data_of(kept, 2.2) == ["b", "c"]
     assert data_of(kept, 4.0) == []
 
 
-def test_topics_do_not_mix(kept: Retained) -> None:
-    kept.keep(publication("a"), 0.0, 1.0)
-    kept.latch(publication("b", "/other"))
+def test_topics_do_not_mix(kept: LatchedMessages) -> None:
+    kept.keep(published("a"), 0.0, 1.0)
+    kept.latch(published("b", "/other"))
     assert data_of(kept, 0.5) == ["a"]
     assert data_of(kept, 0.5, "/other") == ["b"]
     kept.forget("/t")
@@ -66,35 +73,35 @@ def test_topics_do_not_mix(kept: Retained) -> None:
     assert data_of(kept, 0.5, "/other") == ["b"]
 
 
-def test_of_one_topic_only_so_many_are_kept(kept: Retained) -> None:
+def test_of_one_topic_only_so_many_are_kept(kept: LatchedMessages) -> None:
     for number in range(3 * MAX_RECENT_PER_TOPIC):
-        kept.keep(publication(str(number)), 0.0, 1.0)
+        kept.keep(published(str(number)), 0.0, 1.0)
     assert data_of(kept, 0.5) == [str(number) for number in range(2 * MAX_RECENT_PER_TOPIC, 3 * MAX_RECENT_PER_TOPIC)]
 
 
 def test_recent_messages_are_bounded_in_bytes_and_the_oldest_goes(
-    kept: Retained, monkeypatch: pytest.MonkeyPatch
+    kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(topics, "MAX_RECENT_BYTES", 1000)
     for number in range(20):
-        kept.keep(publication(f"{number:0200}", f"/t{number}"), 0.0, 1.0)
+        kept.keep(published(f"{number:0200}", f"/t{number}"), 0.0, 1.0)
     assert [number for number in range(20) if kept.of(f"/t{number}", 0.5)] == [16, 17, 18, 19]
 
 
-def test_a_message_larger_than_the_bound_is_not_kept(kept: Retained, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_message_larger_than_the_bound_is_not_kept(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(topics, "MAX_RECENT_BYTES", 1000)
-    kept.keep(publication("x" * 2000), 0.0, 1.0)
+    kept.keep(published("x" * 2000), 0.0, 1.0)
     assert data_of(kept, 0.5) == []
-    kept.keep(publication("x"), 0.0, 1.0)
+    kept.keep(published("x"), 0.0, 1.0)
     assert data_of(kept, 0.5) == ["x"]
 
 
-def test_latched_messages_are_bounded_in_bytes_together(kept: Retained, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_latched_messages_are_bounded_in_bytes_together(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(topics, "MAX_LATCHED_BYTES", 1000)
-    assert kept.latch(publication("x" * 600, "/a"))
-    assert not kept.latch(publication("x" * 600, "/b"))
+    assert kept.latch(published("x" * 600, "/a"))
+    assert not kept.latch(published("x" * 600, "/b"))
     kept.unlatch("/a")
-    assert kept.latch(publication("x" * 600, "/b"))
+    assert kept.latch(published("x" * 600, "/b"))
     assert data_of(kept, 0.0, "/a") == []
 
 
@@ -107,8 +114,8 @@ class Listening:
         self.refusals: list[MessageError] = []
         self.subscriber = Subscriber(self._deliver, self.refusals.append)
 
-    def _deliver(self, publication: Publication) -> None:
-        self.messages.append(publication.msg)
+    def _deliver(self, published: PublishedMessage) -> None:
+        self.messages.append(published.msg)
 
 
 class Clock:
@@ -197,7 +204,7 @@ def test_a_latched_message_is_kept_for_who_comes_later(graph: Graph) -> None:
     graph.publish(TALKER, "/t", {"data": "new"})
     listener = Listening()
     kept = graph.subscribe(listener.node, "/t", None, listener.subscriber)
-    assert [publication.msg for publication in kept] == [{"data": "new"}]
+    assert [published.msg for published in kept] == [{"data": "new"}]
 
 
 def test_it_can_be_told_whether_a_topic_is_latched(graph: Graph) -> None:
@@ -216,7 +223,7 @@ def test_a_message_that_is_only_latched_reaches_those_who_come_later_alone(graph
     graph.publish(TALKER, "/t", {"data": "a change"})
     assert early.messages == [{"data": "a change"}]
     kept = graph.subscribe(late.node, "/t", None, late.subscriber)
-    assert [publication.msg for publication in kept] == [{"data": "everything"}]
+    assert [published.msg for published in kept] == [{"data": "everything"}]
 
 
 def test_what_was_latched_is_not_revived_by_another_publisher_that_leaves(graph: Graph, clock: Clock) -> None:
@@ -303,7 +310,7 @@ def test_the_number_of_topics_is_bounded(graph: Graph) -> None:
 
 def data_for_newcomer(graph: Graph, topic: str = "/t") -> list[Any]:
     listener = Listening()
-    kept = [publication.msg["data"] for publication in graph.subscribe(listener.node, topic, None, listener.subscriber)]
+    kept = [published.msg["data"] for published in graph.subscribe(listener.node, topic, None, listener.subscriber)]
     graph.unsubscribe(listener.node, topic)
     return kept
 
@@ -381,17 +388,17 @@ def test_who_watches_gets_the_messages_of_every_topic_before_their_subscribers(g
     listener = Listening()
     graph.subscribe(listener.node, "/a", "std_msgs/Empty", listener.subscriber)
     graph.advertise(TALKER, "/b", "std_msgs/Empty", latch=True)
-    graph.watch(lambda publication, latched: seen.append((publication.topic, latched, len(listener.messages))))
+    graph.watch(lambda published, latched: seen.append((published.topic, latched, len(listener.messages))))
     graph.publish(TALKER, "/a", {})
     graph.publish(TALKER, "/b", {})
     assert seen == [("/a", False, 0), ("/b", True, 1)]
 
 
 def test_who_watches_no_more_gets_nothing(graph: Graph) -> None:
-    seen: list[Publication] = []
+    seen: list[PublishedMessage] = []
 
-    def watcher(publication: Publication, _latched: bool) -> None:
-        seen.append(publication)
+    def watcher(published: PublishedMessage, _latched: bool) -> None:
+        seen.append(published)
 
     graph.watch(watcher)
     graph.unwatch(watcher)

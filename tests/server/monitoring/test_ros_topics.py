@@ -134,7 +134,7 @@ async def heard() -> AsyncIterator[list[Any]]:
     graph = Graph(Registry.load())
     rosout = Rosout(graph, asyncio.get_running_loop())
     messages: list[Any] = []
-    graph.subscribe(Node("test"), ROSOUT_TOPIC, None, Subscriber(lambda publication: messages.append(publication.msg)))
+    graph.subscribe(Node("test"), ROSOUT_TOPIC, None, Subscriber(lambda published: messages.append(published.msg)))
     yield messages
     rosout.close()
 

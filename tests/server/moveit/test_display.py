@@ -112,9 +112,9 @@ class Screen:
         self.heard: list[Any] = []
         for topic in (TRANSFORMS_TOPIC, STATIC_TRANSFORMS_TOPIC):
             before = self.graph.subscribe(
-                WATCHER, topic, None, Subscriber(lambda publication: self.heard.append(publication.msg))
+                WATCHER, topic, None, Subscriber(lambda published: self.heard.append(published.msg))
             )
-            self.heard += [publication.msg for publication in before]
+            self.heard += [published.msg for published in before]
 
     def show(self, stamp_s: float, position_rad: float = 0.0) -> None:
         positions = np.full(len(JOINTS), position_rad)

@@ -74,7 +74,7 @@ class Desk:
         self.heard: dict[str, list[Any]] = {RESULT_TOPIC: [], STATUS_TOPIC: []}
         for topic, messages in self.heard.items():
             self.graph.subscribe(
-                CLIENT, topic, None, Subscriber(lambda publication, to=messages: to.append(publication.msg))
+                CLIENT, topic, None, Subscriber(lambda published, to=messages: to.append(published.msg))
             )
 
     async def publish(self, topic: str, message: dict[str, Any]) -> None:
@@ -202,7 +202,7 @@ async def test_a_goal_of_a_client_that_may_not_send_one_is_answered_to_it_alone(
 ) -> None:
     sender, answers = Node("sender", remote=True), []
     for topic in (RESULT_TOPIC, STATUS_TOPIC):
-        desk.graph.subscribe(sender, topic, None, Subscriber(lambda publication: answers.append(publication.msg)))
+        desk.graph.subscribe(sender, topic, None, Subscriber(lambda published: answers.append(published.msg)))
     desk.graph.turn_away(sender, "/moveit_goal_named", {"data": "home"}, "another drives")
     status, result = answers
     assert result == {"val": -4, "message": "another drives", "source": "/moveit_goal_named#1"}

@@ -228,9 +228,9 @@ class Office:
         self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(Calibration.nominal())), lambda _state: None)
         NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT)).open()
         self.told: list[dict[str, Any]] = []
-        subscriber = Subscriber(lambda publication: self.told.append(json.loads(publication.msg["data"])))
-        for publication in self.graph.subscribe(CLIENT, NAMED_STATES_TOPIC, None, subscriber):
-            subscriber.deliver(publication)
+        subscriber = Subscriber(lambda published: self.told.append(json.loads(published.msg["data"])))
+        for published in self.graph.subscribe(CLIENT, NAMED_STATES_TOPIC, None, subscriber):
+            subscriber.deliver(published)
 
     def be_at(self, position_rad: float) -> None:
         measured = reading([position_rad] * len(JOINTS))

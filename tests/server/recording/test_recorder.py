@@ -9,7 +9,7 @@ import pytest
 
 from protocol.codecs.cdr import deserialize
 from protocol.messages import Stamp, complete
-from protocol.publication import Publication
+from protocol.publication import PublishedMessage
 from server.errors import StartError
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -127,7 +127,7 @@ def queued(number: int = 0, size_bytes: int = 20) -> QueuedMessage:
     stamp = Stamp(7, 5)
     msg = complete(REGISTRY, "std_msgs/msg/String", {"data": str(number)}, stamp)
     return QueuedMessage(
-        Publication("/t", "std_msgs/msg/String", msg, REGISTRY, stamp), False, size_bytes, 1000 + number
+        PublishedMessage("/t", "std_msgs/msg/String", msg, REGISTRY, stamp), False, size_bytes, 1000 + number
     )
 
 

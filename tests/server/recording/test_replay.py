@@ -134,7 +134,7 @@ class Heard:
     def __init__(self, graph: Graph, topic: str = "/t") -> None:
         self.messages: list[Any] = []
         self.times_s: list[float] = []
-        graph.subscribe(LISTENER, topic, None, Subscriber(lambda publication: self._keep(publication.msg)))
+        graph.subscribe(LISTENER, topic, None, Subscriber(lambda published: self._keep(published.msg)))
 
     def _keep(self, message: Any) -> None:
         self.messages.append(message)
@@ -172,7 +172,7 @@ async def test_what_was_latched_is_latched_again(tmp_path: Path) -> None:
     graph = Graph(REGISTRY)
     await player(tmp_path, graph, [text(7)._replace(latched=True)]).play()
     kept = graph.subscribe(LISTENER, "/t", None, Subscriber(lambda _: None))
-    assert [publication.msg for publication in kept] == [{"data": "7"}]
+    assert [published.msg for published in kept] == [{"data": "7"}]
 
 
 async def test_a_message_that_cannot_be_read_is_left_out_and_told_once(

@@ -18,7 +18,7 @@ from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory
 from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.graph.actions import Goal, GoalStatus, Result
-from server.graph.message_types import Interfaces
+from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.joint_trajectory_controller import (
@@ -150,7 +150,7 @@ async def test_a_bad_trajectory_on_the_topic_is_rejected_and_the_motion_continue
 ARM = model.builtin().groups["arm"].joints
 END = Performed({}, (smooth_move(dict.fromkeys(ARM, (0.0, 0.5)), 1.0),))
 REACHED = Answer(MoveItErrorCode.SUCCESS, "the arm is there", performed=END)
-INTERFACES = Interfaces(Registry.load())
+INTERFACES = MessageTypes(Registry.load())
 
 
 def at(position_rad: float, goal_rad: float, clock_s: float = 1.0, stamp_s: float = 1.0) -> ArmState:
@@ -337,7 +337,7 @@ async def test_subscribers_get_reference_and_feedback_of_the_joints(name: str) -
     graph = Graph(Registry.load())
     told = ControllerStatePublisher(graph, GROUP)
     heard: list[Any] = []
-    subscriber = Subscriber(lambda publication: heard.append(publication.msg))
+    subscriber = Subscriber(lambda published: heard.append(published.msg))
     graph.subscribe(Node("client"), f"/arm_controller/{name}", None, subscriber)
     told.take_state(STATE)
     told.take_state(replace(STATE, goal_rad=None))

@@ -161,7 +161,7 @@ async def rig() -> ServiceRig:
 
 def goal(rig: ServiceRig, request: dict[str, Any], **options: Any) -> Goal:
     fields = message("moveit_msgs/action/MoveGroup_Goal", request=request, planning_options=options)
-    return Goal("/move_group", "moveit_msgs/action/MoveGroup", fields, rig.graph.interfaces, None, rig.client)
+    return Goal("/move_group", "moveit_msgs/action/MoveGroup", fields, rig.graph.message_types, None, rig.client)
 
 
 def asked(rig: ServiceRig, request: dict[str, Any], **options: Any) -> PlanningGoal:

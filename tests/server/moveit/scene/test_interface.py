@@ -203,7 +203,7 @@ def test_the_answer_is_a_complete_message():
     assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
     for components in (0, 8, 671):
         answer = client.call(GET, components={"components": components})
-        assert client.graph.interfaces.complete("moveit_msgs/srv/GetPlanningScene_Response", answer) == answer
+        assert client.graph.message_types.complete("moveit_msgs/srv/GetPlanningScene_Response", answer) == answer
 
 
 def test_a_refusal_is_no_success_and_its_sentence_is_in_the_log(caplog):
@@ -286,10 +286,8 @@ class Watched:
         self.first = self.subscribe(self.heard)
 
     def subscribe(self, heard):
-        subscriber = Subscriber(lambda publication: heard.append(publication.msg))
-        return [
-            publication.msg for publication in self.graph.subscribe(Node("client"), MONITORED_TOPIC, None, subscriber)
-        ]
+        subscriber = Subscriber(lambda published: heard.append(published.msg))
+        return [published.msg for published in self.graph.subscribe(Node("client"), MONITORED_TOPIC, None, subscriber)]
 
     def add(self, name):
         self.state.apply_collision_object(collision_object(**box(name)), BENT)

@@ -215,7 +215,7 @@ async def test_contacts_are_shown(rig: ServiceRig) -> None:
 async def test_objects_and_links_have_different_body_types(rig: ServiceRig) -> None:
     box = {"primitives": [{"type": 1, "dimensions": [0.1] * 3}], "primitive_poses": [point(0.39, 0.0, 0.22)]}
     scene = {"is_diff": True, "world": {"collision_objects": [{"id": "crate", **box}]}}
-    rig.scene_state.apply_diff(rig.graph.interfaces.complete("moveit_msgs/msg/PlanningScene", scene), HOME)
+    rig.scene_state.apply_diff(rig.graph.message_types.complete("moveit_msgs/msg/PlanningScene", scene), HOME)
     contact = (await check(rig))["contacts"][0]
     types = {contact["contact_body_1"]: contact["body_type_1"], contact["contact_body_2"]: contact["body_type_2"]}
     assert types["crate"] == 1

@@ -79,7 +79,7 @@ def thing(at, size=0.1):
 
 
 def put(rig: ServiceRig, scene: Any) -> None:
-    complete = rig.graph.interfaces.complete("moveit_msgs/msg/PlanningScene", scene)
+    complete = rig.graph.message_types.complete("moveit_msgs/msg/PlanningScene", scene)
     rig.scene_state.apply_diff(complete, HOME)
 
 

@@ -60,7 +60,7 @@ class Rig:
             self.graph, ROBOT, MoveItParameters(), SceneState(ROBOT), lambda _frame, _positions: Pose()
         )
         self.node.open(self.arm.as_arm, cast("PlannerPool", self), lambda: self.busy)
-        subscriber = Subscriber(lambda publication: self.heard.append(dict(publication.msg)))
+        subscriber = Subscriber(lambda published: self.heard.append(dict(published.msg)))
         self.graph.subscribe(self.one, STATUS_TOPIC, "moveit_msgs/ServoStatus", subscriber)
         for client in (self.one, self.other):
             for topic, type_name in TYPES.items():
@@ -185,7 +185,7 @@ class StatusRig:
         self.clock = FakeClock()
         self.heard: list[dict[str, Any]] = []
         self.topic = StatusPublisher(graph, Node("servo_node"), type_name, self.clock)
-        subscriber = Subscriber(lambda publication: self.heard.append(dict(publication.msg)))
+        subscriber = Subscriber(lambda published: self.heard.append(dict(published.msg)))
         graph.subscribe(Node("client"), STATUS_TOPIC, type_name, subscriber)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from robot.logs import LogFormat
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.access.settings import AccessSettings, SessionSettings
+from server.config_keys import SettingsSection
 from server.execution.queue import GoalPolicy
 from server.moveit.parameters import MoveItParameters
 from server.zenoh.settings import ZenohSettings
@@ -25,23 +26,17 @@ def _no_cluster(value: object) -> object:
     return value
 
 
-class PlanningSettings(BaseModel):
-    """The planner processes.
-
-    Attributes:
-        workers: how many goals may be planned at the same time; one more process is kept as a warm spare.
-        memory_limit_mb: data that each process may hold; one that needs more is restarted [MB].
-        save_failed_goals: directory for the goals that could not be planned, as files for ``armbridge plan``; None
-            to keep none.
-        keep_failed_goals: how many of these files are kept, the newest.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class PlanningSettings(SettingsSection):
+    """The planner processes."""
 
     workers: Annotated[int, BeforeValidator(_no_cluster)] = Field(default=1, ge=1, le=16)
+    """how many goals may be planned at the same time; one more process is kept as a warm spare."""
     memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
+    """data that each process may hold; one that needs more is restarted [MB]."""
     save_failed_goals: Path | None = None
+    """directory for the goals that could not be planned, as files for ``armbridge plan``; None to keep none."""
     keep_failed_goals: int = Field(default=100, ge=1, le=100_000)
+    """how many of these files are kept, the newest."""
 
     @property
     def memory_limit_bytes(self) -> int:
@@ -52,33 +47,27 @@ class PlanningSettings(BaseModel):
 _DEFAULT = GuardLimits()
 
 
-class GuardSettings(BaseModel):
-    """Torque limits of the servos, and the tolerances within which a motion succeeds.
-
-    Attributes:
-        torque_limit: share of full motor duty that each servo may use; less is gentler, and carries less.
-        gripper_torque_limit: the same for that of the gripper.
-        tracking_error_rad: a joint that is farther behind its goal is lost, which is a fault [rad].
-        tracking_time_s: for so long it may be [s].
-        stall_current_a: a servo that draws more and all but stands still is stalled, which is a fault, or a grip [A].
-        stall_time_s: for so long it may be; the servo's own protection latches after 2 s [s].
-        min_voltage_v: a supply below is a fault; 9 V are right for servos of 12 V [V].
-        goal_tolerance_rad: how near each joint must come to the end of its motion [rad].
-        settle_timeout_s: time for that, after which the motion has failed; less than
-            ``moveit.allowed_goal_duration_margin`` [s].
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class GuardSettings(SettingsSection):
+    """Torque limits of the servos, and the tolerances within which a motion succeeds."""
 
     torque_limit: float = Field(default=_DEFAULT.torque_limit, ge=0.3, le=0.8)
+    """share of full motor duty that each servo may use; less is gentler, and carries less."""
     gripper_torque_limit: float = Field(default=_DEFAULT.gripper_torque_limit, ge=0.2, le=0.5)
+    """the same for that of the gripper."""
     tracking_error_rad: float = Field(default=_DEFAULT.tracking_error_rad, ge=0.1, le=1.0)
+    """a joint that is farther behind its goal is lost, which is a fault [rad]."""
     tracking_time_s: float = Field(default=_DEFAULT.tracking_time_s, ge=0.05, le=1.0)
+    """for so long it may be [s]."""
     stall_current_a: float = Field(default=_DEFAULT.stall_current_a, ge=0.3, le=2.7)
+    """a servo that draws more and all but stands still is stalled, which is a fault, or a grip [A]."""
     stall_time_s: float = Field(default=_DEFAULT.stall_time_s, ge=0.1, le=1.5)
+    """for so long it may be; the servo's own protection latches after 2 s [s]."""
     min_voltage_v: float = Field(default=_DEFAULT.min_voltage_v, ge=4.0, le=11.0)
+    """a supply below is a fault; 9 V are right for servos of 12 V [V]."""
     goal_tolerance_rad: float = Field(default=_DEFAULT.goal_tolerance_rad, ge=0.02, le=0.3)
+    """how near each joint must come to the end of its motion [rad]."""
     settle_timeout_s: float = Field(default=_DEFAULT.settle_timeout_s, ge=0.1, le=10.0)
+    """time for that, after which the motion has failed; less than ``moveit.allowed_goal_duration_margin`` [s]."""
 
     def limits(self) -> GuardLimits:
         """The same as the arm process has it."""
@@ -89,49 +78,41 @@ class GuardSettings(BaseModel):
 PREFIX = "ARMBRIDGE_"
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ServerSettings(_Section):
-    """Address and limits of the server.
-
-    Attributes:
-        host: address to listen on.
-        port: TCP port; 0 takes a free one.
-        log_level: least level of the log.
-        log_format: lines for people, or a JSON object a line for programs.
-        relay_unknown_types: take topics and services whose types the server does not know, and relay them unchecked.
-        tls_certificate: PEM file of the certificate, with those that lead to its issuer, for wss and https; None for
-            neither.
-        tls_key: PEM file of its key, without a passphrase; with tls_certificate only.
-        max_clients: connections at a time, those of a page that loads among them.
-        max_clients_per_address: connections at a time from one address.
-        connections_per_s: new connections a second from one address, in the long run; ten seconds' worth of them may
-            come at once [1/s].
-        ping_interval_s: how often each client is asked whether it is still there [s].
-        ping_timeout_s: time to answer; who does not is disconnected [s].
-        unregister_timeout_s: for how long a topic keeps its type, and what is latched there, after the last one who
-            used it has left: some clients open a new socket between advertise and publish [s].
-        limits: what one client may cost.
-    """
+class ServerSettings(SettingsSection):
+    """Address and limits of the server."""
 
     host: str = "127.0.0.1"
+    """address to listen on."""
     port: int = Field(default=9090, ge=0, le=65535)
+    """TCP port; 0 takes a free one."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    """least level of the log."""
     log_format: LogFormat = "plain"
+    """lines for people, or a JSON object a line for programs."""
     relay_unknown_types: bool = False
+    """take topics and services whose types the server does not know, and relay them unchecked."""
     tls_certificate: Path | None = None
+    """PEM file of the certificate, with those that lead to its issuer, for wss and https; None for neither."""
     tls_key: Path | None = None
+    """PEM file of its key, without a passphrase; with tls_certificate only."""
     max_clients: int = Field(default=1000, ge=1, le=100_000)
+    """connections at a time, those of a page that loads among them."""
     # Behind a container's proxy all clients have one address.
     max_clients_per_address: int = Field(default=800, ge=1, le=100_000)
+    """connections at a time from one address."""
     # A page that loads is thirty connections, and a classroom may come from one address.
     connections_per_s: float = Field(default=100.0, ge=1.0, le=10_000.0)
+    """new connections a second from one address, in the long run; ten seconds' worth of them may come at once [1/s]."""
     ping_interval_s: float = Field(default=20.0, ge=1.0, le=3600.0)
+    """how often each client is asked whether it is still there [s]."""
     ping_timeout_s: float = Field(default=20.0, ge=1.0, le=3600.0)
+    """time to answer; who does not is disconnected [s]."""
     unregister_timeout_s: float = Field(default=10.0, ge=0.0, le=3600.0)
+    """for how long a topic keeps its type, and what is latched there, after the last one who used it has left: some
+    clients open a new socket between advertise and publish [s].
+    """
     limits: SessionSettings = SessionSettings()
+    """what one client may cost."""
 
     @model_validator(mode="after")
     def _key_and_certificate_come_in_pairs(self) -> ServerSettings:
@@ -141,50 +122,48 @@ class ServerSettings(_Section):
         return self
 
 
-class ArmSettings(_Section):
-    """The arm and its bus.
-
-    Attributes:
-        serial: serial device, URL or ``auto``; None for the simulated arm.
-        calibration: a lerobot calibration file, or the id under which lerobot keeps one; None for the nominal one.
-        zero_offset_rad: by joint, a trim of its zero [rad].
-        urdf: the robot's URDF; None for the built-in SO-101. Without a serial port or a calibration it is an ideal arm,
-            whose joints follow their goals.
-        srdf: the SRDF that goes with it.
-        ideal_lag_s: time constant with which the joints of an ideal arm follow their goals [s].
-        joint_state_rate_hz: rate of ``/joint_states`` [Hz].
-        tf_rate_hz: rate of ``/tf``, at most that of the joint states [Hz].
-        start_enabled: make the arm hold as soon as it is connected; else it stays relaxed until it is enabled.
-        watchdog_s: silence of the server after which the arm is stopped; a simulated arm waits for 5 s at least [s].
-        on_server_lost: what becomes of the arm after such a silence.
-        on_exit: what becomes of the arm when the server ends in good order.
-        on_emergency_stop: what an emergency stop does.
-        warn_temperature_c: servos from it on are told of [degC].
-        slow_temperature_c: motions run at half speed while a servo has it [degC].
-        stop_temperature_c: a servo that has it is a fault, and the arm is relaxed [degC].
-        guards: how hard the servos may push, and what is borne before a motion has failed.
-    """
+class ArmSettings(SettingsSection):
+    """The arm and its bus."""
 
     serial: str | None = None
+    """serial device, URL or ``auto``; None for the simulated arm."""
     calibration: Path | None = None
+    """a lerobot calibration file, or the id under which lerobot keeps one; None for the nominal one."""
     zero_offset_rad: dict[str, float] = Field(default_factory=dict)
+    """by joint, a trim of its zero [rad]."""
     urdf: Path | None = None
+    """the robot's URDF; None for the built-in SO-101. Without a serial port or a calibration it is an ideal arm, whose
+    joints follow their goals.
+    """
     srdf: Path | None = None
+    """the SRDF that goes with it."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
+    """time constant with which the joints of an ideal arm follow their goals [s]."""
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
+    """rate of ``/joint_states`` [Hz]."""
     # What a screen shows at most.
     tf_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
+    """rate of ``/tf``, at most that of the joint states [Hz]."""
     start_enabled: bool = True
+    """make the arm hold as soon as it is connected; else it stays relaxed until it is enabled."""
     # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.
     watchdog_s: float = Field(default=0.5, ge=0.3, le=10.0)
+    """silence of the server after which the arm is stopped; a simulated arm waits for 5 s at least [s]."""
     on_server_lost: EndState = EndState.HOLD
+    """what becomes of the arm after such a silence."""
     on_exit: EndState = EndState.HOLD
+    """what becomes of the arm when the server ends in good order."""
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
+    """what an emergency stop does."""
     # The servos protect themselves at 70 degC.
     warn_temperature_c: float = Field(default=55.0, ge=30.0, le=70.0)
+    """servos from it on are told of [degC]."""
     slow_temperature_c: float = Field(default=60.0, ge=30.0, le=70.0)
+    """motions run at half speed while a servo has it [degC]."""
     stop_temperature_c: float = Field(default=65.0, ge=30.0, le=70.0)
+    """a servo that has it is a fault, and the arm is relaxed [degC]."""
     guards: GuardSettings = GuardSettings()
+    """how hard the servos may push, and what is borne before a motion has failed."""
 
     @model_validator(mode="after")
     def _descriptions_come_in_pairs(self) -> ArmSettings:
@@ -200,44 +179,38 @@ class ArmSettings(_Section):
         return self
 
 
-class GoalSettings(_Section):
-    """The queue before the arm.
-
-    Attributes:
-        policy: what happens to a goal that comes while another one is worked on.
-        capacity: how many goals may wait.
-        on_disconnect: what becomes of the goals that a client has sent to actions when it leaves; it may say otherwise
-            in its URL, by ``?on_disconnect=stop`` or ``?on_disconnect=finish``.
-        confirm: wait for a message on ``/moveit_goal_confirm`` between plan and motion.
-        confirm_timeout_s: a goal that is not confirmed within this time is answered TIMED_OUT [s].
-        max_paused_s: a goal that was paused or going back for longer, all times together, is given up [s].
-        named_states_file: where saved states are kept; None for a file in the user's data directory.
-    """
+class GoalSettings(SettingsSection):
+    """The queue before the arm."""
 
     policy: GoalPolicy = GoalPolicy.QUEUE
+    """what happens to a goal that comes while another one is worked on."""
     capacity: int = Field(default=16, ge=1, le=1000)
+    """how many goals may wait."""
     on_disconnect: Literal["finish", "stop"] = "finish"
+    """what becomes of the goals that a client has sent to actions when it leaves; it may say otherwise in its URL, by
+    ``?on_disconnect=stop`` or ``?on_disconnect=finish``.
+    """
     confirm: bool = False
+    """wait for a message on ``/moveit_goal_confirm`` between plan and motion."""
     # The goals behind it wait as long.
     confirm_timeout_s: float = Field(default=120.0, ge=1.0, le=3600.0)
+    """a goal that is not confirmed within this time is answered TIMED_OUT [s]."""
     # Whoever pauses a motion to look at something is back by then.
     max_paused_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
+    """a goal that was paused or going back for longer, all times together, is given up [s]."""
     named_states_file: Path | None = None
+    """where saved states are kept; None for a file in the user's data directory."""
 
 
-class RecordingSettings(_Section):
-    """The recording of every message that is published.
-
-    Attributes:
-        file: MCAP file to record to; one that exists is left alone, and a number added to the name. None to record
-            nothing.
-        limit_mb: size of a file from which on the next one is begun [MB]; None for no limit.
-        keep_files: how many files are kept of those that a run of the server has written, the newest; 0 for all.
-    """
+class RecordingSettings(SettingsSection):
+    """The recording of every message that is published."""
 
     file: Path | None = None
+    """MCAP file to record to; one that exists is left alone, and a number added to the name. None to record nothing."""
     limit_mb: int | None = Field(default=None, ge=1, le=1_000_000)
+    """size of a file from which on the next one is begun [MB]; None for no limit."""
     keep_files: int = Field(default=0, ge=0, le=10_000)
+    """how many files are kept of those that a run of the server has written, the newest; 0 for all."""
 
     @model_validator(mode="after")
     def _only_whole_files_are_given_up(self) -> RecordingSettings:
@@ -246,22 +219,19 @@ class RecordingSettings(_Section):
         return self
 
 
-class EmulatorSettings(_Section):
-    """The emulated servos of a simulated arm.
-
-    Attributes:
-        drop: probability that a reply is lost.
-        corrupt: probability that a reply has a wrong byte.
-        seed: of the random faults.
-        write_log: file that gets a line of JSON for every write to a servo.
-        control: path of a Unix socket that takes live commands to the servos, as ``armbridge emulate`` does.
-    """
+class EmulatorSettings(SettingsSection):
+    """The emulated servos of a simulated arm."""
 
     drop: float = Field(default=0.0, ge=0.0, le=1.0)
+    """probability that a reply is lost."""
     corrupt: float = Field(default=0.0, ge=0.0, le=1.0)
+    """probability that a reply has a wrong byte."""
     seed: int = 0
+    """of the random faults."""
     write_log: Path | None = None
+    """file that gets a line of JSON for every write to a servo."""
     control: Path | None = None
+    """path of a Unix socket that takes live commands to the servos, as ``armbridge emulate`` does."""
 
 
 class Settings(BaseSettings):

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic_settings import (
-    BaseSettings,
-    EnvSettingsSource,
-    InitSettingsSource,
-    PydanticBaseSettingsSource,
-    SettingsError,
-)
+from pydantic_settings import EnvSettingsSource, SettingsError
 
 from server.config import PREFIX, Settings
-from server.config_keys import every_setting, flattened, unknown
+from server.config_keys import every_field, flattened, is_table, unknown
 from server.errors import ConfigurationError, sentence_of
 
 # What may be secret, and must not get into logs by a refusal.
@@ -56,9 +51,10 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
         raise ConfigurationError("; ".join(stray))
     try:
         layers = {"file": in_file, "environment": EnvSettingsSource(Settings)(), "command line": overrides}
-        tables = frozenset(setting.key for setting in every_setting(Settings) if setting.is_table)
+        tables = frozenset(key for key, _, field in every_field(Settings) if is_table(field))
         sources = {key: layer for layer, values in layers.items() for key, _ in flattened(values, tables)}
-        return _with_file(in_file)(**overrides), sources
+        # Settings itself reads the environment, below what it is called with.
+        return Settings(**functools.reduce(_merged, layers.values())), sources
     except SettingsError as error:
         raise ConfigurationError(f"environment: {error}") from error
     except ValidationError as error:
@@ -67,7 +63,7 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
 
 def known_keys() -> list[str]:
     """Every key that can be set, as in ``server.port``, and the sections."""
-    keys = [setting.key for setting in every_setting(Settings)]
+    keys = [key for key, _, _ in every_field(Settings)]
     sections = {key.rpartition(".")[0] for key in keys}
     return keys + sorted(sections)
 
@@ -75,7 +71,7 @@ def known_keys() -> list[str]:
 def _stray_variables() -> list[str]:
     """Sentences about environment variables with our prefix that set nothing."""
     known = known_keys()
-    tables = tuple(f"{setting.key}." for setting in every_setting(Settings) if setting.is_table)
+    tables = tuple(f"{key}." for key, _, field in every_field(Settings) if is_table(field))
     names = sorted(name.lower() for name in os.environ if name.upper().startswith(PREFIX))
     keys = [name.removeprefix(PREFIX.lower()).replace("__", ".") for name in names]
     return [
@@ -98,22 +94,13 @@ def _read(file: Path) -> dict[str, Any]:
         raise ConfigurationError(f"configuration {file} is not TOML: {error}") from error
 
 
-def _with_file(values: dict[str, Any]) -> type[Settings]:
-    """The settings class whose last source is the content of the file."""
-
-    class FromFile(Settings):
-        @classmethod
-        def settings_customise_sources(
-            cls,
-            settings_cls: type[BaseSettings],
-            init_settings: PydanticBaseSettingsSource,
-            env_settings: PydanticBaseSettingsSource,
-            dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - the base class's signature
-            file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - the base class's signature
-        ) -> tuple[PydanticBaseSettingsSource, ...]:
-            return init_settings, env_settings, InitSettingsSource(settings_cls, values)
-
-    return FromFile
+def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Merge nested values; of a key that both have, the value above counts."""
+    merged = {**below, **above}
+    for key in below.keys() & above.keys():
+        if isinstance(below[key], dict) and isinstance(above[key], dict):
+            merged[key] = _merged(below[key], above[key])
+    return merged
 
 
 def _sentence(problem: Any, sources: dict[str, str]) -> str:

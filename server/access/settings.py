@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, field_validator
 
 from protocol.limits import Limits
+from server.config_keys import SettingsSection
 
 # Shorter ones can be guessed; longer ones do not fit the headers and addresses that they travel in.
 MIN_TOKEN_CHARACTERS, MAX_TOKEN_CHARACTERS = 16, 256
@@ -26,48 +27,43 @@ _TOKEN = re.compile(r"[!-~]*")
 _DEFAULT = Limits()
 
 
-class AccessSettings(BaseModel):
-    """Clients that may connect, and their rights.
-
-    Attributes:
-        token: one token with all rights, 16 to 256 characters; None for no such token.
-        admin_tokens: by name, tokens of those who may do everything.
-        operate_tokens: by name, tokens of those who may move the arm and change the scene.
-        view_tokens: by name, tokens of those who may look, plan and stop the arm.
-        token_file: TOML file with the four settings above, apart from the configuration; None for no such file.
-        without_token: what a client may do that shows no token; auto is admin while there are no tokens, and none
-            when there are.
-        insecure: serve an address that others can reach, without tokens.
-        allowed_origins: pages of other hosts that may connect, as in https://app.example.org; * in it stands for any
-            text, and null is the origin of a page from a file.
-        allowed_hosts: names under which clients may address the server, besides those of this machine.
-        topics_glob: patterns of topics that clients may use; empty for all.
-        services_glob: patterns of services and actions that clients may use, besides /rosapi/*; empty for all.
-        params_glob: patterns of parameters that clients may read and set; empty for all.
-        control: lease, one client drives the arm at a time; shared, all may at once.
-        control_idle_s: the arm is free for others when its driver has asked for nothing for so long [s].
-        goals_per_s: goals that each client may send in the long run [1/s].
-        goal_burst: goals that each client may send at once.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class AccessSettings(SettingsSection):
+    """Clients that may connect, and their rights."""
 
     token: SecretStr | None = None
+    """one token with all rights, 16 to 256 characters; None for no such token."""
     admin_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
+    """by name, tokens of those who may do everything."""
     operate_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
+    """by name, tokens of those who may move the arm and change the scene."""
     view_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
+    """by name, tokens of those who may look, plan and stop the arm."""
     token_file: Path | None = None
+    """TOML file with the four settings above, apart from the configuration; None for no such file."""
     without_token: Literal["auto", "none", "view", "operate", "admin"] = "auto"  # noqa: S105 - a role
+    """what a client may do that shows no token; auto is admin while there are no tokens, and none when there are."""
     insecure: bool = False
+    """serve an address that others can reach, without tokens."""
     allowed_origins: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    """pages of other hosts that may connect, as in https://app.example.org; * in it stands for any text, and null is
+    the origin of a page from a file.
+    """
     allowed_hosts: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    """names under which clients may address the server, besides those of this machine."""
     topics_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    """patterns of topics that clients may use; empty for all."""
     services_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    """patterns of services and actions that clients may use, besides /rosapi/*; empty for all."""
     params_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
+    """patterns of parameters that clients may read and set; empty for all."""
     control: Literal["lease", "shared"] = "lease"
+    """lease, one client drives the arm at a time; shared, all may at once."""
     control_idle_s: float = Field(default=10.0, ge=1.0, le=3600.0)
+    """the arm is free for others when its driver has asked for nothing for so long [s]."""
     goals_per_s: float = Field(default=50.0, ge=0.1, le=1000.0)
+    """goals that each client may send in the long run [1/s]."""
     goal_burst: int = Field(default=100, ge=1, le=10_000)
+    """goals that each client may send at once."""
 
     @field_validator("token")
     @classmethod
@@ -83,42 +79,35 @@ class AccessSettings(BaseModel):
         return value
 
 
-class SessionSettings(BaseModel):
-    """Limits of one client: sizes, numbers and times.
-
-    Attributes:
-        max_message_bytes: size of a frame, of an object that comes in several frames, and of all fragments that wait
-            for others [bytes].
-        max_objects_per_frame: operations in one frame.
-        max_fragments: fragments of one message, and of all that wait for others.
-        max_fragmented_messages: messages of which only some fragments have come.
-        fragment_timeout_s: a message whose fragments do not come within this time is given up [s].
-        max_subscriptions: subscriptions.
-        max_publications: topics that it publishes.
-        max_offers: services that it offers, and as many actions.
-        max_calls_in_flight: calls of services that wait for their answers, and as many goals on actions.
-        call_timeout_s: time to answer of a service that it offers, where the caller names none [s].
-        max_queued_topic_bytes: messages of topics that wait for a slow client, of which the oldest are dropped [bytes].
-        max_queued_request_bytes: calls and goals that wait for a slow client; those beyond fail [bytes].
-        max_queued_reply_bytes: answers that wait for a slow client; one that does not take them is disconnected
-            [bytes].
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class SessionSettings(SettingsSection):
+    """Limits of one client: sizes, numbers and times."""
 
     max_message_bytes: int = Field(default=_DEFAULT.max_message_bytes, ge=65_536, le=100_000_000)
+    """size of a frame, of an object that comes in several frames, and of all fragments that wait for others [bytes]."""
     max_objects_per_frame: int = Field(default=_DEFAULT.max_objects_per_frame, ge=1, le=100_000)
+    """operations in one frame."""
     max_fragments: int = Field(default=_DEFAULT.max_fragments, ge=1, le=1_000_000)
+    """fragments of one message, and of all that wait for others."""
     max_fragmented_messages: int = Field(default=_DEFAULT.max_fragmented_messages, ge=1, le=10_000)
+    """messages of which only some fragments have come."""
     fragment_timeout_s: float = Field(default=_DEFAULT.fragment_timeout_s, ge=1.0, le=86_400.0)
+    """a message whose fragments do not come within this time is given up [s]."""
     max_subscriptions: int = Field(default=_DEFAULT.max_subscriptions, ge=1, le=100_000)
+    """subscriptions."""
     max_publications: int = Field(default=_DEFAULT.max_publications, ge=1, le=100_000)
+    """topics that it publishes."""
     max_offers: int = Field(default=_DEFAULT.max_offers, ge=0, le=100_000)
+    """services that it offers, and as many actions."""
     max_calls_in_flight: int = Field(default=_DEFAULT.max_calls_in_flight, ge=1, le=100_000)
+    """calls of services that wait for their answers, and as many goals on actions."""
     call_timeout_s: float = Field(default=_DEFAULT.call_timeout_s, ge=0.1, le=3600.0)
+    """time to answer of a service that it offers, where the caller names none [s]."""
     max_queued_topic_bytes: int = Field(default=_DEFAULT.max_queued_topic_bytes, ge=65_536, le=100_000_000)
+    """messages of topics that wait for a slow client, of which the oldest are dropped [bytes]."""
     max_queued_request_bytes: int = Field(default=_DEFAULT.max_queued_request_bytes, ge=65_536, le=100_000_000)
+    """calls and goals that wait for a slow client; those beyond fail [bytes]."""
     max_queued_reply_bytes: int = Field(default=_DEFAULT.max_queued_reply_bytes, ge=65_536, le=100_000_000)
+    """answers that wait for a slow client; one that does not take them is disconnected [bytes]."""
 
     def limits(self) -> Limits:
         """Return the limits as the protocol takes them."""

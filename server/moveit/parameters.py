@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from planners.problem import PLANNER_IDS, planner_name
+from server.config_keys import SettingsSection
 from server.errors import ServiceError
 from server.moveit.servo.parameters import ServoParameters
 
@@ -33,53 +34,47 @@ KNOWN_KEYS = (
 )
 
 
-class MoveItParameters(BaseModel):
-    """Parameters of goals that do not name their own.
-
-    Attributes:
-        group_name: planning group of the SRDF.
-        end_effector_link: link that position goals move; empty for the tip of the group.
-        planning_frame: frame of poses with an empty frame_id; empty for the robot's root link.
-        planner_id: which search to use, one of those of docs/planning.md; empty for the default.
-        num_planning_attempts: searches of which the shortest result is kept.
-        optimization_time: planning time spent on shortening a motion once there is one [s].
-        allowed_planning_time: after this a goal is answered TIMED_OUT [s].
-        allowed_execution_duration_scaling: a motion that takes longer than this times what it takes as planned is
-            given up; below 2 also one that a hot servo slows down.
-        allowed_goal_duration_margin: time on top of that [s].
-        max_velocity_scaling: share of the velocity limits.
-        max_acceleration_scaling: share of the acceleration limits.
-        position_tolerance: radius within which a position goal is reached [m].
-        joint_tolerance: a joint goal that lies beyond a limit by no more than this goes to the limit [rad].
-        kinematics_solver_timeout: time for an inverse kinematics whose caller names none [s].
-        publish_planning_scene_hz: rate of ``/monitored_planning_scene``; changes that come faster are told together
-            [Hz].
-        geometry_directory: where the services that save and load the scene's geometry have their files; None for
-            nowhere.
-        servo: how the arm is steered.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class MoveItParameters(SettingsSection):
+    """Parameters of goals that do not name their own."""
 
     group_name: str = "arm"
+    """planning group of the SRDF."""
     end_effector_link: str = ""
+    """link that position goals move; empty for the tip of the group."""
     planning_frame: str = ""
+    """frame of poses with an empty frame_id; empty for the robot's root link."""
     planner_id: str = ""
+    """which search to use, one of those of docs/planning.md; empty for the default."""
     num_planning_attempts: int = Field(default=5, ge=1, le=MAX_PLANNING_ATTEMPTS)
+    """searches of which the shortest result is kept."""
     optimization_time: float = Field(default=0.006, ge=0.0, le=10.0)
+    """planning time spent on shortening a motion once there is one [s]."""
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
+    """after this a goal is answered TIMED_OUT [s]."""
     allowed_execution_duration_scaling: float = Field(default=2.2, ge=1.0, le=100.0)
+    """a motion that takes longer than this times what it takes as planned is given up; below 2 also one that a hot
+    servo slows down.
+    """
     allowed_goal_duration_margin: float = Field(default=2.0, ge=0.5, le=60.0)
+    """time on top of that [s]."""
     max_velocity_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
+    """share of the velocity limits."""
     max_acceleration_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
+    """share of the acceleration limits."""
     position_tolerance: float = Field(default=0.01, gt=0.0, le=0.1)
+    """radius within which a position goal is reached [m]."""
     joint_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
+    """a joint goal that lies beyond a limit by no more than this goes to the limit [rad]."""
     # MoveIt's 0.05 s are all used up when there is no solution; here the answer comes as soon as it is known, and a
     # loaded machine may take longer.
     kinematics_solver_timeout: float = Field(default=0.5, ge=0.001, le=MAX_KINEMATICS_TIMEOUT_S)
+    """time for an inverse kinematics whose caller names none [s]."""
     publish_planning_scene_hz: float = Field(default=4.0, ge=0.1, le=50.0)
+    """rate of ``/monitored_planning_scene``; changes that come faster are told together [Hz]."""
     geometry_directory: Path | None = None
+    """where the services that save and load the scene's geometry have their files; None for nowhere."""
     servo: ServoParameters = ServoParameters()
+    """how the arm is steered."""
 
     @field_validator("planner_id")
     @classmethod

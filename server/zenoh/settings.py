@@ -9,9 +9,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from server.access.rate_limits import is_loopback
+from server.config_keys import SettingsSection
 from server.errors import ConfigurationError
 from server.zenoh.rmw import is_name
 
@@ -42,42 +43,38 @@ STATE_TOPICS = (
 )
 
 
-class ZenohSettings(BaseModel):
-    """Topics and services to share with other machines over zenoh.
-
-    Attributes:
-        mode: off, or the server's role in the network: peer, client of a router, or router.
-        connect: endpoints to connect to, as in tcp/192.168.1.2:7447; retried until they answer.
-        listen: endpoints to listen on; empty for none.
-        scouting_multicast: find peers in the local network by multicast.
-        config_file: zenoh's own configuration, JSON5, for options without a setting here, such as certificates; the
-            settings above override it. None for zenoh's defaults.
-        domain_id: ROS_DOMAIN_ID; other domains are neither seen nor heard.
-        namespace: prefix of this server's topics and services on the network, as in /arm1; empty for none.
-        publish: patterns of topics to publish, as this server names them.
-        subscribe: patterns of topics to subscribe to, as this server names them; empty for none.
-        offer: patterns of services of this server to offer; empty for none.
-        call: patterns of services of other machines that clients of this server may call; empty for none.
-        role: role of other machines here.
-        insecure: accept data for subscribe and offer from everybody who reaches an address of listen.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class ZenohSettings(SettingsSection):
+    """Topics and services to share with other machines over zenoh."""
 
     mode: Literal["off", "peer", "client", "router"] = "off"
+    """off, or the server's role in the network: peer, client of a router, or router."""
     connect: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
+    """endpoints to connect to, as in tcp/192.168.1.2:7447; retried until they answer."""
     listen: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
+    """endpoints to listen on; empty for none."""
     scouting_multicast: bool = False
+    """find peers in the local network by multicast."""
     config_file: Path | None = None
+    """zenoh's own configuration, JSON5, for options without a setting here, such as certificates; the settings above
+    override it. None for zenoh's defaults.
+    """
     # DDS has room for so many, and zenoh follows it.
     domain_id: int = Field(default=0, ge=0, le=232)
+    """ROS_DOMAIN_ID; other domains are neither seen nor heard."""
     namespace: str = ""
+    """prefix of this server's topics and services on the network, as in /arm1; empty for none."""
     publish: tuple[str, ...] = Field(default=STATE_TOPICS, max_length=MAX_ENTRIES)
+    """patterns of topics to publish, as this server names them."""
     subscribe: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
+    """patterns of topics to subscribe to, as this server names them; empty for none."""
     offer: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
+    """patterns of services of this server to offer; empty for none."""
     call: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
+    """patterns of services of other machines that clients of this server may call; empty for none."""
     role: Literal["view", "operate", "admin"] = "operate"
+    """role of other machines here."""
     insecure: bool = False
+    """accept data for subscribe and offer from everybody who reaches an address of listen."""
 
     @field_validator("connect", "listen")
     @classmethod

@@ -4,47 +4,42 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from planners.servo.question import ServoLimits
+from server.config_keys import SettingsSection
 
 
-class ServoParameters(BaseModel):
-    """Parameters of the servo loop.
-
-    Attributes:
-        command_in_type: ``unitless`` commands are shares of the scales, -1 to 1; ``speed_units`` are SI units.
-        linear_scale: speed of the tip for a command of 1, and its greatest speed towards a pose target [m/s].
-        rotational_scale: the same for its rotation [rad/s].
-        joint_scale: speed of a joint for a command of 1 [rad/s].
-        incoming_command_timeout: time after which a command expires [s].
-        rate_hz: rate of new joint velocities [Hz].
-        velocity_scaling: share of the joints' velocity limits to use.
-        lower_singularity_threshold: condition number above which motion towards a singularity slows down.
-        hard_stop_singularity_threshold: condition number at which such motion stops.
-        check_collisions: true to keep the arm from colliding with itself and the scene.
-        self_distance: least distance between links [m].
-        scene_distance: least distance between links and objects [m].
-        status_type: type of the status topic, ``moveit_msgs/ServoStatus`` or, as in humble and in its numbers,
-            ``std_msgs/Int8``.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class ServoParameters(SettingsSection):
+    """Parameters of the servo loop."""
 
     command_in_type: Literal["unitless", "speed_units"] = "unitless"
+    """``unitless`` commands are shares of the scales, -1 to 1; ``speed_units`` are SI units."""
     linear_scale: float = Field(default=0.2, gt=0.0, le=2.0)
+    """speed of the tip for a command of 1, and its greatest speed towards a pose target [m/s]."""
     rotational_scale: float = Field(default=0.8, gt=0.0, le=10.0)
+    """the same for its rotation [rad/s]."""
     joint_scale: float = Field(default=0.5, gt=0.0, le=10.0)
+    """speed of a joint for a command of 1 [rad/s]."""
     # A browser that sends 60 commands a second pauses for up to a quarter of a second to collect garbage.
     incoming_command_timeout: float = Field(default=0.25, ge=0.02, le=5.0)
+    """time after which a command expires [s]."""
     rate_hz: float = Field(default=50.0, ge=20.0, le=100.0)
+    """rate of new joint velocities [Hz]."""
     velocity_scaling: float = Field(default=1.0, gt=0.0, le=1.0)
+    """share of the joints' velocity limits to use."""
     lower_singularity_threshold: float = Field(default=17.0, gt=1.0, le=1e4)
+    """condition number above which motion towards a singularity slows down."""
     hard_stop_singularity_threshold: float = Field(default=30.0, gt=1.0, le=1e4)
+    """condition number at which such motion stops."""
     check_collisions: bool = True
+    """true to keep the arm from colliding with itself and the scene."""
     self_distance: float = Field(default=0.003, ge=0.0, le=0.05)
+    """least distance between links [m]."""
     scene_distance: float = Field(default=0.005, ge=0.0, le=0.05)
+    """least distance between links and objects [m]."""
     status_type: Literal["moveit_msgs/ServoStatus", "std_msgs/Int8"] = "moveit_msgs/ServoStatus"
+    """type of the status topic, ``moveit_msgs/ServoStatus`` or, as in humble and in its numbers, ``std_msgs/Int8``."""
 
     @model_validator(mode="after")
     def _slows_before_it_stops(self) -> ServoParameters:

@@ -189,7 +189,7 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.arm = ListeningArm()
-        ArmPace(self.graph).open(self.arm)
+        ArmPace(self.graph, self.arm)
 
     def call(self, service: str) -> Any:
         answers: list[Any] = []

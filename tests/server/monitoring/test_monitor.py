@@ -423,7 +423,7 @@ def metrics(port: int) -> dict[str, float]:
 
 
 async def test_routes_are_answered_before_any_part_is_there() -> None:
-    monitor = Monitor(SystemdNotifier())
+    monitor = Monitor(Sources(), SystemdNotifier())
     assert set(monitor.routes) == {"healthz", "readyz", "livez", "metrics"}
     assert monitor.health().reasons == ("the server is starting",)
     monitor.notify_started()
@@ -658,7 +658,7 @@ async def test_what_holds_the_loop_up_shows_as_its_lag(monkeypatch: pytest.Monke
 
 
 async def test_who_scrapes_gets_the_metrics_in_the_format_that_is_wanted() -> None:
-    answer = Monitor(SystemdNotifier()).routes["metrics"]
+    answer = Monitor(Sources(), SystemdNotifier()).routes["metrics"]
     plain = await answer(Request("/metrics", Headers()))
     assert plain.headers["Content-Type"].startswith("text/plain; version=")
     assert any(family.name == "armbridge_live" for family in text_string_to_metric_families(plain.body.decode()))

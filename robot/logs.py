@@ -32,6 +32,9 @@ MAX_MESSAGE_CHARACTERS = 4000
 # Tokens stand in URLs and headers, which libraries quote in their own messages.
 _SECRET = re.compile(r"((?:[?&]|\b)(?:access_)?token=|\bBearer\s+)[^\s&\"'<>]+", re.IGNORECASE)
 
+# Subjects that a limiter remembers: clients choose what their refusals are about.
+MAX_KEYS = 100
+
 # Lines of one place in the program: at once, and in the long run [1/s]. A day of that is 200 MB.
 BURST = 500
 LINES_PER_S = 10.0
@@ -124,19 +127,39 @@ def without_secrets(text: str) -> str:
 
 
 class LogLimiter:
-    """Limiter of log lines that repeat: a token bucket for each key.
-
-    Keys are remembered for ever, so callers bound how many there are.
+    """Limiter of log lines that repeat: a token bucket for each key. By default each key has one line, ever.
 
     Args:
         burst: lines of one key at once.
         lines_per_s: lines of one key in the long run [1/s]; 0 for no more than the burst, ever.
+        max_keys: keys that have lines, the first ones; None where there are few.
     """
 
-    def __init__(self, burst: int, lines_per_s: float) -> None:
+    __slots__ = ("_buckets", "_burst", "_end_is_written", "_lines_per_s", "_max_keys")
+
+    def __init__(self, burst: int = 1, lines_per_s: float = 0.0, max_keys: int | None = MAX_KEYS) -> None:
         self._burst = float(burst)
         self._lines_per_s = lines_per_s
-        self._buckets: dict[Hashable, _Bucket] = {}
+        self._max_keys = max_keys
+        self._end_is_written = False
+        # By the hash of the key, which may be as long as a message of a client.
+        self._buckets: dict[int, _Bucket] = {}
+
+    def write(self, logger: logging.Logger, level: int, line: str, key: Hashable, now_s: float = 0.0) -> None:
+        """Write a line if it is due, and how many like it were not; write once that there are too many keys.
+
+        Args:
+            logger: logger to write to.
+            level: level of the line.
+            line: text; formatters escape what a client has put into it.
+            key: subject of the line.
+            now_s: monotonic time [s]; without effect where there are no lines in the long run.
+        """
+        if self.due(key, now_s):
+            logger.log(level, "%s%s", line, suppressed_note(self.suppressed(key)), stacklevel=2)
+        elif hash(key) not in self._buckets and not self._end_is_written:
+            self._end_is_written = True
+            logger.log(level, "%d lines of this kind were written; further ones are not", len(self._buckets))
 
     def due(self, key: Hashable, now_s: float) -> bool:
         """Count a line, and return True when it is to be written.
@@ -145,7 +168,11 @@ class LogLimiter:
             key: subject of the line.
             now_s: monotonic time [s].
         """
-        bucket = self._buckets.setdefault(key, _Bucket(self._burst, now_s))
+        bucket = self._buckets.get(hash(key))
+        if bucket is None:
+            if self._max_keys is not None and len(self._buckets) >= self._max_keys:
+                return False
+            bucket = self._buckets[hash(key)] = _Bucket(self._burst, now_s)
         bucket.left = min(self._burst, bucket.left + (now_s - bucket.counted_s) * self._lines_per_s)
         bucket.counted_s = now_s
         if bucket.left < 1.0:
@@ -157,7 +184,7 @@ class LogLimiter:
 
     def suppressed(self, key: Hashable) -> int:
         """Return the number of lines of a key that were suppressed before its latest due one."""
-        bucket = self._buckets.get(key)
+        bucket = self._buckets.get(hash(key))
         return 0 if bucket is None else bucket.reported
 
 
@@ -187,7 +214,7 @@ class FloodFilter(logging.Filter):
         super().__init__()
         self._clock = clock
         # As many keys as the program has calls of the log.
-        self._limiter = LogLimiter(BURST, LINES_PER_S)
+        self._limiter = LogLimiter(BURST, LINES_PER_S, max_keys=None)
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return True for a record to write; it is marked with the number of those suppressed before it."""

@@ -28,9 +28,10 @@ from urllib.parse import parse_qs, unquote, urlsplit
 from websockets.datastructures import Headers
 
 from protocol.errors import one_line, shorten
+from robot.logs import LogLimiter
 from server.access.authentication import AuthThrottle, Tokens
 from server.access.permissions import ANYONE, Identity, Role
-from server.access.rate_limits import MAX_REFUSAL_LINES, LogLimiter, RateLimiter, client_key, is_loopback, parse_address
+from server.access.rate_limits import RateLimiter, client_key, is_loopback, parse_address
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError
 from server.gateway.http import HttpResponse
@@ -131,7 +132,7 @@ class ConnectionLimiter:
         self._absent: OrderedDict[str, _Address] = OrderedDict()
         self._answered = 0
         self._answers = RateLimiter(ANSWERS_PER_S, ANSWERS_PER_S)
-        self._log = LogLimiter(log, MAX_REFUSAL_LINES)
+        self._log = LogLimiter()
 
     def acquire(self, address: str, now_s: float) -> ConnectionSlot | None:
         """Count a connection.
@@ -157,7 +158,7 @@ class ConnectionLimiter:
         if self._answered >= MAX_ANSWERED or not self._answers.take(now_s):
             return None
         self._answered += 1
-        self._log.write(logging.WARNING, f"refused: {address}: {rejection.sentence}", ("connection", address))
+        self._log.write(log, logging.WARNING, f"refused: {address}: {rejection.sentence}", address)
         return ConnectionSlot(address, rejection, self._end_answer)
 
     def _address(self, key: str) -> _Address:
@@ -379,7 +380,7 @@ class AdmissionPolicy:
         self._hosts = hosts or AllowedHosts()
         self._origins = origins or AllowedOrigins()
         self._counts: Counter[str] = Counter()
-        self._log = LogLimiter(log, MAX_REFUSAL_LINES)
+        self._log = LogLimiter()
 
     @classmethod
     def from_settings(cls, settings: AccessSettings, tokens: Tokens) -> AdmissionPolicy:
@@ -465,7 +466,7 @@ class AdmissionPolicy:
 
     def _count_refusal(self, kind: str, value: str, sentence: str) -> None:
         self._counts[kind] += 1
-        self._log.write(logging.WARNING, f"refused: {sentence}", (kind, value))
+        self._log.write(log, logging.WARNING, f"refused: {sentence}", (kind, value))
 
 
 def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insecure: bool) -> None:

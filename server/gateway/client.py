@@ -1,22 +1,16 @@
-"""Topics of one client: its publications and its subscriptions.
+"""Client of the graph, without any socket: carries the operations of one client out and queues what it gets.
 
-Services of one client: those that it offers, and its calls of others'.
-
-Actions of one client: those that it offers, and the goals that it sends to others'.
-
-Client of the graph: carries the operations of one client out and queues what it gets, without any socket.
+Its topics, services and actions are a class each, with what the client provides and what it uses of others'.
 """
 
 from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from protocol.dialect import Dialect
 from protocol.errors import NothingToDoError, OperationError, ProtocolError
-from protocol.limits import Limits
 from protocol.names import qualify
 from protocol.operations import (
     ActionFeedback,
@@ -39,18 +33,16 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import EncodedMessage, PublishedMessage
-from protocol.session import Refusal, Session, with_id
-from server.access.authorization import unlimited
-from server.access.permissions import ANYONE, Identity
+from protocol.publication import PublishedMessage
+from protocol.session import Refusal, with_id
 from server.errors import GraphError
 from server.gateway.client_auth import AuthContext, ClientAuth
-from server.gateway.client_context import ClientContext, ClientStatus
-from server.gateway.translator import MessageTranslator
+from server.gateway.client_context import ClientContext
 from server.graph.actions import Goal, GoalStatus, Result
-from server.graph.node import Node
 from server.graph.services import Call, Response
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Subscriber
+
+log = logging.getLogger("armbridge.gateway")
 
 # rosbridge_server's lifespan of messages that are published without latch (rosbridge_library, internal/publishers.py):
 # clients publish right after they have advertised, when nobody has had the time to subscribe.
@@ -156,7 +148,7 @@ class ClientServices:
         self._client = context
         self._node = context.node
         self._services = context.graph.services
-        self._limits = context.limits
+        self._limits = context.session.limits
         self._offered: set[str] = set()
         # Calls that the client is to answer, by the ids that it got; no id is ever given twice, so that no late
         # response is taken for another call's.
@@ -277,7 +269,7 @@ class ClientActions:
         self._client = context
         self._node = context.node
         self._actions = context.graph.actions
-        self._limits = context.limits
+        self._limits = context.session.limits
         self._offered: set[str] = set()
         # Goals that the client is to reach, by the ids that it got, none of which is ever given twice.
         self._requested: dict[str | int | None, Goal] = {}
@@ -397,22 +389,12 @@ class ClientActions:
             goal.cancel()
 
 
-log = logging.getLogger("armbridge.gateway")
-
-
 class Client:
     """Client of rosbridge.
 
     Args:
-        name: its name in logs.
-        graph: the graph that it takes part in.
-        limits: limits of the client.
-        clock: monotonic time [s].
-        wake: called when there is something to send.
-        dialect: dialect of its messages, until it shows another.
-        send_at_once: sends a message if the socket takes it without waiting; returns True when it is sent.
-        identity: its identity; None for a client that has yet to authenticate.
-        auth: authentication as its connection provides it; None for a server without tokens and limits.
+        context: the parts that its topics, services, actions and authentication share.
+        auth: authentication as its connection provides it.
 
     Attributes:
         node: the client in the graph.
@@ -421,30 +403,14 @@ class Client:
         received_messages: frames received.
     """
 
-    def __init__(
-        self,
-        name: str,
-        graph: Graph,
-        limits: Limits,
-        clock: Callable[[], float],
-        wake: Callable[[], None],
-        dialect: Dialect = "ros2",
-        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
-        identity: Identity | None = ANYONE,
-        auth: AuthContext | None = None,
-    ) -> None:
-        auth = auth or AuthContext(unlimited())
-        self.node = Node(name, remote=True, identity=identity)
-        self.session = Session(limits, dialect)
-        self.status = ClientStatus(self.node, self.session, wake)
+    def __init__(self, context: ClientContext, auth: AuthContext) -> None:
+        self.node = context.node
+        self.session = context.session
+        self.status = context.status
         self.received_messages = 0
-        self._graph = graph
-        self._clock = clock
-        self._authorizer = auth.access.authorizer(self.node)
-        translator = MessageTranslator(self.session, graph.message_types.registry)
-        context = ClientContext(
-            self.node, graph, self.session, limits, translator, self.status, clock, wake, send_at_once
-        )
+        self._graph = context.graph
+        self._clock = context.clock
+        self._authorizer = auth.access.authorizer(context.node)
         self._topics = ClientTopics(context)
         self._services = ClientServices(context)
         self._actions = ClientActions(context)

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from protocol.errors import NothingToDoError, OperationError, ProtocolError, one_line, shorten
-from protocol.limits import Limits
 from protocol.operations import (
     Advertise,
     AdvertiseAction,
@@ -28,7 +26,7 @@ from protocol.operations import (
 )
 from protocol.publication import EncodedMessage
 from protocol.session import Refusal, Session
-from server.access.rate_limits import LogLimiter
+from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.gateway.translator import MessageTranslator
 from server.graph.node import Node
@@ -69,25 +67,27 @@ class ClientStatus:
     Args:
         node: the client.
         session: its session.
+        clock: monotonic time [s].
         wake: called when there is something to send.
 
     Attributes:
         refused: operations that were not carried out.
     """
 
-    def __init__(self, node: Node, session: Session, wake: Callable[[], None]) -> None:
+    def __init__(self, node: Node, session: Session, clock: Callable[[], float], wake: Callable[[], None]) -> None:
         self.refused = 0
         self._node = node
         self._session = session
+        self._clock = clock
         self._wake = wake
         self._last_rejection = ""
-        self._log = LogLimiter(log, LOG_BURST, LOG_LINES_PER_S)
+        self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
 
     def refuse(self, refusal: Refusal) -> None:
         """Tell of an operation that is not carried out."""
         self.refused += 1
         text = one_line(refusal.text)
-        self._log.write(logging.WARNING, f"{self._node}: refused: {text}")
+        self._log(logging.WARNING, f"{self._node}: refused: {text}")
         self._session.status("error", text, refusal.id)
         self._wake()
 
@@ -96,7 +96,7 @@ class ClientStatus:
         self.refused += 1
         text = one_line(f"{operation.op}: {reason}")
         if text != self._last_rejection:
-            self._log.write(logging.WARNING, f"{self._node}: refused: {text}")
+            self._log(logging.WARNING, f"{self._node}: refused: {text}")
         self._last_rejection = text
         self._session.status("error", text, operation.id)
         self._wake()
@@ -130,34 +130,47 @@ class ClientStatus:
 
     def log_status(self, operation: Status) -> None:
         """Log a status message of the client."""
-        self._log.write(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
+        self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
+
+    def _log(self, level: int, line: str) -> None:
+        self._log_limiter.write(log, level, line, "client", self._clock())
 
 
-@dataclass(frozen=True, slots=True)
 class ClientContext:
     """Parts of one client that its topics, services, actions and authentication share.
 
-    Attributes:
+    Args:
         node: the client in the graph.
         graph: the graph that it takes part in.
         session: state of the protocol.
-        limits: limits of the client.
-        translator: translator of its messages.
-        status: its status messages.
         clock: monotonic time [s].
         wake: called when there is something to send.
         send_at_once: sends a message if the socket takes it without waiting; returns True when it is sent.
+
+    Attributes:
+        translator: translator of its messages.
+        status: its status messages.
     """
 
-    node: Node
-    graph: Graph
-    session: Session
-    limits: Limits
-    translator: MessageTranslator
-    status: ClientStatus
-    clock: Callable[[], float]
-    wake: Callable[[], None]
-    send_at_once: Callable[[EncodedMessage], bool]
+    __slots__ = ("clock", "graph", "node", "send_at_once", "session", "status", "translator", "wake")
+
+    def __init__(
+        self,
+        node: Node,
+        graph: Graph,
+        session: Session,
+        clock: Callable[[], float],
+        wake: Callable[[], None],
+        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
+    ) -> None:
+        self.node = node
+        self.graph = graph
+        self.session = session
+        self.clock = clock
+        self.wake = wake
+        self.send_at_once = send_at_once
+        self.translator = MessageTranslator(session, graph.message_types.registry)
+        self.status = ClientStatus(node, session, clock, wake)
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation, which is never dropped."""

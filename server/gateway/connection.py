@@ -15,11 +15,13 @@ from websockets.protocol import State
 from protocol.dialect import Dialect
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage
+from protocol.session import Session
 from server.access.authentication import AuthThrottle
-from server.access.authorization import Access, unlimited
-from server.access.permissions import ANYONE, Identity, Role, display_name
+from server.access.authorization import Access
+from server.access.permissions import Role, display_name
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
+from server.gateway.client_context import ClientContext
 from server.gateway.transport import TURN_S, WebSocket, address_of
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -87,10 +89,9 @@ class Connection:
         websocket: the open WebSocket.
         graph: the graph that the client takes part in.
         limits: limits of the client.
+        access: authentication and authorization.
+        auth_throttle: throttle of guesses.
         takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
-        identity: identity of the client; None for one that has yet to authenticate.
-        access: authentication and authorization; None for a server without tokens and limits.
-        auth_throttle: throttle of guesses; None where nobody counts them.
 
     Attributes:
         address: IP address of the client.
@@ -101,11 +102,10 @@ class Connection:
         websocket: WebSocket,
         graph: Graph,
         limits: Limits,
+        access: Access,
+        auth_throttle: AuthThrottle,
         *,
-        takes_goals_along: bool = False,
-        identity: Identity | None = ANYONE,
-        access: Access | None = None,
-        auth_throttle: AuthThrottle | None = None,
+        takes_goals_along: bool,
     ) -> None:
         self._websocket = websocket
         # Made when something has to wait: most clients hardly ever hear so much.
@@ -114,22 +114,21 @@ class Connection:
         self.address, port = address_of(websocket)
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
-        self._client = Client(
-            display_name(identity, place),
-            graph,
-            limits,
-            time.monotonic,
-            self._wake_up,
-            _dialect(websocket),
-            websocket.send_at_once,
-            identity,
-            AuthContext(access or unlimited(), self.address, auth_throttle, self._disconnect, self._limit_messages),
+        asked = _query(websocket).get("on_disconnect", [""])[-1]
+        node = Node(
+            display_name(websocket.identity, place),
+            remote=True,
+            takes_goals_along=_GOALS_END.get(asked, takes_goals_along),
+            identity=websocket.identity,
+            address=place,
         )
-        self._client.node.address = place
+        session = Session(limits, _dialect(websocket))
+        self._client = Client(
+            ClientContext(node, graph, session, time.monotonic, self._wake_up, websocket.send_at_once),
+            AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),
+        )
         self._max_message_bytes = websocket.protocol.max_message_size
         self._limit_messages()
-        asked = _query(websocket).get("on_disconnect", [""])[-1]
-        self._client.node.takes_goals_along = _GOALS_END.get(asked, takes_goals_along)
         websocket.forget_handshake()
 
     @property

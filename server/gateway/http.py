@@ -27,7 +27,7 @@ from websockets.http11 import Request, Response
 import server
 from protocol.errors import one_line, shorten
 from robot.description.model import RobotModel
-from server.access.rate_limits import MAX_REFUSAL_LINES, LogLimiter
+from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
 from server.moveit.description import find_file, package_name, with_package_urls
 
@@ -367,7 +367,7 @@ class HttpHandler:
         self._page_files = FileCache()
         self._robot_files = FileCache()
         self._descriptions = _descriptions(robot) if robot else {}
-        self._log = LogLimiter(log, MAX_REFUSAL_LINES)
+        self._log = LogLimiter()
         self._unread_bytes = 0
         self._readers: set[asyncio.Task[None]] = set()
 
@@ -448,7 +448,7 @@ class HttpHandler:
 
     def _tell(self, sentence: str) -> None:
         """Warn once of a file that is not served; browsers ask for it again and again."""
-        self._log.write(logging.WARNING, f"not served: {sentence}", ("file", sentence))
+        self._log.write(log, logging.WARNING, f"not served: {sentence}", sentence)
 
 
 def _sentence(error: ServiceError) -> str:

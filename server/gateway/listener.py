@@ -27,9 +27,9 @@ from websockets.protocol import State
 
 from protocol.limits import Limits
 from protocol.messages import Stamp
+from robot.logs import LogLimiter
 from server.access.authentication import Tokens
 from server.access.authorization import Access, unlimited
-from server.access.rate_limits import LogLimiter
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
@@ -72,7 +72,7 @@ class Tls:
     def __init__(self, certificate: Path, key: Path) -> None:
         self._certificate = certificate
         self._key = key
-        self._log = LogLimiter(log, burst=1)
+        self._log = LogLimiter()
         self._latest = self.context = self._read()
         # Called in every handshake, also when the client names no server.
         self.context.sni_callback = self._use_latest
@@ -93,7 +93,7 @@ class Tls:
     def _tell_plain_text(self) -> None:
         """Tell once of a client that does not encrypt: asyncio closes its connection without a word."""
         line = "refused: a client speaks ws:// or http://, and here is wss:// and https://"
-        self._log.write(logging.WARNING, line, ("tls", "plain text"))
+        self._log.write(log, logging.WARNING, line, "plain text")
 
     def _read(self) -> ssl.SSLContext:
         for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
@@ -459,10 +459,9 @@ class Listener:
             websocket,
             self._graph,
             self._limits,
+            self._access,
+            self.admission.auth_throttle,
             takes_goals_along=self._takes_goals_along,
-            identity=websocket.identity,
-            access=self._access,
-            auth_throttle=self.admission.auth_throttle,
         )
         self._clients.add(connection.node, connection.address)
         self.traffic.add(connection)

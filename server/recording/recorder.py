@@ -14,6 +14,7 @@ from typing import NamedTuple
 from protocol.codecs import cdr
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
+from robot.logs import LogLimiter
 from server.errors import StartError
 from server.graph.topics import Graph
 from server.recording.files import FileSeries, RecordedMessage
@@ -21,9 +22,6 @@ from server.recording.files import FileSeries, RecordedMessage
 log = logging.getLogger("armbridge.recording")
 
 BYTES_PER_MB = 1_000_000
-
-# Unknown types that are logged, once each: a client can invent more.
-MAX_LOGGED_TYPES = 100
 
 # Messages and bytes that may wait for the disk: seconds of everything an arm publishes, and a few images.
 MAX_QUEUED_MESSAGES = 20_000
@@ -77,7 +75,7 @@ class Recorder:
         self._clock_ns = clock_ns
         # A wall clock that is set during a recording would tear a gap into it.
         self._epoch_ns = wall_clock_ns() - clock_ns()
-        self._logged_types: set[str] = set()
+        self._unknown_types = LogLimiter()
         limit_bytes = None if limit_mb is None else limit_mb * BYTES_PER_MB
         try:
             files = FileSeries(path, self._registry, facts or {}, limit_bytes, keep_files)
@@ -112,16 +110,11 @@ class Recorder:
         if self._writer.ended:
             return
         if not self._registry.knows(published.type_name):
-            self._log_unknown_type(published)
+            line = f"recording: {published.topic} is left out, the type {published.type_name} is unknown"
+            self._unknown_types.write(log, logging.WARNING, line, published.type_name)
             return
         log_time_ns = self._epoch_ns + self._clock_ns()
         self._writer.put(QueuedMessage(published, latched, published.size_bytes, log_time_ns))
-
-    def _log_unknown_type(self, published: PublishedMessage) -> None:
-        name = published.type_name
-        if name not in self._logged_types and len(self._logged_types) < MAX_LOGGED_TYPES:
-            self._logged_types.add(name)
-            log.warning("recording: %s is left out, the type %s is unknown", published.topic, name)
 
 
 class QueuedMessage(NamedTuple):

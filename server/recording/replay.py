@@ -27,6 +27,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
+from robot.logs import LogLimiter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
@@ -351,7 +352,7 @@ class Player:
         self._rate = rate
         self._node = Node("replay")
         self._topics: dict[str, RecordedTopic] = {}
-        self._logged_topics: set[str] = set()
+        self._unreadable_topics = LogLimiter()
         self.published = 0
         self.unreadable = 0
 
@@ -401,9 +402,8 @@ class Player:
             self._graph.publish(self._node, message.topic, values)
         except (ProtocolError, GraphError) as error:
             self.unreadable += 1
-            if message.topic not in self._logged_topics:
-                self._logged_topics.add(message.topic)
-                log.warning("%s: a message of %s cannot be read: %s", message.topic, message.type_name, error)
+            line = f"{message.topic}: a message of {message.type_name} cannot be read: {error}"
+            self._unreadable_topics.write(log, logging.WARNING, line, message.topic)
         else:
             self.published += 1
 

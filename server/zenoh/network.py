@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 from protocol import type_descriptions
 from protocol.errors import InterfaceError
 from protocol.registry import Registry
+from robot.logs import LogLimiter
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.zenoh.rmw import Endpoint, LivelinessTokens, is_name
@@ -120,19 +121,6 @@ class Declaration:
             self._declared.pop().undeclare()
 
 
-class WarnOnce:
-    """Logs each warning once."""
-
-    def __init__(self) -> None:
-        self._logged: set[str] = set()
-
-    def warn(self, text: str) -> None:
-        """Log a warning, unless it has been logged before."""
-        if text not in self._logged and len(self._logged) < MAX_WARNINGS:
-            self._logged.add(text)
-            log.warning("zenoh: %s", text)
-
-
 @dataclass(frozen=True)
 class Network:
     """Network with an open session, and this server's graph.
@@ -147,7 +135,7 @@ class Network:
         namespace: of this server's names on the network.
         tokens: liveliness tokens of this server.
         max_message_bytes: limit of a message, request or response, as for any other client [bytes].
-        warnings: warnings logged so far.
+        warnings: limiter of warnings, each of which is logged once.
     """
 
     thread: SessionThread
@@ -159,12 +147,16 @@ class Network:
     namespace: Namespace
     tokens: LivelinessTokens
     max_message_bytes: int
-    warnings: WarnOnce = field(default_factory=WarnOnce)
+    warnings: LogLimiter = field(default_factory=lambda: LogLimiter(max_keys=MAX_WARNINGS))
 
     @property
     def registry(self) -> Registry:
         """Message and service types of the graph."""
         return self.graph.message_types.registry
+
+    def warn(self, text: str) -> None:
+        """Log a warning, unless it has been logged before."""
+        self.warnings.write(log, logging.WARNING, f"zenoh: {text}", text)
 
     def declare(self, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> Declaration:
         """Declare entities on the session soon; see `Declaration`."""
@@ -181,7 +173,7 @@ class Network:
         try:
             return Endpoint(network_name, type_name, _HASHES[kind](self.registry, type_name))
         except InterfaceError:
-            self.warnings.warn(f"{network_name} is not shared, the type {type_name} is unknown")
+            self.warn(f"{network_name} is not shared, the type {type_name} is unknown")
             return None
 
     def agrees(self, endpoint: Endpoint, kind: SharedKind) -> bool:
@@ -193,7 +185,7 @@ class Network:
         """
         own = self.endpoint(endpoint.name, endpoint.type_name, kind)
         if own is not None and own != endpoint:
-            self.warnings.warn(
+            self.warn(
                 f"{endpoint.name} of another machine has another version of {endpoint.type_name}: "
                 f"{endpoint.type_hash} there, {own.type_hash} here"
             )

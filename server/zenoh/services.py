@@ -156,7 +156,7 @@ class OfferedServices:
 
         refusal = self._authorizer.calling(name)
         if refusal is not None:
-            network.warnings.warn(refusal)
+            network.warn(refusal)
             respond(Response(ok=False, values=refusal))
             return
         try:
@@ -288,7 +288,7 @@ class CalledServices:
         try:
             self._services[name] = CalledService(self._network, name, endpoint)
         except GraphError as error:
-            self._network.warnings.warn(f"{endpoint.name} cannot be called: {error}")
+            self._network.warn(f"{endpoint.name} cannot be called: {error}")
 
     def _endpoints(self, entities: Iterable[Entity]) -> dict[str, Endpoint]:
         """Return services that other machines offer and clients may call, by their names here."""
@@ -303,7 +303,5 @@ class CalledServices:
         """Return True if this server or a client offers a service of this name, and keeps it."""
         is_taken = self._network.graph.services.provider(name) not in (None, self._network.node)
         if is_taken:
-            self._network.warnings.warn(
-                f"{name} of another machine cannot be called, a service of that name is offered here"
-            )
+            self._network.warn(f"{name} of another machine cannot be called, a service of that name is offered here")
         return is_taken

@@ -208,7 +208,7 @@ class IncomingTopic:
         limit = self._network.max_message_bytes
         if len(sample.payload) > limit:
             reason = f"more than {limit} bytes (server.limits.max_message_bytes)"
-            self._network.warnings.warn(f"a message on {self.source.endpoint.name} is left out, it has {reason}")
+            self._network.warn(f"a message on {self.source.endpoint.name} is left out, it has {reason}")
             return
         octets = bytes(sample.payload)
         self._received.put((self, octets), len(octets))
@@ -257,7 +257,7 @@ class IncomingTopics:
         try:
             self._topics[name] = IncomingTopic(self._network, name, source, self._received)
         except GraphError as error:
-            self._network.warnings.warn(f"{source.endpoint.name} does not come in: {error}")
+            self._network.warn(f"{source.endpoint.name} does not come in: {error}")
 
     def _wanted(self) -> dict[str, Source]:
         network, found = self._network, dict[str, Source]()
@@ -291,7 +291,7 @@ class IncomingTopics:
         """Return True if this server publishes a topic of this name itself; other machines do not speak for it."""
         is_taken = self._network.is_own_publication(name)
         if is_taken:
-            self._network.warnings.warn(
+            self._network.warn(
                 f"{network_name} of another machine does not come in, this server has a topic of that name; "
                 "set zenoh.namespace on one of them"
             )
@@ -307,7 +307,7 @@ class IncomingTopics:
             if not self._is_rejected(topic.name, message):
                 network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
         except (MessageError, GraphError) as error:
-            network.warnings.warn(f"a message on {topic.name} is left out: {error}")
+            network.warn(f"a message on {topic.name} is left out: {error}")
 
     def _is_rejected(self, name: str, message: Mapping[str, Any]) -> bool:
         """Reject a message to the server that other machines have no permission for; return True if it was rejected."""
@@ -317,5 +317,5 @@ class IncomingTopics:
         if refusal is None:
             return False
         self._network.graph.turn_away(self._network.node, name, message, refusal)
-        self._network.warnings.warn(refusal)
+        self._network.warn(refusal)
         return True

@@ -6,7 +6,11 @@ from protocol.limits import Limits
 from protocol.operations import Operation
 from protocol.registry import Registry
 from protocol.session import Refusal, Session
+from server.access.authorization import unlimited
 from server.gateway.client import Client
+from server.gateway.client_auth import AuthContext
+from server.gateway.client_context import ClientContext
+from server.graph.node import Node
 from server.graph.topics import Graph
 
 REGISTRY = Registry.load()
@@ -41,7 +45,9 @@ def run_world(data: bytes) -> None:
     """Play frames to two clients; any exception is a find, and so is a client whose queue outgrows its limits."""
     now_s = 0.0
     graph = Graph(REGISTRY, lambda: now_s, lambda: now_s, lambda _delay_s, _action: NoTimer())
-    clients = [Client(name, graph, LIMITS, lambda: now_s, lambda: None) for name in ("a", "b")]
+    nodes = [Node(name, remote=True) for name in ("a", "b")]
+    contexts = [ClientContext(node, graph, Session(LIMITS), lambda: now_s, lambda: None) for node in nodes]
+    clients = [Client(context, AuthContext(unlimited())) for context in contexts]
     for part in data.split(SEPARATOR):
         if not part:
             continue

@@ -9,12 +9,15 @@ from typing import Any
 from protocol.limits import Limits
 from protocol.publication import Frame
 from protocol.registry import Registry
+from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.permissions import ANYONE, Identity
 from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
+from server.gateway.client_context import ClientContext
+from server.graph.node import Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock
@@ -51,9 +54,8 @@ class InProcess:
     def enter(self, name: str, identity: Identity | None, throttle: AuthThrottle | None = None) -> Client:
         """A client that was admitted as somebody, or as nobody yet."""
         auth = AuthContext(self.access, throttle=throttle, disconnect=lambda reason: self.closed.update({name: reason}))
-        self._clients[name] = Client(
-            name, self.graph, self._limits, self.clock, lambda: None, identity=identity, auth=auth
-        )
+        node, session = Node(name, remote=True, identity=identity), Session(self._limits)
+        self._clients[name] = Client(ClientContext(node, self.graph, session, self.clock, lambda: None), auth)
         self._frames[name] = deque()
         return self._clients[name]
 

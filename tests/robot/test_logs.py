@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from robot import logs
-from robot.logs import MAX_CHANGED_LOGGERS, JsonFormatter, LoggerLevel, LogLimiter, PlainFormatter
+from robot.logs import MAX_CHANGED_LOGGERS, MAX_KEYS, JsonFormatter, LoggerLevel, LogLimiter, PlainFormatter
 
 ROOT = Path(__file__).parents[2]
 
@@ -186,6 +186,48 @@ def test_suppressed_lines_are_counted_up_to_the_next_due_one() -> None:
     assert limiter.suppressed("elbow") == 2
     assert limiter.due("elbow", 2.6)
     assert limiter.suppressed("elbow") == 0
+
+
+LOG = logging.getLogger("armbridge.test")
+
+
+def test_a_flood_of_lines_is_cut_short_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+    limiter = LogLimiter(burst=50, lines_per_s=1.0)
+    for number in range(80):
+        limiter.write(LOG, logging.WARNING, f"client x: refused: {number}", "x", 10.0)
+    assert caplog.messages == [f"client x: refused: {number}" for number in range(50)]
+    limiter.write(LOG, logging.WARNING, "client x: refused: later", "x", 11.0)
+    assert caplog.messages[-1] == "client x: refused: later (30 more lines like this were left out before)"
+
+
+def test_lines_now_and_then_are_all_written(caplog: pytest.LogCaptureFixture) -> None:
+    limiter = LogLimiter(burst=50, lines_per_s=1.0)
+    for number in range(150):
+        limiter.write(LOG, logging.ERROR, "client x: refused: no", "x", float(number))
+    assert len(caplog.records) == 150
+    assert {record.levelno for record in caplog.records} == {logging.ERROR}
+
+
+def test_by_default_a_line_is_written_once_for_each_key(caplog: pytest.LogCaptureFixture) -> None:
+    limiter = LogLimiter()
+    for kind, value in (("origin", "a"), ("origin", "b"), ("origin", "a"), ("origin", "a"), ("host", "a")):
+        limiter.write(LOG, logging.WARNING, f"refused: the {kind} {value}", (kind, value))
+    assert caplog.messages == ["refused: the origin a", "refused: the origin b", "refused: the host a"]
+
+
+def test_keys_that_clients_choose_are_bounded_and_the_end_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    limiter = LogLimiter()
+    for number in range(2 * MAX_KEYS):
+        limiter.write(LOG, logging.WARNING, "refused: no", ("origin", f"{number}" + "x" * 100_000))
+    assert len(caplog.records) == MAX_KEYS + 1
+    assert caplog.messages[-1] == f"{MAX_KEYS} lines of this kind were written; further ones are not"
+    assert len(limiter._buckets) == MAX_KEYS
+    assert all(isinstance(key, int) for key in limiter._buckets)
+
+
+def test_a_line_names_the_place_that_writes_it(caplog: pytest.LogCaptureFixture) -> None:
+    LogLimiter().write(LOG, logging.WARNING, "refused: no", "x")
+    assert caplog.records[0].pathname == __file__
 
 
 def test_the_note_gives_the_number_of_suppressed_lines() -> None:

@@ -19,7 +19,7 @@ class Told:
     def __init__(self, level: str = "info") -> None:
         self.session = Session()
         self.woken = 0
-        self.status = ClientStatus(Node("x", remote=True), self.session, self._wake)
+        self.status = ClientStatus(Node("x", remote=True), self.session, lambda: 0.0, self._wake)
         self.carry_out(SetLevel(level=level))
 
     def _wake(self) -> None:

@@ -22,7 +22,7 @@ from websockets.http11 import Request
 
 from protocol.registry import Registry
 from robot.description import model
-from server.access.rate_limits import MAX_REFUSAL_LINES
+from robot.logs import MAX_KEYS
 from server.errors import FileTooLargeError, ServiceError
 from server.gateway import http as gate
 from server.gateway.http import (
@@ -277,10 +277,10 @@ async def test_a_file_that_is_too_large_is_told_once_with_the_limit(
 
 async def test_the_log_is_told_of_no_more_files_than_one_reads(caplog: pytest.LogCaptureFixture) -> None:
     made = HttpHandler()
-    for number in range(2 * MAX_REFUSAL_LINES):
+    for number in range(2 * MAX_KEYS):
         made._tell(f"file {number}")
     # The last one says that there are more.
-    assert len(caplog.records) == MAX_REFUSAL_LINES + 1
+    assert len(caplog.records) == MAX_KEYS + 1
 
 
 async def test_a_file_that_cannot_be_read_is_an_error_of_the_server(

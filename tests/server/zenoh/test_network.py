@@ -10,7 +10,7 @@ import pytest
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.zenoh import network
-from server.zenoh.network import Declaration, NameFilter, Namespace, Network, WarnOnce
+from server.zenoh.network import Declaration, NameFilter, Namespace, Network
 from server.zenoh.rmw import Endpoint, LivelinessTokens
 from server.zenoh.session import SessionThread
 from tests.helpers.zenoh_network import REGISTRY
@@ -33,18 +33,17 @@ async def alone() -> Network:
     return Network(thread, loop, Graph(REGISTRY), node, "us", 0, Namespace(""), tokens, 10_000_000)
 
 
-def test_what_is_wrong_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    told = WarnOnce()
+async def test_what_is_wrong_is_told_once(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(3):
-        told.warn("a")
+        alone.warn("a")
     assert [record.message for record in caplog.records] == ["zenoh: a"]
 
 
-def test_whoever_invents_mistakes_fills_no_log(caplog: pytest.LogCaptureFixture) -> None:
-    told = WarnOnce()
+async def test_whoever_invents_mistakes_fills_no_log(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
     for number in range(network.MAX_WARNINGS + 10):
-        told.warn(str(number))
-    assert len(caplog.records) == network.MAX_WARNINGS
+        alone.warn(str(number))
+    assert len(caplog.records) == network.MAX_WARNINGS + 1
+    assert "further ones are not" in caplog.text
 
 
 async def test_messages_and_services_have_endpoints_with_the_hash_of_their_types(alone: Network) -> None:

@@ -21,7 +21,7 @@ from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates
 from server.config import RecordingSettings, Settings
 from server.errors import StartError
-from server.execution.current_state import ARM_START_TIMEOUT_S
+from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
 from server.gateway.listener import Listener, ListenerSettings
 from server.graph.topics import Graph

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from protocol.errors import NothingToDoError, OperationError, ProtocolError
-from protocol.names import qualify
 from protocol.operations import (
     ActionFeedback,
     ActionResult,
@@ -32,6 +31,7 @@ from protocol.operations import (
     UnadvertiseAction,
     UnadvertiseService,
     Unsubscribe,
+    qualify,
 )
 from protocol.publication import PublishedMessage
 from protocol.session import Refusal, with_id

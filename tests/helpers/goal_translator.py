@@ -23,7 +23,7 @@ async def keep_nothing(_states: Mapping[str, Positions]) -> None:
 
 @dataclass
 class At:
-    """An arm that is somewhere, as `server.execution.current_state.CurrentState`."""
+    """An arm that is somewhere, as `server.execution.monitors.CurrentState`."""
 
     present_rad: Mapping[str, float] | None
 

@@ -16,7 +16,7 @@ from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server.errors import RefusedError
-from server.execution.current_state import CurrentState
+from server.execution.monitors import CurrentState
 from server.moveit.scene.frames import LinkTransforms
 from server.moveit.scene.planning_scene import SceneDraft
 from server.moveit.scene.scene_state import SceneState

@@ -26,6 +26,8 @@ class Heard:
         self.graph = Graph(Registry.load())
         self.topics = ArmStateTopics(self.graph, ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
         self.states = self._listen(STATE_TOPIC)
+        # The state at the start, which is latched.
+        self.states.clear()
         self.limits = self._listen(LIMITS_TOPIC)
 
     def _listen(self, topic: str) -> list[Any]:

@@ -9,13 +9,14 @@ import sys
 import uvloop
 
 from protocol.registry import Registry
+from server.config import ServerSettings
 from server.gateway.listener import Listener
 from server.graph.topics import Graph
 
 
 async def main(port: int) -> None:
     """Serve until the process is ended."""
-    listener = Listener(Graph(Registry.load()), "127.0.0.1", port)
+    listener = Listener(Graph(Registry.load()), ServerSettings(port=port))
     await listener.bind()
     await listener.open()
     gc.collect()

@@ -23,7 +23,7 @@ from server.config import RecordingSettings, Settings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
-from server.gateway.listener import Listener, ListenerSettings
+from server.gateway.listener import Listener
 from server.graph.topics import Graph
 from server.lifecycle import BackgroundTask, Part, start_in_order, stop_in_reverse, stop_signals, unless_ended
 from server.monitoring.health import Sources
@@ -102,13 +102,10 @@ class App:
         routes: dict[str, Route] = {}
         self._listener = Listener(
             graph,
-            settings.server.host,
-            settings.server.port,
+            settings.server,
             HttpHandler(robot, routes=routes),
+            access,
             takes_goals_along=settings.goals.on_disconnect == "stop",
-            settings=ListenerSettings.from_settings(settings.server, settings.access, access.tokens),
-            access=access,
-            limits=settings.server.limits.limits(),
         )
         sources = Sources(
             traffic=self._listener.traffic,

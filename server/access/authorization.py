@@ -350,6 +350,7 @@ class Access:
         wall_clock: seconds since the epoch.
 
     Attributes:
+        settings: as given.
         tokens: tokens and their owners.
         lease: control of the arm.
         params: filter of parameters.
@@ -367,7 +368,7 @@ class Access:
         self.tokens = Tokens.from_settings(settings)
         self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock)
         self.params = NameFilter("access.params_glob", settings.params_glob)
-        self._settings = settings
+        self.settings = settings
         self._clock = clock
         self._wall_clock = wall_clock
         self._rosauth = RosauthVerifier(self.tokens)
@@ -380,7 +381,7 @@ class Access:
     def authorizer(self, node: Node) -> Authorizer:
         """Return the check of a client's operations."""
         return Authorizer(
-            node, self._shared, RateLimiter(self._settings.goals_per_s, self._settings.goal_burst), self._clock
+            node, self._shared, RateLimiter(self.settings.goals_per_s, self.settings.goal_burst), self._clock
         )
 
     def identify(self, shown: Auth) -> Identity | str:

@@ -1,9 +1,7 @@
-"""Limits of connections: in all, from one address, and their rate.
+"""Admission: limits of connections, the check of requests by ``Host``, ``Origin`` and token, and open addresses.
 
 A connection counts from the moment websockets is told of it: when the TCP connection is made, and with TLS when the
 handshake is done.
-
-Admission of requests by their ``Host``, their ``Origin`` and their token, and the rule for open addresses.
 
 A browser lets every page open a WebSocket to every address that its machine reaches, and tells the server only in
 ``Origin`` whose page it is. A page of another host can have its own name point to the server's address (DNS rebinding),
@@ -33,6 +31,7 @@ from server.access.authentication import AuthThrottle, Tokens
 from server.access.permissions import ANYONE, Identity, Role
 from server.access.rate_limits import RateLimiter, client_key, is_loopback, parse_address
 from server.access.settings import AccessSettings
+from server.config import ServerSettings
 from server.errors import ConfigurationError
 from server.gateway.http import HttpResponse
 
@@ -50,21 +49,6 @@ ANSWERS_PER_S = 10
 MAX_ABSENT = 10_000
 
 RETRY_AFTER_S = 5
-
-
-@dataclass(frozen=True)
-class ConnectionLimits:
-    """Limits of connections.
-
-    Attributes:
-        max_clients: at a time.
-        max_clients_per_address: at a time, from one address.
-        connections_per_s: new ones from one address, in the long run [1/s].
-    """
-
-    max_clients: int = 1000
-    max_clients_per_address: int = 800
-    connections_per_s: float = 100.0
 
 
 @dataclass(frozen=True)
@@ -116,17 +100,17 @@ class ConnectionLimiter:
     """Counter of connections.
 
     Args:
-        limits: the limits of connections.
+        settings: the section ``server``, with the limits.
 
     Attributes:
         rejected_count: connections that were one too many.
         open_count: connections that may stay.
     """
 
-    def __init__(self, limits: ConnectionLimits | None = None) -> None:
+    def __init__(self, settings: ServerSettings) -> None:
         self.rejected_count = 0
         self.open_count = 0
-        self._limits = limits or ConnectionLimits()
+        self._settings = settings
         # Addresses with connections, and those without, the one that left last at the end.
         self._present: dict[str, _Address] = {}
         self._absent: OrderedDict[str, _Address] = OrderedDict()
@@ -163,11 +147,11 @@ class ConnectionLimiter:
 
     def _address(self, key: str) -> _Address:
         known = self._present.get(key) or self._absent.pop(key, None)
-        per_s = self._limits.connections_per_s
+        per_s = self._settings.connections_per_s
         return known or _Address(RateLimiter(per_s, int(BURST_TIME_S * per_s)))
 
     def _rejection(self, known: _Address, now_s: float) -> Rejection | None:
-        limits = self._limits
+        limits = self._settings
         if not known.rate.take(now_s):
             limit = f"{limits.connections_per_s:g} a second (server.connections_per_s)"
             return Rejection(HTTPStatus.TOO_MANY_REQUESTS, f"new connections come too often; the limit is {limit}")

@@ -1,8 +1,6 @@
-"""The server's certificate, and its replacement while the server runs.
+"""Listener: binds the port on every address of a host, serves the clients that connect, and publishes who they are.
 
-Connected clients, on the latched topics of rosbridge_server.
-
-Listening sockets of the server: binds the port on every address, and serves the clients that connect.
+With a certificate, which can be replaced while the server runs, connections are encrypted.
 """
 
 from __future__ import annotations
@@ -17,7 +15,6 @@ import socket
 import ssl
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -25,19 +22,15 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
-from protocol.limits import Limits
 from protocol.messages import Stamp
 from robot.logs import LogLimiter
-from server.access.authentication import Tokens
 from server.access.authorization import Access, unlimited
-from server.access.settings import AccessSettings
 from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway.admission import (
     RETRY_AFTER_S,
     AdmissionPolicy,
     ConnectionLimiter,
-    ConnectionLimits,
     HandshakeRequest,
     check_exposure,
 )
@@ -219,53 +212,6 @@ _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 SPARE = 256
 
 
-@dataclass(frozen=True)
-class KeepaliveSettings:
-    """Pings, which detect a client whose machine is gone without a word.
-
-    Attributes:
-        interval_s: time between two pings [s].
-        timeout_s: time to answer one [s].
-    """
-
-    interval_s: float = 20.0
-    timeout_s: float = 20.0
-
-
-@dataclass(frozen=True)
-class ListenerSettings:
-    """Settings of a listener.
-
-    Attributes:
-        admission: policy of admission; by default every client that addresses this machine is admitted.
-        limits: limits of connections.
-        tls: the server's certificate; None for connections that are not encrypted.
-        keepalive: pings.
-    """
-
-    admission: AdmissionPolicy = field(default_factory=AdmissionPolicy)
-    limits: ConnectionLimits = field(default_factory=ConnectionLimits)
-    tls: Tls | None = None
-    keepalive: KeepaliveSettings = field(default_factory=KeepaliveSettings)
-
-    @classmethod
-    def from_settings(cls, server: ServerSettings, access: AccessSettings, tokens: Tokens) -> ListenerSettings:
-        """Return the settings of a listener that the configuration describes.
-
-        Raises:
-            ConfigurationError: the certificate cannot be used.
-        """
-        limits = ConnectionLimits(server.max_clients, server.max_clients_per_address, server.connections_per_s)
-        pair = server.tls_certificate, server.tls_key
-        tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
-        return cls(
-            AdmissionPolicy.from_settings(access, tokens),
-            limits,
-            tls,
-            KeepaliveSettings(server.ping_interval_s, server.ping_timeout_s),
-        )
-
-
 class _WebSocketsLog(logging.LoggerAdapter[logging.Logger]):
     """Log of websockets without its debug lines: they contain every address and every message, and so every token."""
 
@@ -286,44 +232,40 @@ class Listener:
 
     Args:
         graph: the graph that clients take part in.
-        host: name or address to listen on.
-        port: TCP port; 0 takes a free one.
+        settings: the section ``server``: address, certificate, limits and pings.
         http: handler of requests over HTTP.
-        takes_goals_along: True where a client's goals are cancelled when it leaves, unless its URL says otherwise.
-        settings: admission, limits, certificate and keepalive; None for a server without tokens.
         access: authentication and authorization; None for a server without tokens and limits.
-        limits: limits of one client.
+        takes_goals_along: True where a client's goals are cancelled when it leaves, unless its URL says otherwise.
 
     Attributes:
         admission: policy of admission.
         traffic: traffic of all clients.
+
+    Raises:
+        ConfigurationError: the certificate cannot be used.
     """
 
     def __init__(
         self,
         graph: Graph,
-        host: str,
-        port: int,
+        settings: ServerSettings,
         http: HttpHandler | None = None,
+        access: Access | None = None,
         *,
         takes_goals_along: bool = False,
-        settings: ListenerSettings | None = None,
-        access: Access | None = None,
-        limits: Limits | None = None,
     ) -> None:
         self._graph = graph
-        self._host = host
-        self._port = port
+        self._settings = settings
+        self._host = settings.host
+        self._port = settings.port
         self._http = http or HttpHandler()
-        settings = settings or ListenerSettings()
-        self.admission = settings.admission
-        self._tls = settings.tls
-        self._connection_limits = settings.limits
-        self._keepalive = settings.keepalive
-        self._limiter = ConnectionLimiter(settings.limits)
-        self._limits = limits or Limits()
-        self._takes_goals_along = takes_goals_along
         self._access = access or unlimited()
+        self.admission = AdmissionPolicy.from_settings(self._access.settings, self._access.tokens)
+        pair = settings.tls_certificate, settings.tls_key
+        self._tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
+        self._limiter = ConnectionLimiter(settings)
+        self._limits = settings.limits.limits()
+        self._takes_goals_along = takes_goals_along
         self._sockets: list[socket.socket] = []
         # One a listening socket.
         self._servers: list[Server] = []
@@ -373,7 +315,7 @@ class Listener:
         """Begin to serve clients."""
         if not self._sockets:
             raise AssertionError("open before bind")
-        raise_file_limit(self._connection_limits.max_clients)
+        raise_file_limit(self._settings.max_clients)
         self._clients.open()
         WEBSOCKETS_LOG.addFilter(tells_of_more_than_http)
         for listening in self._sockets:
@@ -404,8 +346,8 @@ class Listener:
             write_limit=WRITE_LIMIT_BYTES,
             open_timeout=OPEN_TIMEOUT_S,
             close_timeout=CLOSE_TIMEOUT_S,
-            ping_interval=self._keepalive.interval_s,
-            ping_timeout=self._keepalive.timeout_s,
+            ping_interval=self._settings.ping_interval_s,
+            ping_timeout=self._settings.ping_timeout_s,
             logger=_WebSocketsLog(WEBSOCKETS_LOG),
             **options,
         )

@@ -32,7 +32,7 @@ from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
 from server.errors import GraphError, RecordingError
-from server.gateway.listener import Listener, ListenerSettings
+from server.gateway.listener import Listener
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.systemd import on_hangup
@@ -280,9 +280,7 @@ class ReplayServer:
         RosApi(self._graph)
         # There is no arm to control, so no client needs the lease.
         access = Access(options.access.model_copy(update={"control": "shared"}))
-        settings = ListenerSettings.from_settings(options.server, options.access, access.tokens)
-        host, port = options.server.host, options.server.port
-        self._listener = Listener(self._graph, host, port, settings=settings, access=access)
+        self._listener = Listener(self._graph, options.server, access=access)
         self._recording = Recording(options.path)
         self._player = Player(self._graph, self._recording, options.rate)
 

@@ -7,8 +7,9 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from protocol.registry import Registry
+from server.config import ServerSettings
 from server.gateway.http import HttpHandler
-from server.gateway.listener import Listener, ListenerSettings
+from server.gateway.listener import Listener
 from server.graph.topics import Graph
 
 REGISTRY = Registry.load()
@@ -24,11 +25,9 @@ UPGRADE = (
 
 
 @asynccontextmanager
-async def listening(
-    settings: ListenerSettings | None = None, http: HttpHandler | None = None
-) -> AsyncIterator[Listener]:
+async def listening(settings: ServerSettings | None = None, http: HttpHandler | None = None) -> AsyncIterator[Listener]:
     """A listener that serves."""
-    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, http, settings=settings)
+    listener = Listener(Graph(REGISTRY), settings or ServerSettings(port=0), http)
     await listener.bind()
     await listener.open()
     try:

@@ -14,10 +14,10 @@ from websockets.exceptions import ConnectionClosed
 from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
+from server.config import ServerSettings
 from server.gateway import connection
-from server.gateway.admission import AdmissionPolicy, ConnectionLimits
 from server.gateway.connection import Traffic, TrafficCounts
-from server.gateway.listener import Listener, ListenerSettings
+from server.gateway.listener import Listener
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -34,7 +34,7 @@ async def graph() -> Graph:
 
 @pytest.fixture
 async def url(graph: Graph) -> AsyncIterator[str]:
-    listener = Listener(graph, "127.0.0.1", 0)
+    listener = Listener(graph, ServerSettings(port=0))
     await listener.bind()
     await listener.open()
     yield f"ws://127.0.0.1:{listener.port}"
@@ -189,9 +189,7 @@ class TestGuarded:
             {"admin_tokens": {"ada": self.TOKEN}, "view_tokens": {"screen": self.SCREEN}}
         )
         access = Access(settings)
-        listener = Listener(
-            graph, "127.0.0.1", 0, settings=ListenerSettings(AdmissionPolicy(access.tokens)), access=access
-        )
+        listener = Listener(graph, ServerSettings(port=0), access=access)
         await listener.bind()
         await listener.open()
         yield f"ws://127.0.0.1:{listener.port}"
@@ -225,7 +223,7 @@ class TestGuarded:
         assert code == 1009
 
     def test_all_of_one_address_together_take_little_memory_before_they_show_a_token(self) -> None:
-        assert ConnectionLimits().max_clients_per_address * connection.MAX_UNKNOWN_BYTES <= 128 << 20
+        assert ServerSettings().max_clients_per_address * connection.MAX_UNKNOWN_BYTES <= 128 << 20
 
     async def test_a_right_token_lets_it_stay_and_send_what_it_likes(
         self, guarded_url: str, graph: Graph, monkeypatch: pytest.MonkeyPatch
@@ -296,7 +294,7 @@ def test_what_waits_is_told_of_all_and_of_the_slowest() -> None:
 async def test_a_real_client_is_counted_by_what_it_says_and_hears() -> None:
     graph = Graph(Registry.load())
     graph.advertise(TALKER, "/t", "std_msgs/String")
-    listener = Listener(graph, "127.0.0.1", 0)
+    listener = Listener(graph, ServerSettings(port=0))
     await listener.bind()
     await listener.open()
     text = json.dumps({"op": "subscribe", "topic": "/t"})

@@ -7,16 +7,16 @@ from http import HTTPStatus
 import pytest
 from websockets.asyncio.client import connect
 
+from server.config import ServerSettings
 from server.gateway import admission as admission_module
 from server.gateway.admission import (
     ANSWERS_PER_S,
     BURST_TIME_S,
     MAX_ANSWERED,
     ConnectionLimiter,
-    ConnectionLimits,
     ConnectionSlot,
 )
-from server.gateway.listener import Listener, ListenerSettings
+from server.gateway.listener import Listener
 from tests.helpers.listener import TIMEOUT_S, exchange, listening, request, status
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
@@ -24,7 +24,9 @@ MANY = 100_000
 
 
 def limits(clients: int = MANY, per_address: int = MANY, per_s: float = 1000.0) -> ConnectionLimiter:
-    return ConnectionLimiter(ConnectionLimits(clients, per_address, per_s))
+    return ConnectionLimiter(
+        ServerSettings(max_clients=clients, max_clients_per_address=per_address, connections_per_s=per_s)
+    )
 
 
 def acquire(limiter: ConnectionLimiter, address: str = HERE, now_s: float = 0.0) -> ConnectionSlot:
@@ -39,12 +41,12 @@ def refusal(slot: ConnectionSlot) -> tuple[HTTPStatus, str]:
 
 
 def test_five_hundred_idle_clients_of_one_address_fit_by_default() -> None:
-    limiter = ConnectionLimiter()
+    limiter = ConnectionLimiter(ServerSettings())
     assert all(acquire(limiter).rejection is None for _ in range(500))
 
 
 def test_one_address_leaves_room_for_others_by_default() -> None:
-    limiter = ConnectionLimiter()
+    limiter = ConnectionLimiter(ServerSettings())
     for number in range(1000):
         limiter.acquire(HERE, float(number))
     assert acquire(limiter, THERE).rejection is None
@@ -162,7 +164,7 @@ def limiter_of(listener: Listener) -> ConnectionLimiter:
 
 
 async def test_who_is_one_too_many_is_answered_and_comes_in_when_there_is_room() -> None:
-    async with listening(ListenerSettings(limits=ConnectionLimits(max_clients_per_address=2))) as listener:
+    async with listening(ServerSettings(port=0, max_clients_per_address=2)) as listener:
         url = f"ws://127.0.0.1:{listener.port}"
         async with connect(url), connect(url):
             answer = await exchange(listener.port, request("Upgrade: websocket"))
@@ -177,7 +179,7 @@ async def test_who_is_one_too_many_is_answered_and_comes_in_when_there_is_room()
 
 
 async def test_a_connection_counts_before_it_asks_for_anything() -> None:
-    async with listening(ListenerSettings(limits=ConnectionLimits(max_clients=1))) as listener:
+    async with listening(ServerSettings(port=0, max_clients=1)) as listener:
         _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         async with asyncio.timeout(TIMEOUT_S):
             while not limiter_of(listener).open_count:
@@ -190,7 +192,7 @@ async def test_a_connection_counts_before_it_asks_for_anything() -> None:
 async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async with listening(ListenerSettings(limits=ConnectionLimits(connections_per_s=5.0))) as listener:
+    async with listening(ServerSettings(port=0, connections_per_s=5.0)) as listener:
         # The kernel makes the connections, whatever the server does with them.
         flood = [socket.create_connection(("127.0.0.1", listener.port)) for _ in range(300)]
         async with connect(f"ws://127.0.0.1:{listener.port}", local_addr=OTHER) as client:

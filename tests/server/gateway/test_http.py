@@ -23,6 +23,7 @@ from websockets.http11 import Request
 from protocol.registry import Registry
 from robot.description import model
 from robot.logs import MAX_KEYS
+from server.config import ServerSettings
 from server.errors import FileTooLargeError, ServiceError
 from server.gateway import http as gate
 from server.gateway.http import (
@@ -100,7 +101,7 @@ async def live(_request: Request) -> HttpResponse:
 @asynccontextmanager
 async def site_of(folders: Path) -> AsyncIterator[Site]:
     robot = replace(model.builtin(), urdf=URDF, mesh_directory=folders / "robot")
-    listener = Listener(Graph(REGISTRY), "127.0.0.1", 0, HttpHandler(robot, folders / "dist", {"livez": live}))
+    listener = Listener(Graph(REGISTRY), ServerSettings(port=0), HttpHandler(robot, folders / "dist", {"livez": live}))
     await listener.bind()
     await listener.open()
     yield Site(listener.port)

@@ -22,20 +22,18 @@ from websockets.typing import Origin
 
 from protocol.limits import Limits
 from protocol.registry import Registry
-from server.access.authentication import Tokens
-from server.access.settings import AccessSettings
+from server.access.authorization import Access
+from server.access.settings import AccessSettings, SessionSettings
 from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway import listener as listener_module
-from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, ConnectionLimits
+from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import (
     COUNT_TOPIC,
     LIST_TOPIC,
     SPARE,
     ClientList,
-    KeepaliveSettings,
     Listener,
-    ListenerSettings,
     Place,
     Tls,
     listen,
@@ -145,8 +143,14 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Pair:
 
 @pytest.fixture
 async def encrypted(pair: Pair) -> AsyncIterator[Listener]:
-    async with listening(ListenerSettings(tls=Tls(*pair))) as listener:
+    async with listening(over_tls_with(pair)) as listener:
         yield listener
+
+
+def over_tls_with(pair: Pair | None, **limits: Any) -> ServerSettings:
+    """Settings of a listener on a free port; None for one that does not encrypt."""
+    files = {} if pair is None else {"tls_certificate": pair.certificate, "tls_key": pair.key}
+    return ServerSettings(port=0, **files, **limits)
 
 
 def trusting(pair: Pair) -> ssl.SSLContext:
@@ -192,8 +196,7 @@ async def test_messages_go_both_ways_over_tls(encrypted: Listener, pair: Pair) -
 @pytest.mark.parametrize("over_tls", [False, True], ids=["plain", "tls"])
 def test_the_event_loop_of_the_server_carries_both(over_tls: bool, pair: Pair) -> None:
     async def serve_and_talk() -> None:
-        limits = ConnectionLimits(max_clients_per_address=1)
-        async with listening(ListenerSettings(limits=limits, tls=Tls(*pair) if over_tls else None)) as listener:
+        async with listening(over_tls_with(pair if over_tls else None, max_clients_per_address=1)) as listener:
             await talk(listener.url, trusting(pair) if over_tls else None)
             await until_empty(listener)
             # What is abandoned in its handshake makes room as well.
@@ -209,7 +212,7 @@ async def test_who_begins_no_tls_handshake_is_let_go_and_takes_no_place(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(listener_module, "TLS_HANDSHAKE_TIMEOUT_S", 0.5)
-    async with listening(ListenerSettings(limits=ConnectionLimits(max_clients=1), tls=Tls(*pair))) as listener:
+    async with listening(over_tls_with(pair, max_clients=1)) as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         async with connect(listener.url, ssl=trusting(pair)):
             assert limiter_of(listener).open_count == 1
@@ -223,7 +226,7 @@ async def test_a_connection_that_gets_no_answer_ends_at_once_and_is_not_read(
     over_tls: bool, pair: Pair, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(ConnectionLimiter, "acquire", lambda *_: None)
-    async with listening(ListenerSettings(tls=Tls(*pair) if over_tls else None)) as listener:
+    async with listening(over_tls_with(pair if over_tls else None)) as listener:
         with contextlib.suppress(ConnectionError):
             reader, writer = await asyncio.open_connection(
                 "127.0.0.1", listener.port, ssl=trusting(pair) if over_tls else None
@@ -246,7 +249,7 @@ async def test_a_new_certificate_is_for_new_connections(pair: Pair, tmp_path: Pa
     for source, target in zip(pair, used, strict=True):
         target.write_bytes(source.read_bytes())
     async with (
-        listening(ListenerSettings(tls=Tls(*used))) as listener,
+        listening(over_tls_with(used)) as listener,
         connect(listener.url, ssl=trusting(pair)) as client,
     ):
         for source, target in zip(new, used, strict=True):
@@ -334,7 +337,7 @@ class OverSockets:
 
 @contextlib.asynccontextmanager
 async def open_listener(graph: Graph) -> AsyncIterator[Listener]:
-    made = Listener(graph, "127.0.0.1", 0)
+    made = Listener(graph, ServerSettings(port=0))
     await made.bind()
     await made.open()
     yield made
@@ -386,7 +389,7 @@ async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(
 
 
 async def test_the_limits_that_are_set_are_those_of_a_client() -> None:
-    made = Listener(Graph(REGISTRY), "127.0.0.1", 0, limits=Limits(max_message_bytes=100_000))
+    made = Listener(Graph(REGISTRY), ServerSettings(port=0, limits=SessionSettings(max_message_bytes=100_000)))
     await made.bind()
     await made.open()
     async with connect(f"ws://127.0.0.1:{made.port}", max_size=None) as websocket:
@@ -408,18 +411,17 @@ async def test_a_taken_port_is_told_with_its_number() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(StartError, match=f"port in use: 127.0.0.1:{port}"):
-            await Listener(Graph(REGISTRY), "127.0.0.1", port).bind()
+            await Listener(Graph(REGISTRY), ServerSettings(port=port)).bind()
 
 
 async def test_an_address_that_is_not_ours_is_told() -> None:
+    listener = listener_of(ServerSettings(host="192.0.2.1", port=0), AccessSettings(insecure=True))
     with pytest.raises(StartError, match=r"cannot listen on 192\.0\.2\.1:0"):
-        await Listener(
-            Graph(REGISTRY), "192.0.2.1", 0, settings=ListenerSettings(AdmissionPolicy(insecure=True))
-        ).bind()
+        await listener.bind()
 
 
 async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_about_it() -> None:
-    listener = Listener(Graph(REGISTRY), "0.0.0.0", 0)
+    listener = Listener(Graph(REGISTRY), ServerSettings(host="0.0.0.0", port=0))
     with pytest.raises(ConfigurationError, match="--insecure"):
         await listener.bind()
     assert listener.port == 0
@@ -427,7 +429,7 @@ async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_abo
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 async def test_the_listener_tells_where_it_is(host: str) -> None:
-    listener = Listener(Graph(REGISTRY), host, 0)
+    listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0))
     await listener.bind()
     assert listener.url == f"ws://{host}:{listener.port}"
     assert listener.page_url == f"http://{host}:{listener.port}/"
@@ -435,7 +437,7 @@ async def test_the_listener_tells_where_it_is(host: str) -> None:
 
 
 def test_an_address_of_ipv6_has_its_brackets() -> None:
-    assert Listener(Graph(REGISTRY), "::1", 9090).url == "ws://[::1]:9090"
+    assert Listener(Graph(REGISTRY), ServerSettings(host="::1", port=9090)).url == "ws://[::1]:9090"
 
 
 async def test_without_a_certificate_there_is_nothing_to_read_again(
@@ -576,35 +578,20 @@ def test_one_that_cannot_be_raised_enough_is_told(
     assert f"enough for {2048 - SPARE} clients, not for server.max_clients = 5000" in caplog.text
 
 
-def listener_settings(server: ServerSettings, access: AccessSettings | None = None) -> ListenerSettings:
-    access = access or AccessSettings()
-    return ListenerSettings.from_settings(server, access, Tokens.from_settings(access))
+def listener_of(server: ServerSettings, access: AccessSettings | None = None) -> Listener:
+    return Listener(Graph(REGISTRY), server, access=Access(access or AccessSettings()))
 
 
-def test_the_limits_are_those_of_the_settings_and_the_defaults_the_same() -> None:
-    server = ServerSettings(max_clients=3, max_clients_per_address=2, connections_per_s=7.0)
-    assert listener_settings(server).limits == ConnectionLimits(3, 2, 7.0)
-    assert listener_settings(ServerSettings()).limits == ListenerSettings().limits == ConnectionLimits()
-
-
-def test_pings_are_those_of_the_settings_and_the_defaults_the_same() -> None:
-    assert listener_settings(ServerSettings(ping_interval_s=3.0, ping_timeout_s=7.0)).keepalive == KeepaliveSettings(
-        3.0, 7.0
-    )
-    assert listener_settings(ServerSettings()).keepalive == ListenerSettings().keepalive
-
-
-def test_without_a_certificate_there_is_no_tls(tmp_path: Path) -> None:
-    assert listener_settings(ServerSettings()).tls is None
-    pair = make_pair(tmp_path)
-    assert listener_settings(ServerSettings(tls_certificate=pair.certificate, tls_key=pair.key)).tls is not None
+def test_without_a_certificate_there_is_no_tls(pair: Pair) -> None:
+    assert listener_of(ServerSettings()).url.startswith("ws://")
+    assert listener_of(over_tls_with(pair)).url.startswith("wss://")
 
 
 def test_a_certificate_that_cannot_be_used_is_told_at_the_start() -> None:
     with pytest.raises(ConfigurationError, match=r"server.tls_certificate: nowhere.pem cannot be read"):
-        listener_settings(ServerSettings(tls_certificate=Path("nowhere.pem"), tls_key=Path("nowhere.pem")))
+        listener_of(ServerSettings(tls_certificate=Path("nowhere.pem"), tls_key=Path("nowhere.pem")))
 
 
 def test_the_word_for_an_open_address_reaches_the_door() -> None:
-    assert listener_settings(ServerSettings(), AccessSettings(insecure=True)).admission.insecure
-    assert not listener_settings(ServerSettings()).admission.insecure
+    assert listener_of(ServerSettings(), AccessSettings(insecure=True)).admission.insecure
+    assert not listener_of(ServerSettings()).admission.insecure

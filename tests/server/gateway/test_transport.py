@@ -16,9 +16,10 @@ from websockets.frames import Frame, Opcode
 from protocol.publication import EncodedMessage
 from protocol.publication import Frame as Payload
 from protocol.registry import Registry
+from server.config import ServerSettings
 from server.gateway import listener as listener_module
 from server.gateway import transport
-from server.gateway.listener import KeepaliveSettings, Listener, ListenerSettings
+from server.gateway.listener import Listener
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -49,7 +50,7 @@ class Link(NamedTuple):
 async def linked() -> AsyncIterator[Link]:
     graph = Graph(Registry.load())
     graph.advertise(TALKER, "/t", "std_msgs/String")
-    listener = Listener(graph, "127.0.0.1", 0)
+    listener = Listener(graph, ServerSettings(port=0))
     await listener.bind()
     await listener.open()
     try:
@@ -286,7 +287,9 @@ async def test_compression_is_not_agreed_to_and_a_compressed_frame_ends_the_conn
 
 
 async def test_a_client_whose_machine_is_gone_is_let_go(caplog: pytest.LogCaptureFixture) -> None:
-    async with listening(ListenerSettings(keepalive=KeepaliveSettings(LOWEST_S / 2, LOWEST_S / 2))) as listener:
+    # More often than the settings allow.
+    pings = {"ping_interval_s": LOWEST_S / 2, "ping_timeout_s": LOWEST_S / 2}
+    async with listening(ServerSettings(port=0).model_copy(update=pings)) as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(request(*UPGRADE))
         assert (await read_to_end(reader)).startswith(b"HTTP/1.1 101")

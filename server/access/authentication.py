@@ -9,12 +9,12 @@ import time
 import tomllib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from hashlib import sha256, sha512
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from protocol.operations import Auth
 from server.access.permissions import Identity, Role
 from server.access.rate_limits import client_key
 from server.access.settings import MAX_TOKENS, AccessSettings
@@ -91,37 +91,8 @@ class Tokens:
         return ((token, identity) for _, token, identity in self._tokens)
 
 
-@dataclass(frozen=True)
-class RosauthProof:
-    """RosauthProof of a token that does not show it: the fields of rosauth's ``authenticate``, in the op ``auth``.
-
-    Attributes:
-        mac: SHA-512 of the token and the other fields one after the other, as hexadecimal text.
-        client: the client's address, as it calls it.
-        dest: the server's.
-        rand: a text that no other proof has.
-        t: when it was made [s since the epoch].
-        level: a role as rosauth knows them; that of the token counts.
-        end: until when it is good [s since the epoch].
-    """
-
-    mac: str
-    client: str
-    dest: str
-    rand: str
-    t: int
-    level: str
-    end: int
-
-    def made_with(self, token: str) -> bool:
-        """Return True for a proof that was made with this token."""
-        text = f"{token}{self.client}{self.dest}{self.rand}{self.t}{self.level}{self.end}"
-        expected = sha512(text.encode(errors="surrogatepass")).hexdigest()
-        return hmac.compare_digest(expected.encode(), self.mac.lower().encode(errors="surrogatepass"))
-
-
 class RosauthVerifier:
-    """Verifier of rosauth's proofs, each of which counts once.
+    """Verifier of rosauth's proofs of a token, which do not show it; each proof counts once.
 
     Args:
         tokens: the secrets in them.
@@ -131,25 +102,27 @@ class RosauthVerifier:
         self._tokens = tokens
         self._seen: OrderedDict[str, float] = OrderedDict()
 
-    def identify(self, proof: RosauthProof, now_s: float) -> Identity | str:
+    def identify(self, proof: Auth, now_s: float) -> Identity | str:
         """Return the owner of the token that a proof was made with, or a sentence why the proof does not count.
 
         Args:
-            proof: as it came.
+            proof: operation with the fields of rosauth's ``authenticate``; its level does not count.
             now_s: seconds since the epoch.
         """
         if abs(now_s - proof.t) > GOOD_FOR_S:
             return f"field t: the proof was made {now_s - proof.t:+.0f} s ago by this server's clock, the limit is 5"
         if now_s > proof.end:
             return f"field end: the proof ended {now_s - proof.end:.0f} s ago by this server's clock"
-        owner = None
+        mac, owner = (proof.mac or "").lower(), None
+        rest = f"{proof.client}{proof.dest}{proof.rand}{int(proof.t)}{proof.level}{int(proof.end)}"
         for token, identity in self._tokens.secrets():
-            if proof.made_with(token):
+            expected = sha512(f"{token}{rest}".encode(errors="surrogatepass")).hexdigest()
+            if hmac.compare_digest(expected.encode(), mac.encode(errors="surrogatepass")):
                 owner = identity
         if owner is None:
             return "field mac: it was made with none of the tokens here"
         # Not by rand: fields stand in the text without a sign between them, and so could lend one another characters.
-        return self._once(proof.mac.lower(), now_s) or owner
+        return self._once(mac, now_s) or owner
 
     def _once(self, mac: str, now_s: float) -> str | None:
         while self._seen and next(iter(self._seen.values())) < now_s:

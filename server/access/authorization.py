@@ -19,7 +19,7 @@ from protocol.operations import (
     Subscribe,
     qualify,
 )
-from server.access.authentication import RosauthProof, RosauthVerifier, Tokens
+from server.access.authentication import RosauthVerifier, Tokens
 from server.access.control_lease import ControlLease
 from server.access.permissions import Identity, NameFilter, Role
 from server.access.rate_limits import RateLimiter
@@ -214,38 +214,20 @@ def plans_only(goal: object) -> bool:
     return isinstance(options, Mapping) and options.get("plan_only") is True
 
 
-@dataclass(frozen=True)
-class SharedRules:
-    """Parts of the authorization that all clients share.
-
-    Attributes:
-        topics: filter of topics.
-        services: filter of services and actions.
-        lease: control of the arm.
-    """
-
-    topics: NameFilter
-    services: NameFilter
-    lease: ControlLease
-
-
 class Authorizer:
     """Check of the operations of one client; asked once an operation, before anything is done for it.
 
     Args:
         node: the client.
-        shared: the parts that all clients share.
-        goals: rate of goals of this client.
-        clock: monotonic time [s].
+        access: rules that all clients share.
     """
 
-    __slots__ = ("_clock", "_goals", "_node", "_settled", "_shared")
+    __slots__ = ("_access", "_goals", "_node", "_settled")
 
-    def __init__(self, node: Node, shared: SharedRules, goals: RateLimiter, clock: Callable[[], float]) -> None:
+    def __init__(self, node: Node, access: Access) -> None:
         self._node = node
-        self._shared = shared
-        self._goals = goals
-        self._clock = clock
+        self._access = access
+        self._goals = RateLimiter(access.settings.goals_per_s, access.settings.goal_burst)
         # Topics as the client spells them: it publishes on the same few, thousands of times a second.
         self._settled: set[str] = set()
 
@@ -275,20 +257,20 @@ class Authorizer:
         self._node.identity = identity
         self._settled.clear()
         if identity.role < Role.OPERATE:
-            self._shared.lease.leave(self._node)
+            self._access.lease.leave(self._node)
 
     def leave(self) -> None:
         """Free the control of a client that has left."""
-        self._shared.lease.leave(self._node)
+        self._access.lease.leave(self._node)
 
     def publishing(self, topic: str, message: Mapping[str, Any]) -> str | None:
         """Check a message on a topic, as :meth:`refusal`."""
         name = qualify(topic)
         rule = rule_of_topic(name)
-        refusal = self._name_refusal(rule, "topic", name, self._shared.topics)
+        refusal = self._name_refusal(rule, "topic", name, self._access.topics)
         if refusal is None and name.endswith(ACTIONLIB_GOAL) and rule.goal:
             # The other way to an action must not be the one past its filter.
-            refusal = self._shared.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
+            refusal = self._access.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
         if refusal is None and not rule.drives and len(self._settled) < MAX_SETTLED:
             self._settled.add(topic)
         return refusal or self._drive(rule, name, message.get("goal"))
@@ -296,28 +278,28 @@ class Authorizer:
     def advertising(self, topic: str) -> str | None:
         """Check an advertisement of a topic, as :meth:`refusal`."""
         name = qualify(topic)
-        return self._name_refusal(rule_of_topic(name), "topic", name, self._shared.topics)
+        return self._name_refusal(rule_of_topic(name), "topic", name, self._access.topics)
 
     def subscribing(self, topic: str) -> str | None:
         """Check a subscription to a topic, as :meth:`refusal`."""
-        return self._name_refusal(LOOKING, "topic", qualify(topic), self._shared.topics)
+        return self._name_refusal(LOOKING, "topic", qualify(topic), self._access.topics)
 
     def calling(self, service: str) -> str | None:
         """Check a call of a service, as :meth:`refusal`."""
         # What follows the sign is the call's id.
         name = qualify(service.partition("#")[0])
         rule = rule_of_service(name)
-        return self._name_refusal(rule, "service", name, self._shared.services) or self._drive(rule, name, None)
+        return self._name_refusal(rule, "service", name, self._access.services) or self._drive(rule, name, None)
 
     def sending(self, action: str, goal: object) -> str | None:
         """Check a goal on an action, as :meth:`refusal`."""
         name = qualify(action)
         rule = rule_of_action(name)
-        return self._name_refusal(rule, "action", name, self._shared.services) or self._drive(rule, name, goal)
+        return self._name_refusal(rule, "action", name, self._access.services) or self._drive(rule, name, goal)
 
     def offering(self, kind: str, spelled: str) -> str | None:
         """Check an offer of a service or an action, given by its kind, as :meth:`refusal`."""
-        return self._name_refusal(WORKING, kind, qualify(spelled), self._shared.services)
+        return self._name_refusal(WORKING, kind, qualify(spelled), self._access.services)
 
     def _name_refusal(self, rule: Rule, kind: str, name: str, names: NameFilter) -> str | None:
         identity = self._node.identity
@@ -330,14 +312,14 @@ class Authorizer:
         return None if rule.stops else names.refusal(kind, name)
 
     def _drive(self, rule: Rule, name: str, goal: object) -> str | None:
-        if rule.goal and not self._goals.take(self._clock()):
+        if rule.goal and not self._goals.take(self._access.clock()):
             return (
                 f"{name}: this client sends more than {self._goals.burst} goals at once (access.goal_burst) and "
                 f"{self._goals.per_s:g} a second (access.goals_per_s)"
             )
         if not rule.drives or (rule.may_plan_only and plans_only(goal)):
             return None
-        refusal = self._shared.lease.drive(self._node, self._clock())
+        refusal = self._access.lease.drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"
 
 
@@ -351,8 +333,11 @@ class Access:
 
     Attributes:
         settings: as given.
+        clock: as given.
         tokens: tokens and their owners.
         lease: control of the arm.
+        topics: filter of topics.
+        services: filter of services and actions.
         params: filter of parameters.
 
     Raises:
@@ -367,22 +352,17 @@ class Access:
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
         self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock)
+        self.topics = NameFilter("access.topics_glob", settings.topics_glob)
+        self.services = NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES)
         self.params = NameFilter("access.params_glob", settings.params_glob)
         self.settings = settings
-        self._clock = clock
+        self.clock = clock
         self._wall_clock = wall_clock
         self._rosauth = RosauthVerifier(self.tokens)
-        self._shared = SharedRules(
-            NameFilter("access.topics_glob", settings.topics_glob),
-            NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES),
-            self.lease,
-        )
 
     def authorizer(self, node: Node) -> Authorizer:
         """Return the check of a client's operations."""
-        return Authorizer(
-            node, self._shared, RateLimiter(self.settings.goals_per_s, self.settings.goal_burst), self._clock
-        )
+        return Authorizer(node, self)
 
     def identify(self, shown: Auth) -> Identity | str:
         """Return the identity that a client shows in the op ``auth``, or a sentence why it shows none."""
@@ -390,8 +370,7 @@ class Access:
             return self.tokens.identify(shown.token) or "field token: it is none of the tokens here"
         if shown.mac is None:
             return "wanted the field token, or rosauth's mac, client, dest, rand, t, level and end; got neither"
-        proof = RosauthProof(shown.mac, shown.client, shown.dest, shown.rand, int(shown.t), shown.level, int(shown.end))
-        return self._rosauth.identify(proof, self._wall_clock())
+        return self._rosauth.identify(shown, self._wall_clock())
 
 
 def unlimited() -> Access:

@@ -338,39 +338,26 @@ class AdmissionPolicy:
 
     Args:
         tokens: tokens and their owners; None for a server without any.
-        hosts: names of the server.
-        origins: origins of the pages that may connect.
-        insecure: True where an address that others can reach may be served without tokens.
+        settings: the section ``access``, with the names of the server and the origins that may connect.
         clock: monotonic time [s].
 
     Attributes:
-        tokens: as given.
         auth_throttle: throttle of guesses; also for tokens that come later than the request, by the op ``auth``.
-        insecure: as given.
     """
 
     def __init__(
         self,
         tokens: Tokens | None = None,
-        hosts: AllowedHosts | None = None,
-        origins: AllowedOrigins | None = None,
-        *,
-        insecure: bool = False,
+        settings: AccessSettings | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.tokens = tokens or Tokens({}, ANYONE)
+        settings = settings or AccessSettings()
         self.auth_throttle = AuthThrottle(clock)
-        self.insecure = insecure
-        self._hosts = hosts or AllowedHosts()
-        self._origins = origins or AllowedOrigins()
+        self._tokens = tokens or Tokens({}, ANYONE)
+        self._hosts = AllowedHosts(settings.allowed_hosts, own_names())
+        self._origins = AllowedOrigins(settings.allowed_origins)
         self._counts: Counter[str] = Counter()
         self._log = LogLimiter()
-
-    @classmethod
-    def from_settings(cls, settings: AccessSettings, tokens: Tokens) -> AdmissionPolicy:
-        """Return the policy that the settings describe."""
-        hosts = AllowedHosts(settings.allowed_hosts, own_names())
-        return cls(tokens, hosts, AllowedOrigins(settings.allowed_origins), insecure=settings.insecure)
 
     @property
     def refusals(self) -> Mapping[str, int]:
@@ -427,8 +414,8 @@ class AdmissionPolicy:
     def _identity(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
         presented = _tokens(request)
         # A server without tokens has no use for one.
-        if not presented or not self.tokens.any:
-            return self.tokens.anonymous
+        if not presented or not self._tokens.any:
+            return self._tokens.anonymous
         if len(presented) > 1:
             return _unauthorized(f"one token is wanted, not {len(presented)}")
         wait = self.auth_throttle.refusal(request.address)
@@ -437,7 +424,7 @@ class AdmissionPolicy:
             retry = {"Retry-After": str(math.ceil(self.auth_throttle.wait_s(request.address)))}
             return HttpResponse.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
         token = presented.pop()
-        owner = self.tokens.identify(token)
+        owner = self._tokens.identify(token)
         if owner is None:
             self.auth_throttle.record_failure(request.address, token)
             self._count_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")

@@ -295,11 +295,6 @@ class HttpResponse:
         return cls(status, body, {"Content-Type": media_type, "Cache-Control": "no-store"})
 
     @classmethod
-    def of_html(cls, status: HTTPStatus, text: str) -> HttpResponse:
-        """Return an answer with a page of HTML."""
-        return cls(status, text.encode(), {"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store"})
-
-    @classmethod
     def of_file(
         cls, file: StoredFile, media_type: str, keeping: str, headers: Mapping[str, str] | None = None
     ) -> HttpResponse:
@@ -429,7 +424,7 @@ class HttpHandler:
 
     async def _page_file(self, name: str, gzipped: bool) -> HttpResponse:
         if name in ("", INDEX) and not page_is_built(self._page_directory):
-            return HttpResponse.of_html(HTTPStatus.NOT_FOUND, NOT_BUILT)
+            return HttpResponse.of_data(HTTPStatus.NOT_FOUND, NOT_BUILT.encode(), "text/html; charset=utf-8")
         file = await self._page_files.read(lambda: find_page_file(self._page_directory, name), gzipped=gzipped)
         keeping = _FOR_EVER if _HASHED.fullmatch(name) else _ASK_AGAIN
         return HttpResponse.of_file(file, media_type(name or INDEX), keeping)

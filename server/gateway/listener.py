@@ -260,7 +260,7 @@ class Listener:
         self._port = settings.port
         self._http = http or HttpHandler()
         self._access = access or unlimited()
-        self.admission = AdmissionPolicy.from_settings(self._access.settings, self._access.tokens)
+        self.admission = AdmissionPolicy(self._access.tokens, self._access.settings)
         pair = settings.tls_certificate, settings.tls_key
         self._tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
         self._limiter = ConnectionLimiter(settings)
@@ -305,9 +305,8 @@ class Listener:
             StartError: the address is in use, not allowed or not ours.
         """
         places = await resolve(self._host, self._port)
-        check_exposure(
-            self._host, (place.address for place in places), self.admission.tokens, insecure=self.admission.insecure
-        )
+        addresses = [place.address for place in places]
+        check_exposure(self._host, addresses, self._access.tokens, insecure=self._access.settings.insecure)
         self._sockets = listen(places, self._host, self._port)
         self._port = self._sockets[0].getsockname()[1]
 

@@ -54,6 +54,7 @@ class SessionThread:
 
     Attributes:
         opened: the session's id, as soon as it is open.
+        rejected: jobs that found no room.
     """
 
     def __init__(self, open_session: Callable[[], zenoh.Session]) -> None:
@@ -64,13 +65,8 @@ class SessionThread:
         self._jobs: queue.Queue[Job] = queue.Queue(MAX_JOBS)
         self._calls: queue.Queue[Job] = queue.Queue(MAX_JOBS)
         self._closing = threading.Event()
-        self._rejected = 0
+        self.rejected = 0
         self._thread = threading.Thread(target=self._run, name="zenoh", daemon=True)
-
-    @property
-    def rejected(self) -> int:
-        """Jobs that found no room."""
-        return self._rejected
 
     def start(self) -> None:
         """Begin to open the session."""
@@ -96,7 +92,7 @@ class SessionThread:
         try:
             jobs.put_nowait(job)
         except queue.Full:
-            self._rejected += 1
+            self.rejected += 1
             return False
         return True
 
@@ -147,6 +143,9 @@ class ReceiveQueue(Generic[Item]):
     Args:
         loop: the event loop.
         handle: called there with each item, in order.
+
+    Attributes:
+        dropped: items that were dropped.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, handle: Callable[[Item], None]) -> None:
@@ -156,12 +155,7 @@ class ReceiveQueue(Generic[Item]):
         self._waiting: deque[tuple[Item, int]] = deque()
         self._waiting_bytes = 0
         self._scheduled = False
-        self._dropped = 0
-
-    @property
-    def dropped(self) -> int:
-        """Items that were dropped."""
-        return self._dropped
+        self.dropped = 0
 
     def put(self, item: Item, size_bytes: int) -> None:
         """Add an item, from any thread; never waits."""
@@ -170,7 +164,7 @@ class ReceiveQueue(Generic[Item]):
             self._waiting_bytes += size_bytes
             while len(self._waiting) > MAX_WAITING or self._waiting_bytes > MAX_WAITING_BYTES:
                 self._waiting_bytes -= self._waiting.popleft()[1]
-                self._dropped += 1
+                self.dropped += 1
             scheduled, self._scheduled = self._scheduled, True
         if not scheduled:
             call_in_loop(self._loop, self._handle_some)

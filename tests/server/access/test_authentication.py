@@ -1,18 +1,17 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from hashlib import sha512
 from pathlib import Path
 
 import pytest
 
+from protocol.operations import Auth
 from server.access import authentication
 from server.access.authentication import (
     MAX_KEPT,
     MAX_WRONG,
     WINDOW_S,
     AuthThrottle,
-    RosauthProof,
     RosauthVerifier,
     Tokens,
 )
@@ -140,12 +139,10 @@ ADA, SCREEN = Identity("ada", Role.ADMIN), Identity("screen", Role.VIEW)
 NOW_S = 1_000_000.0
 
 
-def proof(
-    secret: str = ADAS, rand: str = "r", t: int = 1_000_000, level: str = "user", end: int = 1_000_100
-) -> RosauthProof:
+def proof(secret: str = ADAS, rand: str = "r", t: int = 1_000_000, level: str = "user", end: int = 1_000_100) -> Auth:
     """As clients of rosauth make them."""
     mac = sha512(f"{secret}10.0.0.110.0.0.2{rand}{t}{level}{end}".encode()).hexdigest()
-    return RosauthProof(mac, "10.0.0.1", "10.0.0.2", rand, t, level, end)
+    return Auth(mac=mac, client="10.0.0.1", dest="10.0.0.2", rand=rand, t=t, level=level, end=end)
 
 
 @pytest.fixture
@@ -165,7 +162,7 @@ def test_a_proof_made_with_anything_else_does_not(verifier: RosauthVerifier) -> 
 @pytest.mark.parametrize("field", ["client", "dest", "rand", "t", "level", "end"])
 def test_a_proof_of_which_a_field_was_changed_does_not_count(verifier: RosauthVerifier, field: str) -> None:
     changed = {"t": 1_000_001, "end": 1_000_101}.get(field, "x")
-    assert "field mac" in str(verifier.identify(replace(proof(), **{field: changed}), NOW_S))
+    assert "field mac" in str(verifier.identify(proof().model_copy(update={field: changed}), NOW_S))
 
 
 def test_a_proof_is_good_once(verifier: RosauthVerifier) -> None:
@@ -176,9 +173,9 @@ def test_a_proof_is_good_once(verifier: RosauthVerifier) -> None:
 def test_a_replayed_proof_in_which_fields_lend_one_another_characters_does_not_count(verifier: RosauthVerifier) -> None:
     shown = proof(rand="random")
     assert verifier.identify(shown, NOW_S) == ADA
-    shifted = replace(shown, dest=shown.dest + "ran", rand="dom")
+    shifted = shown.model_copy(update={"dest": shown.dest + "ran", "rand": "dom"})
     assert "used before" in str(verifier.identify(shifted, NOW_S))
-    assert "used before" in str(verifier.identify(replace(shown, mac=shown.mac.upper()), NOW_S))
+    assert "used before" in str(verifier.identify(shown.model_copy(update={"mac": str(shown.mac).upper()}), NOW_S))
 
 
 def test_a_replayed_proof_does_not_count_at_its_last_moment_either(verifier: RosauthVerifier) -> None:

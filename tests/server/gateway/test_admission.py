@@ -97,7 +97,7 @@ def test_a_second_origin_is_looked_at_as_well() -> None:
 def test_a_page_from_a_file_is_refused_until_it_is_allowed() -> None:
     asked = request_for("/", ("Origin", "null"))
     assert refused(AdmissionPolicy().check(asked))[0] == 403
-    allowing = AdmissionPolicy.from_settings(AccessSettings(allowed_origins=("null",)), Tokens({}, ANYONE))
+    allowing = AdmissionPolicy(settings=AccessSettings(allowed_origins=("null",)))
     assert allowing.check(asked) is ANYONE
 
 

@@ -590,8 +590,3 @@ def test_without_a_certificate_there_is_no_tls(pair: Pair) -> None:
 def test_a_certificate_that_cannot_be_used_is_told_at_the_start() -> None:
     with pytest.raises(ConfigurationError, match=r"server.tls_certificate: nowhere.pem cannot be read"):
         listener_of(ServerSettings(tls_certificate=Path("nowhere.pem"), tls_key=Path("nowhere.pem")))
-
-
-def test_the_word_for_an_open_address_reaches_the_door() -> None:
-    assert listener_of(ServerSettings(), AccessSettings(insecure=True)).admission.insecure
-    assert not listener_of(ServerSettings()).admission.insecure

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import struct
+import time
 
 import pytest
 import zenoh
@@ -306,7 +307,7 @@ async def test_while_a_client_controls_the_arm_others_send_no_goals_but_stop_it(
             site.hear("/moveit_goal_named", STRING, site.part),
             site.hear("/stop", "std_msgs/msg/Empty", site.part),
         )
-        assert site.access.lease.drive(site.client, 0.0) is None
+        assert site.access.lease.drive(site.client, time.monotonic()) is None
         with RosMachine(port) as machine:
             await listening(machine, "%stop")
             machine.publish("/moveit_goal_named", STRING, data="ready")

@@ -113,7 +113,7 @@ class RosApi:
             ),
             "nodes": ("rosapi_msgs/srv/Nodes", self._nodes),
             "node_details": ("rosapi_msgs/srv/NodeDetails", self._node_details),
-            "message_details": ("rosapi_msgs/srv/MessageDetails", self._message_details),
+            "message_details": ("rosapi_msgs/srv/MessageDetails", self._typedefs),
             "service_request_details": ("rosapi_msgs/srv/ServiceRequestDetails", self._service_request_details),
             "service_response_details": ("rosapi_msgs/srv/ServiceResponseDetails", self._service_response_details),
             "get_time": ("rosapi_msgs/srv/GetTime", self._get_time),
@@ -195,27 +195,27 @@ class RosApi:
         return {
             "publishing": [topic for topic in topics if name in map(node_name, self._graph.publishers(topic))],
             "subscribing": [topic for topic in topics if name in map(node_name, self._graph.subscribers(topic))],
-            "services": [service for service in self._services.types() if self._provides(name, service)],
+            "services": [
+                service
+                for service in self._services.types()
+                if (provider := self._services.provider(service)) is not None and node_name(provider) == name
+            ],
         }
-
-    def _provides(self, name: str, service: str) -> bool:
-        provider = self._services.provider(service)
-        return provider is not None and node_name(provider) == name
 
     # Types, as the caller's dialect declares them.
 
-    def _message_details(self, request: Request) -> dict[str, Any]:
-        return self._typedefs(request, lambda name: name)
-
     def _service_request_details(self, request: Request) -> dict[str, Any]:
-        return self._typedefs(request, lambda name: f"{self._registry.canonical(name, 'srv')}_Request")
+        return self._typedefs(request, "_Request")
 
     def _service_response_details(self, request: Request) -> dict[str, Any]:
-        return self._typedefs(request, lambda name: f"{self._registry.canonical(name, 'srv')}_Response")
+        return self._typedefs(request, "_Response")
 
-    def _typedefs(self, request: Request, message_of: Callable[[str], str]) -> dict[str, Any]:
+    def _typedefs(self, request: Request, member: str = "") -> dict[str, Any]:
+        """Return the fields of a message type, or of a service's request or response."""
+        name = request.values["type"]
         try:
-            return {"typedefs": typedefs(self._registry, message_of(request.values["type"]), request.dialect)}
+            message = f"{self._registry.canonical(name, 'srv')}{member}" if member else name
+            return {"typedefs": typedefs(self._registry, message, request.dialect)}
         except InterfaceError as error:
             raise ServiceError(str(error)) from error
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from protocol.operations import (
     Advertise,
@@ -240,15 +240,18 @@ class Authorizer:
             case CallService():
                 return self.calling(operation.service)
             case SendActionGoal():
-                return self.sending(operation.action, operation.args)
+                name = qualify(operation.action)
+                rule = rule_of_action(name)
+                return self._name_refusal(rule, "action", name) or self._drive(rule, name, operation.args)
             case Subscribe():
-                return self.subscribing(operation.topic)
+                return self._name_refusal(LOOKING, "topic", qualify(operation.topic))
             case Advertise():
-                return self.advertising(operation.topic)
+                name = qualify(operation.topic)
+                return self._name_refusal(rule_of_topic(name), "topic", name)
             case AdvertiseService():
-                return self.offering("service", operation.service)
+                return self._name_refusal(WORKING, "service", qualify(operation.service))
             case AdvertiseAction():
-                return self.offering("action", operation.action)
+                return self._name_refusal(WORKING, "action", qualify(operation.action))
             case _:
                 return None
 
@@ -267,7 +270,7 @@ class Authorizer:
         """Check a message on a topic, as :meth:`refusal`."""
         name = qualify(topic)
         rule = rule_of_topic(name)
-        refusal = self._name_refusal(rule, "topic", name, self._access.topics)
+        refusal = self._name_refusal(rule, "topic", name)
         if refusal is None and name.endswith(ACTIONLIB_GOAL) and rule.goal:
             # The other way to an action must not be the one past its filter.
             refusal = self._access.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
@@ -275,33 +278,14 @@ class Authorizer:
             self._settled.add(topic)
         return refusal or self._drive(rule, name, message.get("goal"))
 
-    def advertising(self, topic: str) -> str | None:
-        """Check an advertisement of a topic, as :meth:`refusal`."""
-        name = qualify(topic)
-        return self._name_refusal(rule_of_topic(name), "topic", name, self._access.topics)
-
-    def subscribing(self, topic: str) -> str | None:
-        """Check a subscription to a topic, as :meth:`refusal`."""
-        return self._name_refusal(LOOKING, "topic", qualify(topic), self._access.topics)
-
     def calling(self, service: str) -> str | None:
         """Check a call of a service, as :meth:`refusal`."""
         # What follows the sign is the call's id.
         name = qualify(service.partition("#")[0])
         rule = rule_of_service(name)
-        return self._name_refusal(rule, "service", name, self._access.services) or self._drive(rule, name, None)
+        return self._name_refusal(rule, "service", name) or self._drive(rule, name, None)
 
-    def sending(self, action: str, goal: object) -> str | None:
-        """Check a goal on an action, as :meth:`refusal`."""
-        name = qualify(action)
-        rule = rule_of_action(name)
-        return self._name_refusal(rule, "action", name, self._access.services) or self._drive(rule, name, goal)
-
-    def offering(self, kind: str, spelled: str) -> str | None:
-        """Check an offer of a service or an action, given by its kind, as :meth:`refusal`."""
-        return self._name_refusal(WORKING, kind, qualify(spelled), self._access.services)
-
-    def _name_refusal(self, rule: Rule, kind: str, name: str, names: NameFilter) -> str | None:
+    def _name_refusal(self, rule: Rule, kind: Literal["topic", "service", "action"], name: str) -> str | None:
         identity = self._node.identity
         if identity is None or identity.role < rule.role:
             has = "none" if identity is None else identity.role.name.lower()
@@ -309,6 +293,7 @@ class Authorizer:
                 f"{kind} {name}: needs the role {rule.role.name.lower()}, this client has {has}; "
                 f"show {_WHAT_TO_SHOW[rule.role]}"
             )
+        names = self._access.topics if kind == "topic" else self._access.services
         return None if rule.stops else names.refusal(kind, name)
 
     def _drive(self, rule: Rule, name: str, goal: object) -> str | None:

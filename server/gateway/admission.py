@@ -51,19 +51,6 @@ MAX_ABSENT = 10_000
 RETRY_AFTER_S = 5
 
 
-@dataclass(frozen=True)
-class Rejection:
-    """Answer to a connection that is one too many.
-
-    Attributes:
-        status: of HTTP.
-        sentence: the reason, with the setting to change.
-    """
-
-    status: HTTPStatus
-    sentence: str
-
-
 class ConnectionSlot:
     """Place of one connection, from its beginning to its end.
 
@@ -74,7 +61,7 @@ class ConnectionSlot:
 
     __slots__ = ("_release", "address", "rejection")
 
-    def __init__(self, address: str, rejection: Rejection | None, release: Callable[[], None]) -> None:
+    def __init__(self, address: str, rejection: HttpResponse | None, release: Callable[[], None]) -> None:
         self.address = address
         self.rejection = rejection
         self._release: Callable[[], None] | None = release
@@ -142,26 +129,29 @@ class ConnectionLimiter:
         if self._answered >= MAX_ANSWERED or not self._answers.take(now_s):
             return None
         self._answered += 1
-        self._log.write(log, logging.WARNING, f"refused: {address}: {rejection.sentence}", address)
-        return ConnectionSlot(address, rejection, self._end_answer)
+        status, sentence = rejection
+        self._log.write(log, logging.WARNING, f"refused: {address}: {sentence}", address)
+        answer = HttpResponse.of_text(status, sentence, {"Retry-After": str(RETRY_AFTER_S)})
+        return ConnectionSlot(address, answer, self._end_answer)
 
     def _address(self, key: str) -> _Address:
         known = self._present.get(key) or self._absent.pop(key, None)
         per_s = self._settings.connections_per_s
         return known or _Address(RateLimiter(per_s, int(BURST_TIME_S * per_s)))
 
-    def _rejection(self, known: _Address, now_s: float) -> Rejection | None:
+    def _rejection(self, known: _Address, now_s: float) -> tuple[HTTPStatus, str] | None:
+        """Return the status of a connection that is one too many, and the reason with the setting to change."""
         limits = self._settings
         if not known.rate.take(now_s):
             limit = f"{limits.connections_per_s:g} a second (server.connections_per_s)"
-            return Rejection(HTTPStatus.TOO_MANY_REQUESTS, f"new connections come too often; the limit is {limit}")
+            return HTTPStatus.TOO_MANY_REQUESTS, f"new connections come too often; the limit is {limit}"
         if known.open_count >= limits.max_clients_per_address:
             limit = f"{limits.max_clients_per_address} (server.max_clients_per_address)"
             sentence = f"{known.open_count} connections are open from this address, the limit is {limit}"
-            return Rejection(HTTPStatus.TOO_MANY_REQUESTS, sentence)
+            return HTTPStatus.TOO_MANY_REQUESTS, sentence
         if self.open_count >= limits.max_clients:
             sentence = f"{self.open_count} connections are open, the limit is {limits.max_clients} (server.max_clients)"
-            return Rejection(HTTPStatus.SERVICE_UNAVAILABLE, sentence)
+            return HTTPStatus.SERVICE_UNAVAILABLE, sentence
         return None
 
     def _leave(self, key: str, known: _Address) -> None:

@@ -28,7 +28,6 @@ from server.access.authorization import Access, unlimited
 from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway.admission import (
-    RETRY_AFTER_S,
     AdmissionPolicy,
     ConnectionLimiter,
     HandshakeRequest,
@@ -378,8 +377,7 @@ class Listener:
         websocket = cast(WebSocket, connection)
         rejection = None if websocket.slot is None else websocket.slot.rejection
         if rejection is not None:
-            retry = {"Retry-After": str(RETRY_AFTER_S)}
-            return HttpResponse.of_text(rejection.status, rejection.sentence, retry).response(request)
+            return rejection.response(request)
         admitted = self.admission.check(
             HandshakeRequest(
                 address_of(websocket)[0],

@@ -142,6 +142,9 @@ class WriterThread:
         files: files to write to.
         registry: types.
         clock: monotonic time [s].
+
+    Attributes:
+        dropped: messages that found no room in the queue.
     """
 
     def __init__(self, files: FileSeries, registry: Registry, clock: Callable[[], float] = time.monotonic) -> None:
@@ -152,17 +155,12 @@ class WriterThread:
         # Each is changed by one thread only; their difference is the size of the queue.
         self._put_bytes = 0
         self._written_bytes = 0
-        self._dropped = 0
+        self.dropped = 0
         self._dropped_logged = 0
         self._drops_logged_at_s = -DROPS_LOG_PERIOD_S
         self._stopping = threading.Event()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
-
-    @property
-    def dropped(self) -> int:
-        """Messages that found no room in the queue."""
-        return self._dropped
 
     @property
     def queued(self) -> int:
@@ -182,7 +180,7 @@ class WriterThread:
         """Queue a message, or count it as dropped; never waits."""
         queued_bytes = self._put_bytes - self._written_bytes
         if len(self._queue) >= MAX_QUEUED_MESSAGES or queued_bytes + message.size_bytes > MAX_QUEUED_BYTES:
-            self._dropped += 1
+            self.dropped += 1
             return
         self._put_bytes += message.size_bytes
         self._queue.append(message)
@@ -196,7 +194,7 @@ class WriterThread:
     def _run(self) -> None:
         try:
             self._write_until_stopped()
-            self._files.end({"dropped_messages": str(self._dropped)})
+            self._files.end({"dropped_messages": str(self.dropped)})
         except OSError as error:
             self._files.abandon()
             log.error(  # noqa: TRY400 - what matters is the sentence
@@ -239,9 +237,9 @@ class WriterThread:
 
     def _log_drops(self) -> None:
         now_s = self._clock()
-        if self._dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
+        if self.dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
             log.warning(
                 "recording: %d messages were dropped, the disk or the processor is too slow for what is published",
-                self._dropped - self._dropped_logged,
+                self.dropped - self._dropped_logged,
             )
-            self._dropped_logged, self._drops_logged_at_s = self._dropped, now_s
+            self._dropped_logged, self._drops_logged_at_s = self.dropped, now_s

@@ -37,7 +37,8 @@ def acquire(limiter: ConnectionLimiter, address: str = HERE, now_s: float = 0.0)
 
 def refusal(slot: ConnectionSlot) -> tuple[HTTPStatus, str]:
     assert slot.rejection is not None
-    return slot.rejection.status, slot.rejection.sentence
+    assert slot.rejection.headers["Retry-After"] == "5"
+    return slot.rejection.status, slot.rejection.body.decode().removesuffix("\n")
 
 
 def test_five_hundred_idle_clients_of_one_address_fit_by_default() -> None:

@@ -7,14 +7,12 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from robot.messages import ArmHealth, ArmState, Mode
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse
-
-if TYPE_CHECKING:
-    from server.monitoring.monitor import GoalCounters
+from server.monitoring.goal_counters import GoalCounters
 
 # Without a bus, the arm process sends a state at each attempt to open it: every 2 s, plus the attempt's own time.
 ARM_SILENT_S = 10.0

@@ -21,7 +21,7 @@ from server.execution.queue import Answer, GoalQueue, QueuedGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.monitoring.monitor import GoalCounters
+from server.monitoring.goal_counters import GoalCounters
 from server.moveit.actions.move_group import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics

@@ -35,12 +35,12 @@ from robot.trajectory import Trajectory
 from server.execution.queue import Answer, Performed
 from server.gateway.connection import Traffic, TrafficCounts
 from server.monitoring import monitor as monitor_module
+from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import Health, Sources
 from server.monitoring.monitor import (
     ARM_HEALTH_STALE_S,
     WATCHDOG_NOTIFICATIONS,
     EventLoopMonitor,
-    GoalCounters,
     Metrics,
     Monitor,
     arm_health_metrics,

@@ -9,8 +9,9 @@ import pytest
 from robot.faults import FaultCode
 from server.commands.config import unit
 from server.gateway.connection import Traffic
+from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import Sources
-from server.monitoring.monitor import GoalCounters, Metrics
+from server.monitoring.monitor import Metrics
 from tests.helpers.server import ROOT
 from tests.helpers.watched_parts import (
     WatchedArm,

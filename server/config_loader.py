@@ -20,15 +20,7 @@ _SECRET = ("access.token", "access.admin_tokens", "access.operate_tokens", "acce
 
 
 def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
-    """Read the settings.
-
-    Args:
-        file: a TOML file, or None.
-        overrides: section -> key -> value from the command line.
-
-    Raises:
-        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
-    """
+    """Read the settings, as :func:`load_with_sources`."""
     return load_with_sources(file, overrides)[0]
 
 

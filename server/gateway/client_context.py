@@ -1,4 +1,4 @@
-"""Context that the parts of one client share, and the status messages that it is told.
+"""Context that the parts of one client share, with its status messages and the translation of all others.
 
 The levels of status messages are those of the rosbridge protocol (section 3.2, status): an error is not carried out, a
 warning is carried out but was most likely not meant so, info confirms a success.
@@ -10,6 +10,9 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple
 
+from protocol import dialect
+from protocol.codecs import cbor
+from protocol.dialect import Dialect
 from protocol.errors import NothingToDoError, OperationError, ProtocolError, one_line, shorten
 from protocol.operations import (
     Advertise,
@@ -25,10 +28,10 @@ from protocol.operations import (
     Unsubscribe,
 )
 from protocol.publication import EncodedMessage
+from protocol.registry import Kind, Registry
 from protocol.session import Refusal, Session
 from robot.logs import LogLimiter
 from server.errors import GraphError
-from server.gateway.translator import MessageTranslator
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -39,6 +42,9 @@ LOG_BURST = 50
 LOG_LINES_PER_S = 1.0
 
 _LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO}
+
+# Clients of both generations call rosapi's types so.
+_ROSAPI = "rosapi/"
 
 
 class _Done(NamedTuple):
@@ -134,6 +140,57 @@ class ClientStatus:
 
     def _log(self, level: int, line: str) -> None:
         self._log_limiter.write(log, level, line, "client", self._clock())
+
+
+class MessageTranslator:
+    """Translator between one client and the graph, whose messages are in the dialect of ROS 2.
+
+    Args:
+        session: session of the client, with its dialect.
+        registry: message types.
+    """
+
+    def __init__(self, session: Session, registry: Registry) -> None:
+        self._session = session
+        self._registry = registry
+
+    @property
+    def dialect(self) -> Dialect:
+        """Dialect of the client."""
+        return self._session.dialect
+
+    def detect_dialect(self, type_name: object, kind: Kind) -> None:
+        """Set the dialect to ROS 1 when the client names a type that exists only there."""
+        if (
+            isinstance(type_name, str)
+            and not type_name.startswith(_ROSAPI)
+            and self._registry.exists_only_in_ros1(type_name, kind)
+        ):
+            self._session.dialect = "ros1"
+
+    def to_client(self, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Translate a complete message for the client, as part of a reply.
+
+        Args:
+            type_name: canonical name of a message type or of a member of a service or action.
+            msg: the message; it is not changed.
+        """
+        if not self._registry.knows(type_name):
+            return msg
+        if self._session.speaks_bson:
+            msg = cbor.with_octets(self._registry, type_name, msg)
+        return dialect.to_ros1(self._registry, type_name, msg) if self._session.dialect == "ros1" else msg
+
+    def from_client(self, type_name: str | None, value: object) -> object:
+        """Translate a message of the client to the dialect of ROS 2, to be validated.
+
+        Args:
+            type_name: as for :meth:`to_client`, None when it is not known.
+            value: the message as it was decoded.
+        """
+        if self._session.dialect == "ros2" or type_name is None or not self._registry.knows(type_name):
+            return value
+        return dialect.from_ros1(self._registry, type_name, value)
 
 
 class ClientContext:

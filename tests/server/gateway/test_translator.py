@@ -5,7 +5,7 @@ import pytest
 
 from protocol.registry import Registry
 from protocol.session import Session
-from server.gateway.translator import MessageTranslator
+from server.gateway.client_context import MessageTranslator
 
 REGISTRY = Registry.load()
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from robot.description import model
-from tests.helpers.scenario import heard_by
+from tests.helpers.clients import heard_by
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("compas_fab_scenario.py")

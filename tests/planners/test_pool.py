@@ -47,7 +47,7 @@ from planners.servo.question import JointVelocities, ServoQuestion
 from robot.channel import MAX_MESSAGE_BYTES
 from robot.description import model
 from tests.helpers import broken_planner
-from tests.helpers.requests import EASY, LONG, REQUESTS, START, STATE, STILL, broken
+from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
 

@@ -14,7 +14,7 @@ from protocol.errors import FrameError, OperationError
 from protocol.framing import MAX_LEADING_BYTES, MAX_REFUSALS_PER_FRAME, FrameReader, Reassembly, split
 from protocol.limits import Limits
 from protocol.operations import Fragment
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 operations = st.fixed_dictionaries(
     {

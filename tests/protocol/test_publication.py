@@ -17,7 +17,7 @@ from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp, complete
 from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame, PublishedMessage, pack
 from protocol.registry import Registry
-from tests.helpers.cdr import deserialize
+from tests.helpers.messages import deserialize
 
 
 def text_frame(length):

@@ -8,7 +8,7 @@ from protocol import registry
 from protocol.errors import InterfaceError
 from protocol.messages import Stamp, complete
 from protocol.registry import ArrayBounds, Constant, Registry
-from tests.helpers.shared import shared_data
+from tests.helpers.resources import shared_data
 
 
 @pytest.mark.parametrize(("read", "name"), [(registry.read_ros2, "ros2"), (registry.read_ros1, "ros1")])

@@ -5,7 +5,7 @@ from hypothesis import given
 
 from planners.cartesian.following import CHORD_M, CORNER_STEP_M, ON_PATH_M, Ended, Following
 from planners.cartesian.tip_path import TipPath, apart_m
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 from tests.planners.following import Follower, line, shares
 from tests.planners.invariants import never
 

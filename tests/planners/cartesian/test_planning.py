@@ -25,7 +25,7 @@ from planners.goals import Constraints, JointConstraint, OrientationConstraint
 from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, RateLimits
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from robot.trajectory import Trajectory
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 from tests.planners.following import TIP, Follower, arc, as_pose, line, shares
 from tests.planners.invariants import (
     assert_from_rest_to_rest,

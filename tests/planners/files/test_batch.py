@@ -17,9 +17,9 @@ from planners.errors import BatchError
 from planners.files import batch, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.description import model
-from tests.helpers.certificates import make_pair
-from tests.helpers.dask_cluster import DaskCluster
+from tests.helpers.resources import make_pair
 from tests.helpers.server import free_port
+from tests.planners.files.dask_cluster import DaskCluster
 
 distributed = pytest.importorskip("distributed", reason="the extra [dask] is not installed")
 

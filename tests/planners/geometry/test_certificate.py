@@ -6,7 +6,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.scene import Box
 from robot.trajectory import Trajectory
-from tests.helpers.examples import in_proportion
+from tests.helpers.resources import in_proportion
 from tests.planners.invariants import BLOCKED_LINES
 from tests.planners.scenes import around_the_arm, scene, thing
 

@@ -20,7 +20,7 @@ from planners.geometry.kinematics import kinematic_urdf
 from planners.geometry.shapes import robot_shapes
 from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject, Sphere
-from tests.helpers.examples import in_proportion
+from tests.helpers.resources import in_proportion
 from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, scene, thing
 
 CUBE = SceneObject("cube", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.3, 0.0, 0.0)))

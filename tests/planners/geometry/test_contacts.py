@@ -16,7 +16,7 @@ from planners.geometry.kinematics import kinematic_urdf
 from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
 from planners.scene import Box
 from robot.description import model
-from tests.helpers.examples import in_proportion
+from tests.helpers.resources import in_proportion
 from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 

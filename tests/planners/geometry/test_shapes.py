@@ -28,7 +28,7 @@ from planners.geometry.shapes import (
 )
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Sphere
 from robot.description import model
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

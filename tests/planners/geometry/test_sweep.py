@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.geometry.sweep import EARLIEST_STEP_M, FINEST_STEP_M, Cubics, first_contact, line_is_free
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 
 class Discs:

@@ -31,7 +31,7 @@ from planners.ik.constraints import (
     wish,
 )
 from planners.scene import Pose
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 angles = st.floats(-3.0, 3.0)
 vectors = st.tuples(angles, angles, angles).map(np.array)

@@ -41,7 +41,7 @@ from planners.ik.kinematics import (
 )
 from planners.scene import Pose
 from robot.description import model
-from tests.helpers import seven_joint_arm
+from tests.helpers import robots
 from tests.planners.ik.test_constraints import pose_of
 
 TIP = "gripper_frame_link"
@@ -183,7 +183,7 @@ def so101(robot):
 
 @pytest.fixture(scope="module")
 def seven():
-    return Bench(model.parse(seven_joint_arm.URDF, seven_joint_arm.SRDF), "tool")
+    return Bench(model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF), "tool")
 
 
 def goals_at(bench, q):

@@ -30,7 +30,7 @@ from planners.servo.steering import (
     steered,
 )
 from planners.servo.velocity_limits import Walls
-from tests.helpers.steering import PERIOD_S, TIP
+from tests.planners.servo.steering import PERIOD_S, TIP
 
 
 def refusal(robot, command, velocity_rad_s=None):

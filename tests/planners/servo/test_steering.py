@@ -12,7 +12,7 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from tests.helpers.steering import PERIOD_S, READY, TIP, SteeredArm
+from tests.planners.servo.steering import PERIOD_S, READY, TIP, SteeredArm
 
 TABLE = Scene(7001, (SceneObject("table", ((Box((2.0, 2.0, 0.1)), Pose((0.0, 0.0, -0.05))),)),))
 STRETCHED = {"shoulder_lift": 1.57, "elbow_flex": -1.57}

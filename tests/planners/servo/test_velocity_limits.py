@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from planners.servo.question import ServoLimits, ServoStatus
 from planners.servo.velocity_limits import Ahead, bounded_least_squares, regular
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 DAMPING = 0.01
 

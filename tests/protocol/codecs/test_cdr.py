@@ -10,9 +10,8 @@ from protocol.codecs import cdr
 from protocol.codecs.cbor import with_octets
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from tests.helpers.cdr import deserialize
-from tests.helpers.examples import examples
-from tests.helpers.messages import made_up
+from tests.helpers.messages import deserialize, made_up
+from tests.helpers.resources import examples
 
 REGISTRY = Registry.load()
 MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]

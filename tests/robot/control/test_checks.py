@@ -15,7 +15,7 @@ from robot.description import model
 from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmConfig, GuardLimits
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 CONFIG = ArmConfig(model.builtin(), IdealConfig())
 ALL_RANGES = {**CONFIG_RANGES, **GUARD_RANGES}

@@ -11,7 +11,7 @@ from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimit
 from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.graph.node import Node
-from tests.helpers.arm_server import ArmClient
+from tests.helpers.clients import ArmClient
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
 

@@ -9,8 +9,9 @@ from server.access.control_lease import RESERVED_S, ControlLease, ControlService
 from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.graph.node import Node
-from tests.helpers.arm_server import ArmClient, ServerOnBus, arm_client, values_of
-from tests.helpers.in_process import InProcess
+from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.gateway import InProcess
+from tests.helpers.server import ServerOnBus
 
 
 class Leased:

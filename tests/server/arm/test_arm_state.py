@@ -13,7 +13,7 @@ from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from tests.helpers.arm_server import ArmClient, values_of
+from tests.helpers.clients import ArmClient, values_of
 
 ROBOT = model.builtin()
 STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex", 12.5)

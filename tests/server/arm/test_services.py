@@ -21,8 +21,8 @@ from robot.messages import ArmConfig, ArmState, ChangePace, Mode
 from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.arm_server import ArmClient, ServerOnBus, arm_client, server_on_bus, values_of
-from tests.helpers.server import read_write_log
+from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.server import ServerOnBus, read_write_log, server_on_bus
 from tests.server.conftest import FAST, JOINTS
 
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")

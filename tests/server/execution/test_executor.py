@@ -31,8 +31,8 @@ from server.execution.queue import GoalState, Progress
 from server.execution.splicing import STATE_AGE_S
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.played_arm import JOINTS, PlayedArm, settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import JOINTS, PlayedArm, settle
+from tests.helpers.motions import smooth_move
 
 TIMEOUT_S = 30.0
 

@@ -13,7 +13,7 @@ from planners.problem import (
 from planners.scene import EMPTY_SCENE, Scene
 from server.errors import RefusedError
 from server.execution.motions import Positions, Step, plan_sequence
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})

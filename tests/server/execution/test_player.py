@@ -16,8 +16,8 @@ from server.execution.executor import CODE_OF_OUTCOME, CheckedMotion, Player
 from server.execution.queue import Answer, Progress
 from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
-from tests.helpers.played_arm import JOINTS, PlayedArm, settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import JOINTS, PlayedArm, settle
+from tests.helpers.motions import smooth_move
 
 pytestmark = pytest.mark.stepped_time
 

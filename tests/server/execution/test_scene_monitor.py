@@ -10,8 +10,8 @@ from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, Re
 from planners.scene import Scene
 from server.execution.scene_monitor import SceneMonitor
 from tests.helpers.clock import FakeClock
-from tests.helpers.played_arm import settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import settle
+from tests.helpers.motions import smooth_move
 
 QUESTION = RecheckQuestion("arm", smooth_move({"a": (0.0, 1.0)}, 1.0), {}, 0.0)
 WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")

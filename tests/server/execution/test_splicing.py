@@ -23,7 +23,7 @@ from server.execution.splicing import (
     splice_point_of,
     with_lead_in,
 )
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 UNDER_WAY = smooth_move({"a": (0.0, 1.0), "b": (0.5, -0.5)}, 2.0)
 MOVING = ArmState(0.0, Mode.MOVING, ("a", "b"), fraction=0.5)

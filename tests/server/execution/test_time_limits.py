@@ -5,7 +5,7 @@ import pytest
 from robot.messages import Course, Pace
 from server.execution.time_limits import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
-from tests.helpers.played_arm import PlayedArm
+from tests.helpers.fake_arm import PlayedArm
 
 DURATION_S = 3.0
 LIMITS = TimeLimits(scaling=3.0, margin_s=4.0, paused_s=50.0)

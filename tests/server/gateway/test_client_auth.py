@@ -12,7 +12,7 @@ from server.access.authentication import MAX_WRONG, AuthThrottle
 from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.gateway.client_auth import MAX_FIRST_BYTES
-from tests.helpers.in_process import InProcess
+from tests.helpers.gateway import InProcess
 
 ADA, SCREEN = "ada-0123456789abcdef", "screen-0123456789abcdef"
 SETTINGS = AccessSettings.model_validate({"admin_tokens": {"ada": ADA}, "view_tokens": {"screen": SCREEN}})

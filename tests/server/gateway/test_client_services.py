@@ -4,7 +4,7 @@ import pytest
 
 from protocol.limits import Limits
 from server.graph.node import Node
-from tests.helpers.in_process import InProcess
+from tests.helpers.gateway import InProcess
 
 TYPE = "std_srvs/SetBool"
 

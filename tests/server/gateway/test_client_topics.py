@@ -5,7 +5,7 @@ import pytest
 from protocol.errors import FrameError
 from protocol.limits import Limits
 from protocol.session import Session
-from tests.helpers.in_process import InProcess
+from tests.helpers.gateway import InProcess
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from server.gateway.admission import (
     ConnectionSlot,
 )
 from server.gateway.listener import Listener, ListenerSettings
-from tests.helpers.listener import TIMEOUT_S, exchange, listening, request, status
+from tests.helpers.gateway import TIMEOUT_S, exchange, listening, request, status
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 MANY = 100_000

@@ -46,9 +46,9 @@ from server.gateway.listener import (
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import RosApi
-from tests.helpers.certificates import Pair, make_pair, openssl
-from tests.helpers.conformance import cases, play
-from tests.helpers.listener import TIMEOUT_S, UPGRADE, exchange, listening, request
+from tests.conformance.cases import cases, play
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, listening, request
+from tests.helpers.resources import Pair, make_pair, openssl
 from tests.helpers.server import ROOT
 
 

@@ -22,7 +22,7 @@ from server.gateway.listener import KeepaliveSettings, Listener, ListenerSetting
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.listener import TIMEOUT_S, UPGRADE, exchange, listening, request, status
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, listening, request, status
 
 TALKER = Node("talker")
 

@@ -9,7 +9,7 @@ import pytest
 from robot.faults import FaultCode
 from robot.messages import Mode
 from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_health
-from tests.helpers.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
+from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 from prometheus_client import Histogram
+from prometheus_client.core import Metric
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.parser import text_string_to_metric_families as parse
@@ -54,11 +55,10 @@ from server.monitoring.monitor import (
     zenoh_metrics,
 )
 from server.monitoring.systemd import SystemdNotifier
-from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
-from tests.helpers.metric_samples import samples
-from tests.helpers.server import RunningServer
-from tests.helpers.stepped_loop import SteppedLoop
-from tests.helpers.watched_parts import (
+from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.clock import SteppedLoop
+from tests.helpers.server import RunningServer, ServerOnBus
+from tests.server.monitoring.watched_parts import (
     WatchedArm,
     WatchedPlanners,
     WatchedQueue,
@@ -71,6 +71,11 @@ HISTOGRAMS = ("event_loop_lag", "goal_planning", "goal_motion")
 
 # A scrape holds the event loop up for so long at most [s of processor time].
 SCRAPE_S = 0.005
+
+
+def samples(metrics: Iterable[Metric]) -> dict[tuple[str, ...], float]:
+    """Every sample by its name and the values of its labels."""
+    return {(each.name, *each.labels.values()): each.value for family in metrics for each in family.samples}
 
 
 @pytest.fixture

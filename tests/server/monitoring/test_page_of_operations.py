@@ -12,7 +12,7 @@ from server.gateway.connection import Traffic
 from server.monitoring.health import Sources
 from server.monitoring.monitor import GoalCounters, Metrics
 from tests.helpers.server import ROOT
-from tests.helpers.watched_parts import (
+from tests.server.monitoring.watched_parts import (
     WatchedArm,
     WatchedPlanners,
     WatchedQueue,

@@ -26,7 +26,8 @@ from server.monitoring.ros_topics import (
     diagnostic_array,
     offer_level_services,
 )
-from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
+from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.server import ServerOnBus
 
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
 HEALTH = ArmHealth(

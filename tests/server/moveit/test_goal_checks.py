@@ -30,8 +30,7 @@ from server.moveit.goal_topics import (
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, pose_of
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.goal_translator import TRANSLATOR, At
-from tests.helpers.moveit_services import DirectPool
+from tests.helpers.moveit import TRANSLATOR, At, DirectPool
 
 CLIENT = Node("client")
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")

@@ -16,8 +16,9 @@ from server.errors import RefusedError
 from server.execution.executor import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
 from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, SQUEEZE_PERIOD_S, Gripper, GripperCommand
-from tests.helpers.arm_server import ArmClient, ServerOnBus
-from tests.helpers.played_arm import PlayedArm, settle
+from tests.helpers.clients import ArmClient
+from tests.helpers.fake_arm import PlayedArm, settle
+from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"

@@ -18,8 +18,8 @@ from server.graph.topics import Graph, Subscriber
 from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
 from server.recording.replay import Player, RecordedTopic, Recording, ReplayOptions, ReplayServer
-from tests.helpers.client import frame_client
-from tests.helpers.recorded import REGISTRY, START_NS, entry, record, record_killed, text
+from tests.helpers.clients import frame_client
+from tests.helpers.recordings import REGISTRY, START_NS, entry, record, record_killed, text
 
 CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]
 

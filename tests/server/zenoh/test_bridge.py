@@ -16,7 +16,7 @@ from server.zenoh.bridge import Bridge, Discovery, bridge_of
 from server.zenoh.rmw import Endpoint, Entity, EntityKind, LivelinessTokens
 from server.zenoh.settings import ZenohSettings
 from server.zenoh.topics import OutgoingTopics
-from tests.helpers.certificates import Pair, make_pair, make_signed_pair
+from tests.helpers.resources import Pair, make_pair, make_signed_pair
 from tests.helpers.server import ROOT
 from tests.helpers.zenoh_network import REGISTRY, TIMEOUT_S, RosMachine, Site, free_port, until
 from tests.test_readme import blocks

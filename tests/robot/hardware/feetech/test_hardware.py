@@ -33,8 +33,8 @@ from robot.hardware.feetech.survey import CYCLES_BETWEEN
 from robot.hardware.interface import Measured, StatusFlag, run_to_end
 from robot.messages import GuardLimits, Mode, Order
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ROBOT, ArmRig
+from tests.helpers.emulator import SteppedClock, SteppedEmulator
 from tests.helpers.server import read_write_log
-from tests.helpers.stepped_emulator import SteppedClock, SteppedEmulator
 
 SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints)))
 

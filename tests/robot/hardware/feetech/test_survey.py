@@ -13,10 +13,9 @@ from robot.hardware.feetech.registers import Control, Register
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.survey import CYCLES_BETWEEN, PHASE_MULTI_TURN, RegisterChecks, ServoFound, survey
 from robot.hardware.feetech.torque import full_torque
-from tests.helpers.arm_rig import CALIBRATION, ROBOT
-from tests.helpers.sequences import run
+from tests.helpers.arm_rig import CALIBRATION, ROBOT, run
+from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.server import read_write_log
-from tests.helpers.stepped_emulator import SteppedEmulator
 
 SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints)))
 

@@ -24,10 +24,9 @@ from robot.hardware.feetech.torque import (
     switch_off,
 )
 from robot.messages import GuardLimits
-from tests.helpers.arm_rig import CALIBRATION, ROBOT
-from tests.helpers.sequences import run
+from tests.helpers.arm_rig import CALIBRATION, ROBOT, run
+from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.server import read_write_log
-from tests.helpers.stepped_emulator import SteppedEmulator
 
 BOUNDS = JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints))
 SERVOS = ServoMap(CALIBRATION, BOUNDS)

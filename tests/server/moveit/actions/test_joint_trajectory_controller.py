@@ -35,11 +35,9 @@ from server.moveit.actions.joint_trajectory_controller import (
     rejection_code,
     violation,
 )
-from tests.helpers.action_desk import ActionDesk
-from tests.helpers.moveit_requests import HOME, message, outcome
-from tests.helpers.moveit_services import ROBOT
-from tests.helpers.played_arm import JOINTS, PlayedArm, settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import JOINTS, PlayedArm, settle
+from tests.helpers.motions import smooth_move
+from tests.helpers.moveit import HOME, ROBOT, ActionDesk, message, outcome
 
 ACTION = "/arm_controller/follow_joint_trajectory"
 TOPIC = "/arm_controller/joint_trajectory"

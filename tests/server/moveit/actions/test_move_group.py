@@ -29,10 +29,8 @@ from server.moveit.actions.move_group import (
     read_planning_goal,
     read_planning_options,
 )
-from tests.helpers.action_desk import ActionDesk
-from tests.helpers.moveit_requests import joint, message, outcome
-from tests.helpers.moveit_services import HOME, ROBOT, ServiceRig
-from tests.helpers.played_arm import settle
+from tests.helpers.fake_arm import settle
+from tests.helpers.moveit import HOME, ROBOT, ActionDesk, ServiceRig, joint, message, outcome
 
 OFFERED = {
     "/move_action": "moveit_msgs/action/MoveGroup",

@@ -19,8 +19,7 @@ from server.moveit.requests.planning_context import (
     state_positions,
 )
 from server.moveit.requests.planning_problems import PILZ
-from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, joint, message, outcome
-from tests.helpers.moveit_services import ServiceRig
+from tests.helpers.moveit import HOME, ROBOT, ServiceRig, assert_refused, joint, message, outcome
 
 ELBOW = ROBOT.joints["elbow_flex"]
 CURRENT = HOME | {"shoulder_pan": 0.3}

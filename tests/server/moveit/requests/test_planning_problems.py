@@ -28,7 +28,7 @@ from server.moveit.requests.planning_problems import (
     sequence_requests,
     tip_problem,
 )
-from tests.helpers.moveit_requests import (
+from tests.helpers.moveit import (
     FRAMES,
     HOME,
     ROBOT,

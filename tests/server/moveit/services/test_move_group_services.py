@@ -10,10 +10,9 @@ from planners.problem import PLANNER_IDS, MoveItErrorCode
 from robot.description import model
 from server.moveit.requests.planning_problems import PILZ
 from server.moveit.services.move_group_services import SERVICES, group_urdf
-from tests.helpers.arm_server import ArmClient
+from tests.helpers.clients import ArmClient
 from tests.helpers.messages import made_up
-from tests.helpers.moveit_requests import HOME, ROBOT, SPHERE, TIP, ball, joint, point, region, turned
-from tests.helpers.moveit_services import REGISTRY, ServiceRig
+from tests.helpers.moveit import HOME, REGISTRY, ROBOT, SPHERE, TIP, ServiceRig, ball, joint, point, region, turned
 
 
 @pytest.fixture

@@ -37,8 +37,8 @@ from server.moveit.servo.servo_loop import (
     to_planning_frame,
 )
 from tests.helpers.clock import FakeClock
-from tests.helpers.moveit_requests import outcome
-from tests.helpers.steerable_arm import ROBOT, SteerableArm
+from tests.helpers.fake_arm import ROBOT, SteerableArm
+from tests.helpers.moveit import outcome
 
 REGISTRY = Registry.load()
 UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0.5)

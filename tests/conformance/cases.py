@@ -34,7 +34,7 @@ import cbor2
 
 from protocol.codecs import png
 
-FOLDER = Path(__file__).parents[1] / "conformance"
+FOLDER = Path(__file__).parent
 
 ANY = "<any>"
 CONTAINS = ("<... ", " ...>")

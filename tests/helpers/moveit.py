@@ -6,11 +6,8 @@ import asyncio
 import functools
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 
 from planners import problem
@@ -21,7 +18,6 @@ from protocol.registry import Registry
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Mode
 from server.errors import RefusedError
 from server.execution.current_state import CurrentState
 from server.execution.motions import Motion
@@ -39,7 +35,7 @@ from server.moveit.scene.frames import Frames, LinkTransforms
 from server.moveit.scene.planning_scene import SceneDraft
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.services.move_group_services import offer_services
-from tests.helpers.fake_arm import PlayedArm, settle
+from tests.helpers.fake_arm import JOINTS, FakeArm, settle
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 
 if TYPE_CHECKING:
@@ -47,7 +43,6 @@ if TYPE_CHECKING:
 
 REGISTRY = Registry.load()
 ROBOT = model.builtin()
-JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 BENT = dict.fromkeys(JOINTS, 0.2)
 FORWARD = ForwardPlacements(ROBOT)
 Quaternion = tuple[float, float, float, float]
@@ -115,14 +110,12 @@ def failure(answer: object) -> PlanningFailure:
 
 
 def current_state(position_rad: float = 0.2) -> CurrentState:
-    """An arm whose joints all are at a position."""
-    at = np.full(len(JOINTS), position_rad)
-    return CurrentState(SimpleNamespace(state=ArmState(0.0, Mode.HOLDING, JOINTS, position_rad=at, goal_rad=at)), ROBOT)
+    """Return the state of an arm whose joints all are at a position."""
+    return CurrentState(FakeArm(dict.fromkeys(JOINTS, position_rad)), ROBOT)
 
 
 SEVEN = model.parse(SEVEN_JOINT_URDF, SEVEN_JOINT_SRDF)
 TIP = "gripper_frame_link"
-HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}
 FRAMES = Frames(ROBOT, SceneState(ROBOT))
 BOX, SPHERE, CYLINDER, CONE = 1, 2, 3, 4
 
@@ -190,21 +183,11 @@ async def keep_nothing(_states: Mapping[str, Positions]) -> None:
     """States live as long as the test."""
 
 
-@dataclass
-class At:
-    """An arm that is somewhere, as `server.execution.current_state.CurrentState`."""
-
-    present_rad: Mapping[str, float] | None
-
-    def positions_rad(self) -> Mapping[str, float] | None:
-        return self.present_rad
-
-
-def translator(present_rad: Mapping[str, float] | None = HOME, **parameters: Any) -> GoalTranslator:
-    """Reads goals of an arm that is somewhere."""
+def translator(arm: FakeArm | None = None, **parameters: Any) -> GoalTranslator:
+    """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
     states = NamedStates(ROBOT, "arm", {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}, keep_nothing)
     frames = Frames(ROBOT, SceneState(ROBOT))
-    return GoalTranslator(ROBOT, MoveItParameters(**parameters), states, frames, At(present_rad))
+    return GoalTranslator(ROBOT, MoveItParameters(**parameters), states, frames, CurrentState(arm or FakeArm(), ROBOT))
 
 
 TRANSLATOR = translator()
@@ -231,16 +214,6 @@ class DirectPool:
         return refusal if isinstance(refusal, PlanningFailure) else planner().answer(request)
 
 
-class StandingArm:
-    """Where the arm is."""
-
-    def __init__(self) -> None:
-        self.at_rad: dict[str, float] | None = dict(HOME)
-
-    def positions_rad(self) -> dict[str, float] | None:
-        return self.at_rad
-
-
 class Assumed:
     """What clients want to be assumed."""
 
@@ -256,7 +229,8 @@ class ServiceRig:
 
     def __init__(self, robot: RobotModel = ROBOT, parameters: MoveItParameters | None = None) -> None:
         self.graph = Graph(REGISTRY)
-        self.arm, self.assumed, self.pool = StandingArm(), Assumed(), DirectPool()
+        self.arm, self.assumed, self.pool = FakeArm(), Assumed(), DirectPool()
+        self.current = CurrentState(self.arm, ROBOT)
         self.client = Node("client", remote=True)
         self.scene_state = SceneState(robot)
         display = DisplayTopics(self.graph, robot)
@@ -267,7 +241,7 @@ class ServiceRig:
             forward=ForwardPlacements(robot),
             frames=Frames(robot, self.scene_state),
             scene_state=self.scene_state,
-            current=self.arm,
+            current=self.current,
             assumed=self.assumed,
             parameters=PlannerParameters(parameters or MoveItParameters()),
             display=display,
@@ -302,7 +276,6 @@ class ActionDesk(ServiceRig):
 
     def __init__(self) -> None:
         super().__init__()
-        self.played_arm = PlayedArm()
         self.asked: list[Motion] = []
         self.refused: list[str] = []
         self.report: Callable[[Progress], None] = lambda _progress: None

@@ -77,4 +77,5 @@ def in_proportion(count: int) -> int:
     """Return ``count`` in CI, and its share with another profile, for tests that draw at random by themselves."""
     from hypothesis import settings
 
+    assert settings.default is not None
     return math.ceil(count * settings.default.max_examples / EXAMPLES_IN_CI)

@@ -31,7 +31,7 @@ from server.execution.queue import GoalState, Progress
 from server.execution.splicing import STATE_AGE_S
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.fake_arm import JOINTS, PlayedArm, settle
+from tests.helpers.fake_arm import JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
 
 TIMEOUT_S = 30.0
@@ -164,7 +164,7 @@ class Stage:
     """An arm without a process, a scene, and planners that answer what they are told to."""
 
     def __init__(self) -> None:
-        self.arm = PlayedArm()
+        self.arm = FakeArm()
         self.scene = Scene(1)
         self.failures: list[PlanningFailure] = []
         self.planners_answer = asyncio.Event()

@@ -15,7 +15,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.execution.motions import PlannedMotion
 from server.moveit.goal_messages import suggestion
-from tests.helpers.moveit import HOME, ROBOT, TRANSLATOR, translator
+from tests.helpers.fake_arm import HOME, FakeArm
+from tests.helpers.moveit import ROBOT, TRANSLATOR, translator
 
 REGISTRY = Registry.load()
 
@@ -110,7 +111,7 @@ def test_a_pose_in_an_unknown_frame_is_rejected_at_once_with_those_that_exist() 
 
 
 def test_while_the_arms_position_is_unknown_frames_are_resolved_at_the_goals_turn() -> None:
-    asked = translator(present_rad=None).pose(pose_stamped("moon", x=0.3))
+    asked = translator(FakeArm(None)).pose(pose_stamped("moon", x=0.3))
     with pytest.raises(RefusedError, match="moon"):
         asked.steps[0](HOME)
 

@@ -20,7 +20,7 @@ from server.moveit.interface import MoveItInterface
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.clients import ArmClient, frame_client, values_of
-from tests.helpers.fake_arm import PlayedArm
+from tests.helpers.fake_arm import FakeArm
 from tests.helpers.server import RunningServer, ServerOnBus
 
 CANCELED, SUCCEEDED = 5, 4
@@ -135,7 +135,7 @@ def test_settings_reach_their_parts() -> None:
 
 def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItInterface:
     parts = Graph(Registry.load()), robot, settings or Settings(), lambda _name, _value: None
-    return MoveItInterface(*parts, PlayedArm(), PlannerPool(robot))  # type: ignore[arg-type]
+    return MoveItInterface(*parts, FakeArm(), PlannerPool(robot))  # type: ignore[arg-type]
 
 
 def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:

@@ -47,10 +47,10 @@ from server.moveit.scene.interface import (
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
+from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import (
     BENT,
     FORWARD,
-    JOINTS,
     ROBOT,
     box,
     collision_object,

@@ -24,7 +24,8 @@ from server.moveit.services.cartesian_path import (
     first_jump,
     length_m,
 )
-from tests.helpers.moveit import HOME, ROBOT, TIP, ServiceRig, joint, point
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT, TIP, ServiceRig, joint, point
 from tests.helpers.resources import examples
 
 NEAR, FAR = point(0.33, 0.0, 0.2, w=1.0), point(0.33, 0.6, 0.2, w=1.0)

@@ -37,7 +37,7 @@ from server.moveit.servo.servo_loop import (
     to_planning_frame,
 )
 from tests.helpers.clock import FakeClock
-from tests.helpers.fake_arm import ROBOT, SteerableArm
+from tests.helpers.fake_arm import ROBOT, FakeArm
 from tests.helpers.moveit import outcome
 
 REGISTRY = Registry.load()
@@ -153,7 +153,7 @@ class Rig:
     """A session whose planners move every joint while anything is wanted; each answer takes a period."""
 
     def __init__(self) -> None:
-        self.arm, self.clock = SteerableArm(), FakeClock()
+        self.arm, self.clock = FakeArm(), FakeClock()
         self.questions: list[ServoQuestion] = []
         self.told: list[tuple[ServoStatus, str]] = []
         self.interruptions: list[str] = []

@@ -280,7 +280,7 @@ def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
 
 
 @pytest.mark.parametrize("value", ["", "{", "[" * 200_000])
-def test_what_is_no_json_is_refused(kept: Kept, value: str) -> None:
+def test_a_parameter_that_is_no_json_is_refused(kept: Kept, value: str) -> None:
     with pytest.raises(ServiceError, match="value: must be JSON text"):
         kept.ask("set_param", name="/speed", value=value)
     assert kept.ask("get_param_names") == {"names": []}
@@ -331,7 +331,7 @@ class TestNameFilters:
 
     @pytest.mark.parametrize("service", ["get_param", "set_param", "has_param", "delete_param", "search_param"])
     @pytest.mark.parametrize("name", ["/robot_description", "//open/speed", "open/speed"])
-    def test_others_are_refused_with_what_to_set(self, some: Kept, service: str, name: str) -> None:
+    def test_others_are_refused_with_the_setting_to_change(self, some: Kept, service: str, name: str) -> None:
         with pytest.raises(ServiceError, match=r"fits no pattern of access\.params_glob"):
             some.ask(service, name=name, value="0", default_value="")
 

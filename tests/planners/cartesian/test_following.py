@@ -89,7 +89,7 @@ def test_a_joint_step_beyond_the_threshold_ends_the_path_and_is_named(follower):
     assert ended.details["step_rad"] > 1e-4
 
 
-def test_what_is_wrong_with_points_ends_the_path_where_it_begins(follower):
+def test_a_flaw_ends_the_path_at_its_first_point(follower):
     limit_rad = START[0] - 0.1
     flaw = Ended("constraint", "too far to the right", {})
     task = following(

@@ -190,7 +190,7 @@ def test_progress_is_what_toppra_makes_of_its_own_spline():
 
 
 @pytest.mark.parametrize("rate", [None, np.full(21, np.nan)])
-def test_what_toppra_cannot_time_has_no_timing(monkeypatch, rate):
+def test_a_path_that_toppra_cannot_time_has_no_timing(monkeypatch, rate):
     monkeypatch.setattr(toppra.algorithm.TOPPRA, "compute_parameterization", lambda *_: (None, rate, None))
     assert toppra_profile(spline(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]])), LIMITS) is None
 

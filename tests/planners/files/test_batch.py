@@ -205,6 +205,6 @@ def test_without_dask_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1"])
-def test_what_is_no_address_of_a_scheduler_is_refused(address: str) -> None:
+def test_an_invalid_scheduler_address_is_refused(address: str) -> None:
     with pytest.raises(BatchError, match="must be tcp://HOST:PORT or tls://HOST:PORT"):
         next(batch.plan_on(address, []))

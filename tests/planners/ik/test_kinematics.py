@@ -113,7 +113,7 @@ def test_joint_is_moved_into_its_range(wrapper, solver):
     assert wrapper.state.q[wrapper.get_joint_offset("elbow_flex")] == pytest.approx(0.4, abs=1e-4)
 
 
-def test_what_is_missing_is_weighted(wrapper, solver):
+def test_the_error_is_weighted(wrapper, solver):
     here = placement(wrapper)
     heavy, light = (link_task(wrapper, solver, CONDITIONS["point"], weight, 0) for weight in (4.0, 1.0))
     assert heavy.aim(here, 0.0) == pytest.approx(2.0 * light.aim(here, 0.0))
@@ -204,7 +204,7 @@ def goals_at(bench, q):
 
 @pytest.mark.parametrize("kind", ["point", "offset", "axis", "pose"])
 @pytest.mark.parametrize("arm_name", ["so101", "seven"])
-def test_what_a_nearby_configuration_has_is_reached(arm_name, kind, request):
+def test_the_goal_of_a_nearby_configuration_is_reached(arm_name, kind, request):
     bench = request.getfixturevalue(arm_name)
     inner = 0.8 * bench.states(25)
     reached = 0

@@ -58,7 +58,7 @@ def foreign(name, msg):
 @pytest.mark.parametrize("name", MESSAGE_TYPES)
 @FEW
 @given(seed=SEEDS)
-def test_what_is_serialized_is_read_back_the_same(name, seed):
+def test_a_serialized_message_is_read_back_the_same(name, seed):
     message = made_up(REGISTRY, name, seed)
     assert deserialize(REGISTRY, name, cdr.serialize(REGISTRY, name, message)) == message
 

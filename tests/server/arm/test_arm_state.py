@@ -86,7 +86,7 @@ def test_the_limits_are_the_descriptions_until_the_servos_own_are_known(heard: H
     assert gripper["max_velocity"] == ROBOT.joints["gripper"].max_velocity
 
 
-async def test_who_comes_later_hears_state_and_limits_at_once(client: ArmClient) -> None:
+async def test_a_late_subscriber_gets_state_and_limits_at_once(client: ArmClient) -> None:
     assert (await client.until_mode("holding"))["level"] == 0
     limits = (await client.until("/arm/joint_limits", bool))[0]
     assert limits["joint_names"][0] == "shoulder_pan"

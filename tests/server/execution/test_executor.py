@@ -432,7 +432,7 @@ OTHERWISE: dict[str, Callable[[Stage], object]] = {
 
 
 @pytest.mark.parametrize("obstacle", OTHERWISE.values(), ids=OTHERWISE.keys())
-async def test_where_a_motion_cannot_be_replaced_the_arm_brakes_first(
+async def test_the_arm_brakes_before_a_motion_that_cannot_be_blended_in(
     stage: Stage, obstacle: Callable[[Stage], object]
 ) -> None:
     await under_way(stage)

@@ -73,7 +73,7 @@ async def test_a_message_of_an_unknown_type_is_left_out_and_told_once(
     assert told == ["recording: /own is left out, the type my_msgs/msg/Thing is unknown"]
 
 
-async def test_it_tells_whether_it_records_and_what_waits(
+async def test_the_recorder_tells_its_state_and_its_queue(
     graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
@@ -135,7 +135,7 @@ def read(path: Path) -> list[RecordedMessage]:
     return [each for chunk in Recording(path).chunks() for each in chunk]
 
 
-def test_what_is_put_is_in_the_file_in_order(tmp_path: Path) -> None:
+def test_queued_messages_are_in_the_file_in_order(tmp_path: Path) -> None:
     writer = WriterThread(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
     writer.start()
     for number in range(100):
@@ -180,7 +180,7 @@ def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: py
     ]
 
 
-def test_what_was_put_a_moment_ago_can_be_read_while_the_recording_goes_on(
+def test_a_recent_message_can_be_read_while_the_recording_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)

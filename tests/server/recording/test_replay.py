@@ -28,7 +28,7 @@ def entries(path: Path) -> list[RecordedMessage]:
     return [each for chunk in Recording(path).chunks() for each in chunk]
 
 
-def test_what_was_recorded_is_read_back(tmp_path: Path) -> None:
+def test_a_recording_is_read_back(tmp_path: Path) -> None:
     written = [text(0), text(1, "/latched")._replace(latched=True)]
     assert entries(record(tmp_path / "run.mcap", written)) == written
 
@@ -109,7 +109,7 @@ NO_RECORDINGS = {
 
 
 @pytest.mark.parametrize(("octets", "words"), NO_RECORDINGS.values(), ids=NO_RECORDINGS.keys())
-def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path: Path, octets: bytes, words: str) -> None:
+def test_an_invalid_recording_is_refused_with_a_sentence(tmp_path: Path, octets: bytes, words: str) -> None:
     (tmp_path / "run.mcap").write_bytes(octets)
     with pytest.raises(RecordingError, match=rf"run\.mcap: {words}"):
         Recording(tmp_path / "run.mcap").summary()
@@ -168,7 +168,7 @@ async def test_the_rate_is_kept(tmp_path: Path) -> None:
     assert offsets_s == pytest.approx([0.0, 0.05, 0.15])
 
 
-async def test_what_was_latched_is_latched_again(tmp_path: Path) -> None:
+async def test_a_latched_message_is_latched_again(tmp_path: Path) -> None:
     graph = Graph(REGISTRY)
     await player(tmp_path, graph, [text(7)._replace(latched=True)]).play()
     kept = graph.subscribe(LISTENER, "/t", None, Subscriber(lambda _: None))

@@ -60,7 +60,7 @@ async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
 
 
 async def present(client: FrameClient) -> dict[str, float]:
-    """Where every joint is, by a state that came after this was asked for."""
+    """Return the position of every joint, by a state that came after this was asked for."""
     seen = len(client.messages("/joint_states"))
     state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
     return dict(zip(state["name"], state["position"], strict=True))

@@ -1,4 +1,4 @@
-"""What becomes of everybody else when a process dies or hangs, at the start, in the middle and at the end."""
+"""Survival of everything else when a process dies or hangs, at the start, in the middle and at the end."""
 
 from __future__ import annotations
 

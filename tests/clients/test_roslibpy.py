@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import venv
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,6 @@ from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("roslibpy_scenario.py")
 OLD = "roslibpy==1.8.1"
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[RunningServer]:
-    with RunningServer() as running:
-        yield running
 
 
 def old_python(folder: Path) -> str:

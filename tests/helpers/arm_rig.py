@@ -35,7 +35,7 @@ from tests.helpers.emulator import SteppedEmulator
 
 
 def reading(position_rad: Any, **told: Any) -> Measured:
-    """What six servos measure; every named value is one number for all joints, or six."""
+    """Return a measurement of six servos; every named value is one number for all joints, or six."""
     usual = {
         "velocity_rad_s": 0.0,
         "load": 0.0,

@@ -220,14 +220,14 @@ def goal(url: str, topic: str, msg: dict[str, Any]) -> dict[str, Any]:
 
 
 def tip(url: str) -> tuple[float, float, float]:
-    """Where the tip of the arm is now, in the root link's frame [m]."""
+    """Return the position of the tip of the arm, in the root link's frame [m]."""
     answer = call(url, "/compute_fk", {"fk_link_names": ["gripper_frame_link"]})
     position = answer["pose_stamped"][0]["pose"]["position"]
     return float(position["x"]), float(position["y"]), float(position["z"])
 
 
 def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = 120.0) -> dict[str, Any]:
-    """What a scenario heard, step by step.
+    """Return the messages that a scenario heard, step by step.
 
     Args:
         python: the interpreter with the client in it; this checkout is not on its path.

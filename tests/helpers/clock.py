@@ -37,7 +37,7 @@ class FakeClock:
 
     @property
     def waiting(self) -> int:
-        """How many timers are still to come."""
+        """Number of timers that are still to come."""
         return sum(not timer.cancelled for timer in self.timers)
 
     def advance(self, seconds: float) -> None:

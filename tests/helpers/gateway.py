@@ -9,6 +9,8 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
+from server.gateway.connection_limits import ConnectionLimiter
+
 from protocol.limits import Limits
 from protocol.publication import Frame
 from protocol.registry import Registry
@@ -125,6 +127,17 @@ async def listening(
         yield listener
     finally:
         await listener.close()
+
+
+def limiter_of(listener: Listener) -> ConnectionLimiter:
+    return listener._limiter
+
+
+async def until_empty(listener: Listener) -> None:
+    """Wait until no connection is open."""
+    async with asyncio.timeout(TIMEOUT_S):
+        while limiter_of(listener).open_count:
+            await asyncio.sleep(0.005)
 
 
 def request(*lines: str, path: str = "/", host: str | None = "localhost") -> bytes:

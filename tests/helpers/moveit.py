@@ -215,7 +215,7 @@ class DirectPool:
 
 
 class Assumed:
-    """What clients want to be assumed."""
+    """Assumed start states of clients."""
 
     def __init__(self) -> None:
         self.by_node: dict[Node, dict[str, float]] = {}
@@ -255,7 +255,7 @@ class ServiceRig:
         return values
 
     async def outcome(self, service: str, **request: Any) -> tuple[bool, Any]:
-        """Whether a call succeeded, and its values."""
+        """Return the success of a call and its values."""
         answered = asyncio.get_running_loop().create_future()
         self.graph.services.call(self.client, service, request, answered.set_result)
         response = await asyncio.wait_for(answered, 60.0)

@@ -26,6 +26,11 @@ def arm(robot):
     return robot.groups["arm"]
 
 
+@pytest.fixture
+def at_home(robot):
+    return {joint.name: 0.0 for joint in robot.movable_joints}
+
+
 @pytest.fixture(scope="session")
 def collision(robot):
     return CollisionModel(robot)

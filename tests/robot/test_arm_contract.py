@@ -87,12 +87,12 @@ class Place:
         return await asyncio.wait_for(motion, ANSWER_S)
 
     def at(self, joint: str = JOINT) -> float:
-        """Where a joint is [rad]."""
+        """Position of a joint [rad]."""
         assert self.arm.state.position_rad is not None
         return float(self.arm.state.position_rad[self.arm.state.joint_names.index(joint)])
 
     def held(self, joint: str = JOINT) -> float:
-        """Where a joint is told to be [rad]."""
+        """Goal position of a joint [rad]."""
         assert self.arm.state.goal_rad is not None
         return float(self.arm.state.goal_rad[self.arm.state.joint_names.index(joint)])
 

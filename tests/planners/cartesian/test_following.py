@@ -6,15 +6,10 @@ from hypothesis import given
 from planners.cartesian.following import CHORD_M, CORNER_STEP_M, ON_PATH_M, Ended, Following
 from planners.cartesian.tip_path import TipPath, apart_m
 from tests.helpers.resources import examples
-from tests.planners.following import Follower, line, shares
+from tests.planners.following import line, shares
 from tests.planners.invariants import never
 
 START = np.array([0.0, -0.5, 0.7, 0.4, 0.0])
-
-
-@pytest.fixture(scope="module")
-def follower(robot, collision):
-    return Follower(robot, collision)
 
 
 def following(follower, start, segments, flaw=lambda point: None, should_stop=never, **asked):

@@ -26,7 +26,7 @@ from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, Ra
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from robot.trajectory import Trajectory
 from tests.helpers.resources import examples
-from tests.planners.following import TIP, Follower, arc, as_pose, line, shares
+from tests.planners.following import TIP, arc, as_pose, line, shares
 from tests.planners.invariants import (
     assert_from_rest_to_rest,
     assert_keeps_positions,
@@ -241,11 +241,6 @@ FOLDED_INTO_ITSELF = np.array([0.0, -1.74, 1.69, 1.2, 0.0])
 
 # Between the points that are measured the tip may be off by a little more than at them.
 BOUND_M = 3e-4
-
-
-@pytest.fixture(scope="module")
-def follower(robot, collision):
-    return Follower(robot, collision)
 
 
 @pytest.fixture

@@ -180,7 +180,7 @@ def test_problems_of_several_files_are_told_apart_by_their_paths(path) -> None:
 
 
 class TerminalText(io.StringIO):
-    """What goes to a terminal."""
+    """Return the output to a terminal."""
 
     def isatty(self) -> bool:
         return True

@@ -35,7 +35,7 @@ CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0
 
 
 def outside_m(hull, points):
-    """How far the farthest of the points is outside of a hull."""
+    """Return the distance of the farthest of the points from a hull."""
     corners = np.asarray(hull.points())
     triangles = [hull.polygons(i) for i in range(hull.num_polygons)]
     a, b, c = (corners[[triangle[k] for triangle in triangles]] for k in range(3))

@@ -70,7 +70,7 @@ def placement(wrapper):
 
 
 def follow(wrapper, solver, task, steps=30):
-    """What is missing before, and after some steps."""
+    """Return the error before and after some steps."""
     first = task.aim(placement(wrapper), 0.0)
     for _ in range(steps):
         last = task.aim(placement(wrapper), 0.0)

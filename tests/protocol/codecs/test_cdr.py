@@ -27,7 +27,7 @@ def same_fields(name):
 
 
 def alike(name):
-    """Whether rosbags declares a type, and all types in it, as the tables do."""
+    """Return true if rosbags declares a type, and all types in it, as the tables do."""
     if name not in ROSBAGS.fielddefs or not REGISTRY.message(name).fields or not same_fields(name):
         return False
     return all(field.primitive or alike(field.base) for field in REGISTRY.message(name).fields)

@@ -16,8 +16,8 @@ from server.gateway.admission import (
     ConnectionLimits,
     ConnectionSlot,
 )
-from server.gateway.listener import Listener, ListenerSettings
-from tests.helpers.gateway import TIMEOUT_S, exchange, listening, request, status
+from server.gateway.listener import ListenerSettings
+from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 MANY = 100_000
@@ -149,16 +149,6 @@ def test_a_flood_from_an_address_without_a_connection_is_remembered(monkeypatch:
 
 # Addresses of one machine, each with its own count.
 OTHER = ("127.0.0.2", 0)
-
-
-async def until_empty(listener: Listener) -> None:
-    async with asyncio.timeout(TIMEOUT_S):
-        while limiter_of(listener).open_count:
-            await asyncio.sleep(0.005)
-
-
-def limiter_of(listener: Listener) -> ConnectionLimiter:
-    return listener._limiter
 
 
 async def test_a_client_beyond_the_limit_is_answered_and_connects_when_there_is_room() -> None:

@@ -47,7 +47,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import RosApi
 from tests.conformance.cases import cases, play
-from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, listening, request
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, until_empty
 from tests.helpers.resources import Pair, make_pair, openssl
 from tests.helpers.server import ROOT
 
@@ -153,18 +153,8 @@ def trusting(pair: Pair) -> ssl.SSLContext:
     return ssl.create_default_context(cafile=pair.certificate)
 
 
-async def until_empty(listener: Listener) -> None:
-    async with asyncio.timeout(TIMEOUT_S):
-        while limiter_of(listener).open_count:
-            await asyncio.sleep(0.005)
-
-
-def limiter_of(listener: Listener) -> ConnectionLimiter:
-    return listener._limiter
-
-
 async def is_ended(reader: asyncio.StreamReader) -> bool:
-    """Whether the server ends a connection, in whichever way."""
+    """Return true if the server ends a connection in any way."""
     try:
         async with asyncio.timeout(TIMEOUT_S):
             return await reader.read() == b""
@@ -257,7 +247,7 @@ async def test_a_new_certificate_is_for_new_connections(pair: Pair, tmp_path: Pa
 
 
 def latest(graph: Graph, topic: str) -> Any:
-    """What somebody who subscribes now gets."""
+    """Return the latched message of a topic."""
     return graph.subscribe(Node("late"), topic, None, Subscriber(lambda _publication: None))[-1].msg
 
 

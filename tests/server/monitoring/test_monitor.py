@@ -35,7 +35,7 @@ from robot.messages import Mode
 from robot.trajectory import Trajectory
 from server.execution.queue import Answer, Performed
 from server.gateway.connection import Traffic, TrafficCounts
-from server.monitoring import health as monitor_module
+from server.monitoring import monitor as monitor_module
 from server.monitoring.health import Health, Sources
 from server.monitoring.monitor import (
     ARM_HEALTH_STALE_S,

@@ -1,4 +1,4 @@
-"""What docs/operations.md tells is so."""
+"""Statements of docs/operations.md."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ async def test_a_record_is_published_with_level_name_and_place(heard: list[Any])
     LOG.warning("too %s", "hot")
     await asyncio.sleep(0)
     assert [(m["level"], m["name"], m["msg"], m["file"]) for m in heard] == [
-        (30, "armbridge.test", "too hot", "test_ros_logging.py")
+        (30, "armbridge.test", "too hot", "test_ros_topics.py")
     ]
 
 

@@ -25,7 +25,7 @@ class Systemd:
         return self.socket.recv(4096).decode().splitlines()
 
     def all_heard(self) -> list[list[str]]:
-        """What has come until now."""
+        """Return the notifications until now."""
         heard = []
         while select.select([self.socket], [], [], 0.0)[0]:
             heard.append(self.heard())

@@ -37,7 +37,7 @@ def refusal(translate: Callable[[Any], PlannedMotion], message: dict[str, Any]) 
 
 
 def goal(motion: PlannedMotion, start_rad: Mapping[str, float] | None = None) -> Any:
-    """What is planned when the goal's turn comes."""
+    """Return the problem that is planned when the goal's turn comes."""
     problem = motion.steps[0](start_rad or HOME)
     assert isinstance(problem, PlanningProblem)
     return problem.goal

@@ -21,7 +21,6 @@ from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
 from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
-SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
 SUCCEEDED, CANCELED = 4, 5
 
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"

@@ -186,7 +186,7 @@ async def finished(client: ArmClient, count: int) -> dict[str, Any]:
 
 
 def last_pan_rad(shown: dict[str, Any]) -> float:
-    """Where a displayed path ends."""
+    """Return the end of a displayed path."""
     path = shown["trajectory"][0]["joint_trajectory"]
     return float(path["points"][-1]["positions"][path["joint_names"].index("shoulder_pan")])
 

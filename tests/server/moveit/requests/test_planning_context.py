@@ -131,11 +131,6 @@ BOX = {"primitives": [{"type": 1, "dimensions": [0.01] * 3}], "primitive_poses":
 HELD = {"link_name": "gripper_link", "object": {"id": "mug", "header": {"frame_id": "gripper_link"}, **BOX}}
 
 
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
-
-
 def test_a_request_without_a_start_begins_where_the_arm_is(rig: ServiceRig) -> None:
     rig.arm.put(elbow_flex=0.4)
     assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.4}

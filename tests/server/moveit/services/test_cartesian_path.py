@@ -31,11 +31,6 @@ from tests.helpers.resources import examples
 NEAR, FAR = point(0.33, 0.0, 0.2, w=1.0), point(0.33, 0.6, 0.2, w=1.0)
 
 
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
-
-
 async def path(rig: ServiceRig, *waypoints: Any, max_step: float = 0.01, **fields: Any) -> Any:
     return await rig.call("/compute_cartesian_path", waypoints=list(waypoints or [NEAR]), max_step=max_step, **fields)
 

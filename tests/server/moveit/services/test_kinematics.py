@@ -19,11 +19,6 @@ from tests.helpers.resources import examples
 AT = point(0.25, 0.05, 0.2, w=1.0)
 
 
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
-
-
 async def ik(rig: ServiceRig, pose=AT, frame="", **fields: Any) -> Any:
     stamped = {"header": {"frame_id": frame}, "pose": pose}
     return await rig.call("/compute_ik", ik_request={"pose_stamped": stamped, **fields})

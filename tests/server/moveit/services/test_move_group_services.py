@@ -16,11 +16,6 @@ from tests.helpers.messages import made_up
 from tests.helpers.moveit import REGISTRY, ROBOT, SPHERE, TIP, ServiceRig, ball, joint, point, region, turned
 
 
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
-
-
 def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
     for name, offer in SERVICES.items():
         assert rig.graph.services.type_of(name) == offer.type_name

@@ -9,8 +9,6 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from server.gateway.connection_limits import ConnectionLimiter
-
 from protocol.limits import Limits
 from protocol.publication import Frame
 from protocol.registry import Registry
@@ -18,6 +16,7 @@ from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.permissions import ANYONE, Identity
 from server.access.settings import AccessSettings
+from server.gateway.admission import ConnectionLimiter
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.http import HttpHandler

@@ -12,6 +12,7 @@ from benchmarks import (
     event_loop,
     floods,
     gateway,
+    goal_files,
     goal_latency,
     idle_connections,
     joint_states,
@@ -32,6 +33,7 @@ from benchmarks import (
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "processes": processes.run,
     "goal_latency": goal_latency.run,
+    "goal_files": goal_files.run,
     "planning": planning.run,
     "planner_processes": planner_processes.run,
     "planning_scenes": planning_scenes.run,

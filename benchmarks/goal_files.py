@@ -17,6 +17,8 @@ from tests.helpers.server import RunningServer
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("server", "protocol", "planners", "robot")
+# The planner workers load within this time, beside other work.
+LOADING_S = 10.0
 REST_S = 3.0
 
 # A point in front of the arm, which it reaches in any orientation that its five joints allow.
@@ -74,6 +76,7 @@ def run() -> None:
 async def _send_goal(url: str, folder: Path) -> None:
     async with frame_client(url) as client:
         await client.open_goals()
+        await asyncio.sleep(LOADING_S)
         await _phase(folder, "1-rest", REST_S)
         (folder / "phase-2-goal").touch()
         await asyncio.sleep(0.1)

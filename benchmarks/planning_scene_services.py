@@ -17,7 +17,7 @@ from protocol.codecs import json
 from protocol.registry import Registry
 from robot.description import model
 from robot.messages import ArmState, Mode
-from server.execution.current_state import CurrentState
+from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph

@@ -12,6 +12,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.errors import OperationError, describe
 
+
+def qualify(name: str) -> str:
+    """Return the fully qualified name: the same topic has one key, however it is spelled.
+
+    rosbridge clients have no namespace of their own, so a relative name lives in the root namespace.
+    """
+    return name if name.startswith("/") else f"/{name}"
+
+
 # ROS 2 middleware takes no longer names of topics and types.
 MAX_NAME_CHARACTERS = 255
 

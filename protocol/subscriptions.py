@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 from protocol.errors import NothingToDoError, OperationError, describe
-from protocol.names import qualify
-from protocol.operations import Advertise, Compression, Subscribe
+from protocol.operations import Advertise, Compression, Subscribe, qualify
 
 T = TypeVar("T")
 

@@ -1,13 +1,11 @@
-"""The composition root: makes every part, starts them in order, and ends them in reverse."""
+"""Composition root: makes every part of the server, starts them in order, and stops them in reverse."""
 
 from __future__ import annotations
 
 import asyncio
 import gc
 import logging
-import time
-from collections.abc import Coroutine
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import uvloop
 
@@ -23,17 +21,17 @@ from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates
 from server.config import RecordingSettings, Settings
 from server.errors import StartError
-from server.execution.current_state import ARM_START_TIMEOUT_S
-from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, page_is_built
+from server.execution.monitors import ARM_START_TIMEOUT_S
+from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
 from server.gateway.listener import Listener, ListenerSettings
 from server.graph.topics import Graph
-from server.lifecycle import Step, stop_in_order, stop_signals, unless_ended
+from server.lifecycle import BackgroundTask, Part, start_in_order, stop_in_reverse, stop_signals, unless_ended
+from server.monitoring.health import Sources
 from server.monitoring.monitor import Monitor
 from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
 from server.monitoring.systemd import SystemdNotifier, on_debug_signal, on_hangup
 from server.moveit.interface import MoveItInterface
 from server.rosapi import RosApi
-from server.timers import call_later
 from server.zenoh.bridge import bridge_of
 
 if TYPE_CHECKING:
@@ -41,7 +39,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("armbridge")
 
-# What the end of the server may take in all, and each of its steps [s]; an arm that relaxes takes its time besides.
+# Longest stop of all parts together, and what an arm that relaxes takes besides [s].
 STOP_TOTAL_S = 2.6
 RELAXING_S = 2.5
 
@@ -57,11 +55,15 @@ def serve(settings: Settings, arm_process: StartedChild | None = None) -> None:
         ConfigurationError: settings that contradict each other or the robot.
         StartError: a part that cannot start, such as a port in use.
     """
-    uvloop.run(App(settings, arm_process).run())
+
+    async def run() -> None:
+        await App(settings, arm_process).run()
+
+    uvloop.run(run())
 
 
 class App:
-    """The server: parts in the order of their start.
+    """The server and its parts; made in the event loop in which it runs.
 
     Args:
         settings: everything that can be chosen.
@@ -69,46 +71,57 @@ class App:
     """
 
     def __init__(self, settings: Settings, arm_process: StartedChild | None = None) -> None:
-        self._settings = settings
         description = Description.read(settings.arm)
-        check_parameters(settings.moveit, description.robot)
+        robot = description.robot
+        check_parameters(settings.moveit, robot)
+        self._settings = settings
         self._description = description
-        registry = Registry.load()
-        self._graph = Graph(
-            registry,
+        graph = self._graph = Graph(
+            Registry.load(),
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
-        offer_level_services(self._graph)
-        self._monitor = Monitor(SystemdNotifier.from_environment())
-        access = self._access = Access(settings.access)
-        self._control = ControlServices(self._graph, access.lease, time.monotonic, call_later)
-        self._rosapi = RosApi(self._graph, params=access.params)
-        self._rosout: Rosout | None = None
-        self._recorder: Recorder | None = None
-        self._joint_states = JointStates(self._graph)
-        self._arm_state = ArmStateTopics(self._graph, description.robot)
-        self._diagnostics = Diagnostics(self._graph, description.robot.name)
-        self._arm_services = ArmServices(self._graph)
-        self._arm_pace = ArmPace(self._graph)
+        access = Access(settings.access)
+
+        # The arm and the planners first: the other parts use them, and they do nothing before their start.
+        self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
+        self._pool = PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
+        self._joint_states = JointStates(graph)
+        self._arm_state = ArmStateTopics(graph, robot, self._arm.state)
+        self._diagnostics = Diagnostics(graph, robot.name)
+        rosapi = RosApi(graph, params=access.params)
+        self._moveit = MoveItInterface(graph, robot, settings, rosapi.parameters.keep, self._arm, self._pool)
+        ArmServices(graph, self._arm, self._moveit.stop)
+        ArmPace(graph, self._arm)
+        self._control = ControlServices(graph, access.lease, lambda: self._moveit.queue.busy)
+        offer_level_services(graph)
+        self._rosout = Rosout(graph, asyncio.get_running_loop())
+        self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
+        self._recorder = open_recorder(settings.recording, graph, robot.name)
+
+        routes: dict[str, Route] = {}
         self._listener = Listener(
-            self._graph,
+            graph,
             settings.server.host,
             settings.server.port,
-            HttpHandler(description.robot, routes=self._monitor.routes),
+            HttpHandler(robot, routes=routes),
             takes_goals_along=settings.goals.on_disconnect == "stop",
             settings=ListenerSettings.from_settings(settings.server, settings.access, access.tokens),
             access=access,
             limits=settings.server.limits.limits(),
         )
-        planning = settings.planning
-        self._pool = PlannerPool(description.robot, planning.workers, planning.memory_limit_bytes)
-        self._bridge = bridge_of(settings.zenoh, self._graph, access, settings.server.limits.max_message_bytes)
-        self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
-        self._moveit = MoveItInterface(
-            self._graph, description.robot, settings, self._rosapi.parameters.keep, self._arm, self._pool
+        sources = Sources(
+            traffic=self._listener.traffic,
+            refused_connections=self._listener.refused_connections,
+            goal_counters=self._moveit.goal_counters,
+            queue=self._moveit.queue,
+            arm=self._arm,
+            planners=self._pool,
+            recorder=self._recorder,
+            zenoh=self._bridge,
         )
-        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._monitor = Monitor(sources, SystemdNotifier.from_environment())
+        routes.update(self._monitor.routes)
 
     async def run(self) -> None:
         """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
@@ -118,40 +131,51 @@ class App:
         ending, hurry = stop_signals()
         on_hangup(self._listener.reload_certificate, ending.set)
         on_debug_signal()
+        # What records has done so since it was made, and does to the end.
+        started = [Part("the recording", stop=self._close_recording, deadline_s=0.8)]
         try:
-            if await unless_ended(ending, self._start()):
+            if await unless_ended(ending, start_in_order(self._parts(), started)):
                 self._tell_start()
                 await ending.wait()
             log.info("stopping")
         finally:
             self._monitor.notify_stopping()
-            await stop_in_order(self._steps_of_stop(), self._stop_total_s(), hurry)
-            await self._end_task("monitor")
+            relaxing = self._settings.arm.on_exit is EndState.RELAX
+            await stop_in_reverse(started, STOP_TOTAL_S + (RELAXING_S if relaxing else 0.0), hurry)
             self._monitor.close()
         log.info("stopped")
 
-    def _tell_start(self) -> None:
-        self._monitor.notify_started()
-        log.info("%s", self._what_runs_where())
-        if not page_is_built(PAGE_DIRECTORY):
-            log.info("%s", HOW_TO_BUILD_PAGE)
+    def _parts(self) -> list[Part]:
+        """List the parts in the order of their start.
 
-    async def _start(self) -> None:
-        self._rosout = Rosout(self._graph, asyncio.get_running_loop())
-        self._run_task("monitor", self._monitor.run())
-        self._recorder = open_recorder(self._settings.recording, self._graph, self._description.robot.name)
-        # The port first: nothing else needs to start, and no arm to be switched on, when it is taken.
-        await self._listener.bind()
-        # Interpreters start and load while the server opens its parts. Clients are answered from then on, and what they
-        # want to be moved waits for the arm.
-        await self._arm.launch()
-        self._open_parts()
-        self._monitor_parts()
-        await self._listener.open()
+        They stop in reverse: goals and the arm first, which is brought to its end state; then the clients; then what
+        nothing needs any more.
+        """
+        monitor = BackgroundTask("monitor", self._monitor.run)
+        diagnostics = BackgroundTask("diagnostics", self._diagnostics.run)
+        relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
+        parts = [
+            Part("the monitor", monitor.start, monitor.stop),
+            # The port before the processes: none of them, and no arm, is needed when it is taken.
+            Part("clients", self._listener.bind, self._close_clients, 0.6),
+            Part("planners", self._pool.start, self._pool.close, 0.4),
+            Part("diagnostics", diagnostics.start, diagnostics.stop),
+            Part("the arm", self._arm.launch, self._arm.close, 0.8 + relaxing_s),
+            Part("goals", self._start_goals, self._moveit.close, 1.1),
+            # Clients are answered from here on; goals that they send wait for the arm.
+            Part("connections", self._listener.open),
+            Part("the arm's first state", self._wait_for_arm),
+        ]
         if self._bridge is not None:
-            self._run_task("zenoh", self._bridge.run())
-        await self._pool.start()
-        # What lives as long as the server need not be looked at by every collection. Nothing moves yet that could wait.
+            bridge = BackgroundTask("zenoh", self._bridge.run)
+            parts.insert(1, Part("other machines", bridge.start, bridge.stop, 0.4))
+        return parts
+
+    async def _start_goals(self) -> None:
+        self._moveit.start()
+
+    async def _wait_for_arm(self) -> None:
+        # Hide what lives as long as the server from the garbage collector; nothing moves yet that could wait for it.
         gc.collect()
         gc.freeze()
         try:
@@ -159,23 +183,15 @@ class App:
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
 
-    def _open_parts(self) -> None:
-        self._joint_states.open()
-        self._arm_state.open()
-        self._run_task("diagnostics", self._diagnostics.run())
-        self._arm_state.take_state(self._arm.state)
-        self._moveit.start()
-        self._arm_services.open(self._arm, self._moveit.stop)
-        self._arm_pace.open(self._arm)
-        self._control.open(lambda: self._moveit.queue.busy)
+    async def _close_clients(self) -> None:
+        self._control.close()
+        await self._listener.close()
 
-    def _monitor_parts(self) -> None:
-        """Monitor all parts that are open now."""
-        sources = self._monitor.sources
-        sources.traffic, sources.arm, sources.planners = self._listener.traffic, self._arm, self._pool
-        sources.refused_connections = self._listener.refused_connections
-        sources.goal_counters, sources.queue = self._moveit.goal_counters, self._moveit.queue
-        sources.recorder, sources.zenoh = self._recorder, self._bridge
+    async def _close_recording(self) -> None:
+        """Write the last messages, those of the stop among them."""
+        if self._recorder is not None:
+            await self._recorder.close()
+        self._rosout.close()
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
@@ -186,45 +202,13 @@ class App:
     def _on_health(self, health: ArmHealth) -> None:
         self._arm_state.take_health(health)
         self._diagnostics.take_health(health)
-        self._monitor.sources.arm_health = health
+        self._monitor.take_health(health)
 
-    def _run_task(self, name: str, running: Coroutine[Any, Any, None]) -> None:
-        task = self._tasks[name] = asyncio.create_task(running, name=name)
-        task.add_done_callback(_log_failure)
-
-    async def _end_task(self, name: str) -> None:
-        """Cancel a task, if it was started, and wait for its end."""
-        task = self._tasks.pop(name, None)
-        if task is not None:
-            task.cancel()
-            await asyncio.wait([task])
-
-    def _steps_of_stop(self) -> list[Step]:
-        """The arm first, brought to its end state; then the clients; then what nothing needs any more."""
-        relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
-        return [
-            Step("goals", self._moveit.close, 1.1),
-            Step("the arm", self._arm.close, 0.8 + relaxing_s),
-            Step("clients", self._close_clients, 0.6),
-            Step("other machines", lambda: self._end_task("zenoh"), 0.4),
-            Step("the recording", self._close_recorder, 0.8),
-            Step("planners", self._pool.close, 0.4),
-        ]
-
-    def _stop_total_s(self) -> float:
-        relaxing = self._settings.arm.on_exit is EndState.RELAX
-        return STOP_TOTAL_S + RELAXING_S if relaxing else STOP_TOTAL_S
-
-    async def _close_clients(self) -> None:
-        self._control.close()
-        await self._end_task("diagnostics")
-        await self._listener.close()
-
-    async def _close_recorder(self) -> None:
-        if self._recorder is not None:
-            await self._recorder.close()
-        if self._rosout is not None:
-            self._rosout.close()
+    def _tell_start(self) -> None:
+        self._monitor.notify_started()
+        log.info("%s", self._what_runs_where())
+        if not page_is_built(PAGE_DIRECTORY):
+            log.info("%s", HOW_TO_BUILD_PAGE)
 
     def _what_runs_where(self) -> str:
         arm, serial = self._arm, self._settings.arm.serial
@@ -241,11 +225,6 @@ class App:
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids)}"
         )
-
-
-def _log_failure(task: asyncio.Task[None]) -> None:
-    if not task.cancelled() and task.exception() is not None:
-        log.error("%s failed", task.get_name(), exc_info=task.exception())
 
 
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:

@@ -1,4 +1,4 @@
-"""The end of the server: one step after the other, each with a deadline, so that what hangs holds nothing else up."""
+"""Life of the server: parts start in order and stop in reverse, each within a deadline."""
 
 from __future__ import annotations
 
@@ -22,19 +22,67 @@ HURRIED_S = 0.2
 CANCEL_TIMEOUT_S = 0.05
 
 
+async def nothing() -> None:
+    """Start or stop a part for which there is nothing to do."""
+
+
 @dataclass(frozen=True)
-class Step:
-    """One part that ends.
+class Part:
+    """A part of the server with its start and its stop.
 
     Attributes:
-        name: as the log calls it.
-        end: ends it; cancelled at its deadline.
-        deadline_s: what it may take [s].
+        name: its name in the log.
+        start: starts it; may fail, which ends the server.
+        stop: stops it, also when its start has failed or was cancelled half-way; cancelled at its deadline.
+        deadline_s: longest time for the stop [s].
     """
 
     name: str
-    end: Callable[[], Awaitable[None]]
-    deadline_s: float
+    start: Callable[[], Awaitable[None]] = nothing
+    stop: Callable[[], Awaitable[None]] = nothing
+    deadline_s: float = 0.1
+
+
+class BackgroundTask:
+    """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails.
+
+    Args:
+        name: its name in the log.
+        run: returns the coroutine, which runs until it is cancelled.
+    """
+
+    def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        self._name = name
+        self._run = run
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        """Begin to run."""
+        self._task = asyncio.create_task(self._run(), name=self._name)
+        self._task.add_done_callback(_log_failure)
+
+    async def stop(self) -> None:
+        """Cancel the coroutine, if it was started, and wait for its end."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait([self._task])
+
+
+def _log_failure(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and task.exception() is not None:
+        log.error("%s failed", task.get_name(), exc_info=task.exception())
+
+
+async def start_in_order(parts: Sequence[Part], started: list[Part]) -> None:
+    """Start parts one after the other.
+
+    Args:
+        parts: in the order of their start.
+        started: gets each part before it is started, so that it is stopped even if its start fails.
+    """
+    for part in parts:
+        started.append(part)
+        await part.start()
 
 
 def stop_signals() -> tuple[asyncio.Event, asyncio.Event]:
@@ -63,55 +111,55 @@ async def unless_ended(ending: asyncio.Event, starting: Coroutine[Any, Any, None
     return False
 
 
-async def stop_in_order(
-    steps: Sequence[Step],
+async def stop_in_reverse(
+    started: Sequence[Part],
     total_s: float,
     hurry: asyncio.Event | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Take each step, whatever becomes of those before it.
+    """Stop each part, the last one first, whatever becomes of those before it.
 
     Args:
-        steps: in their order.
-        total_s: what all of them may take together [s].
-        hurry: set by who will not wait; each step then has HURRIED_S.
+        started: in the order of their start.
+        total_s: longest time of all stops together [s].
+        hurry: set by whoever will not wait; each part then has HURRIED_S.
         clock: monotonic time [s].
     """
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s
-    for after, step in zip(reversed(range(len(steps))), steps, strict=True):
-        await _take(step, allowance_s(step.deadline_s, until_s - clock(), after), hurry)
+    for left, part in zip(reversed(range(len(started))), reversed(started), strict=True):
+        await _stop(part, allowance_s(part.deadline_s, until_s - clock(), left), hurry)
 
 
-def allowance_s(deadline_s: float, left_s: float, steps_after: int) -> float:
-    """Return the time of a step [s]: its deadline, or the rest of the total less the shares of later steps.
+def allowance_s(deadline_s: float, left_s: float, parts_left: int) -> float:
+    """Return the time for a stop [s]: its deadline, or the rest of the total less the shares of the parts left.
 
     Args:
-        deadline_s: of the step [s].
+        deadline_s: of this part [s].
         left_s: of the total [s].
-        steps_after: how many steps follow.
+        parts_left: number of parts that are stopped after it.
     """
-    return min(deadline_s, max(RESERVED_S, left_s - RESERVED_S * steps_after))
+    return min(deadline_s, max(RESERVED_S, left_s - RESERVED_S * parts_left))
 
 
-async def _take(step: Step, allowed_s: float, hurry: asyncio.Event) -> None:
+async def _stop(part: Part, allowed_s: float, hurry: asyncio.Event) -> None:
     began_s = time.monotonic()
-    ending = asyncio.create_task(_contained(step), name=f"stop {step.name}")
-    if not await _done_in_time(ending, allowed_s, hurry):
-        ending.cancel()
-        await asyncio.wait([ending], timeout=CANCEL_TIMEOUT_S)
-        log.warning("stopping: %s did not end within %.1f s; going on", step.name, time.monotonic() - began_s)
+    stopping = asyncio.create_task(_stop_and_log(part), name=f"stop {part.name}")
+    if not await _done_in_time(stopping, allowed_s, hurry):
+        stopping.cancel()
+        await asyncio.wait([stopping], timeout=CANCEL_TIMEOUT_S)
+        log.warning("stopping: %s did not end within %.1f s; going on", part.name, time.monotonic() - began_s)
 
 
-async def _done_in_time(ending: asyncio.Future[None], allowed_s: float, hurry: asyncio.Event) -> bool:
-    """Wait for a step; a hurry that comes meanwhile cuts its time short."""
+async def _done_in_time(stopping: asyncio.Future[None], allowed_s: float, hurry: asyncio.Event) -> bool:
+    """Wait for a stop; a hurry that comes meanwhile cuts its time short."""
     hurried = asyncio.create_task(_until(hurry))
     try:
         if not hurry.is_set():
-            await asyncio.wait([ending, hurried], timeout=allowed_s, return_when=asyncio.FIRST_COMPLETED)
-        if not ending.done() and hurry.is_set():
-            await asyncio.wait([ending], timeout=min(HURRIED_S, allowed_s))
-        return ending.done()
+            await asyncio.wait([stopping, hurried], timeout=allowed_s, return_when=asyncio.FIRST_COMPLETED)
+        if not stopping.done() and hurry.is_set():
+            await asyncio.wait([stopping], timeout=min(HURRIED_S, allowed_s))
+        return stopping.done()
     finally:
         hurried.cancel()
 
@@ -120,8 +168,8 @@ async def _until(event: asyncio.Event) -> None:
     await event.wait()
 
 
-async def _contained(step: Step) -> None:
+async def _stop_and_log(part: Part) -> None:
     try:
-        await step.end()
-    except Exception:  # a bug in ending one part must not keep the others, and the arm, from ending
-        log.exception("stopping: %s failed", step.name)
+        await part.stop()
+    except Exception:  # a bug in stopping one part must not keep the others, and the arm, from stopping
+        log.exception("stopping: %s failed", part.name)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 from protocol.dialect import Dialect, spell_type
 from protocol.errors import InterfaceError
 from protocol.messages import Stamp
-from protocol.names import qualify
+from protocol.operations import qualify
 from protocol.type_descriptions import full_text, typedefs
 from server.access.permissions import NameFilter
 from server.errors import ServiceError

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from protocol.names import qualify
 from protocol.operations import (
     Advertise,
     AdvertiseAction,
@@ -18,6 +17,7 @@ from protocol.operations import (
     Publish,
     SendActionGoal,
     Subscribe,
+    qualify,
 )
 from server.access.authentication import RosauthProof, RosauthVerifier, Tokens
 from server.access.control_lease import ControlLease

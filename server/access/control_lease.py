@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any, Literal, TypeAlias
@@ -13,7 +14,7 @@ from server.arm.topics import LEVEL_OK, key_values
 from server.graph.node import Node
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
-from server.timers import CallLater, Timer
+from server.timers import CallLater, call_later
 
 Policy: TypeAlias = Literal["lease", "shared"]
 
@@ -50,22 +51,15 @@ class ControlLease:
         self.policy = policy
         self.holder: Node | None = None
         self.since_s = 0.0
-        self._busy: Callable[[], object] = lambda: False
-        self._on_change: Callable[[], None] = lambda: None
+        self._watchers: list[Callable[[], None]] = []
         self._idle_limit_s = idle_s
         self._wall_clock = wall_clock
         self._heard_s = 0.0
         self._reserved: tuple[Node, float] | None = None
 
-    def connect(self, busy: Callable[[], object], on_change: Callable[[], None] = lambda: None) -> None:
-        """Connect the lease with the arm's goals and with those who show it.
-
-        Args:
-            busy: returns something true while a goal is worked on; meanwhile the holder does not idle.
-            on_change: called when there is another holder, or none.
-        """
-        self._busy = busy
-        self._on_change = on_change
+    def watch(self, on_change: Callable[[], None]) -> None:
+        """Call ``on_change`` whenever there is another holder, or none."""
+        self._watchers.append(on_change)
 
     def drive(self, node: Node, now_s: float) -> str | None:
         """Take control, or keep it, to move the arm or to switch it.
@@ -119,13 +113,13 @@ class ControlLease:
         if self.holder is node:
             self._set(None)
 
+    def keep(self, now_s: float) -> None:
+        """Keep control for its holder, whose goal is worked on; the holder does not idle meanwhile."""
+        self._heard_s = now_s
+
     def tick(self, now_s: float) -> None:
         """Free the arm when its holder has idled for too long, at a monotonic time [s]."""
-        if self.holder is None:
-            return
-        if self._busy():
-            self._heard_s = now_s
-        elif now_s - self._heard_s >= self._idle_limit_s:
+        if self.holder is not None and now_s - self._heard_s >= self._idle_limit_s:
             self._set(None)
 
     def idle_s(self, now_s: float) -> float:
@@ -150,7 +144,8 @@ class ControlLease:
             return
         self.holder = holder
         self.since_s = self._wall_clock()
-        self._on_change()
+        for on_change in self._watchers:
+            on_change()
 
     def _refusal(self, holder: Node, left_s: float) -> str:
         since = datetime.fromtimestamp(self.since_s, UTC).strftime("%H:%M:%S UTC")
@@ -167,39 +162,42 @@ class ControlServices:
     Args:
         graph: the graph that they belong to.
         lease: control of the arm.
+        busy: returns something true while a goal is worked on.
         clock: monotonic time [s].
         call_later: calls something after a delay.
     """
 
-    def __init__(self, graph: Graph, lease: ControlLease, clock: Callable[[], float], call_later: CallLater) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        lease: ControlLease,
+        busy: Callable[[], object],
+        clock: Callable[[], float] = time.monotonic,
+        call_later: CallLater = call_later,
+    ) -> None:
         self._graph = graph
         self._lease = lease
+        self._busy = busy
         self._clock = clock
         self._call_later = call_later
         self._node = Node("arm control")
-        self._timer: Timer | None = None
-
-    def open(self, busy: Callable[[], object]) -> None:
-        """Advertise the topic and offer the services.
-
-        Args:
-            busy: returns something true while a goal is worked on.
-        """
-        self._lease.connect(busy, self._publish)
-        self._graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         services = {TAKE_SERVICE: self._take, RELEASE_SERVICE: self._release, WHO_SERVICE: self._who}
         for name, serve in services.items():
-            self._graph.services.offer_calls(self._node, name, "std_srvs/Trigger", serve)
+            graph.services.offer_calls(self._node, name, "std_srvs/Trigger", serve)
+        lease.watch(self._publish)
         self._publish()
-        self._beat()
+        self._timer = call_later(BEAT_S, self._beat)
 
     def close(self) -> None:
         """Stop the timer."""
-        if self._timer is not None:
-            self._timer.cancel()
+        self._timer.cancel()
 
     def _beat(self) -> None:
-        self._lease.tick(self._clock())
+        now_s = self._clock()
+        if self._busy():
+            self._lease.keep(now_s)
+        self._lease.tick(now_s)
         if self._lease.holder is not None:
             self._publish()
         self._timer = self._call_later(BEAT_S, self._beat)

@@ -1,7 +1,4 @@
-"""The services under ``/arm/``, and the topic ``/emergency_stop``: what a person asks of the arm besides motions.
-
-Speed, pause and the way back while the arm moves: the topic ``/arm/speed_factor`` and three services.
-"""
+"""Orders to the arm: the services under ``/arm/`` and the topics ``/emergency_stop`` and ``/arm/speed_factor``."""
 
 from __future__ import annotations
 
@@ -31,51 +28,46 @@ Response = dict[str, Any]
 
 
 class ArmServices:
-    """Offers the services and listens to the topic.
+    """Offers the services that switch and stop the arm, and listens to ``/emergency_stop``.
 
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
 
     Args:
-        graph: where they are.
+        graph: the graph that they belong to.
+        arm: the arm.
+        end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, arm: Arm, end_goals: Callable[[str], None]) -> None:
         self._graph = graph
+        self._arm = arm
+        self._end_goals = end_goals
         self._node = Node("arm services")
-
-    def open(self, arm: Arm, end_goals: Callable[[str], None]) -> None:
-        """Offer and subscribe.
-
-        Args:
-            arm: who obeys.
-            end_goals: ends the goal in hand and all that wait, and stops every motion, for a reason.
-        """
-
-        def emergency_stop(name: str) -> asyncio.Future[CommandDone]:
-            answered = arm.order(Order.EMERGENCY_STOP)
-            log.warning("emergency stop by %s", name)
-            end_goals(f"emergency stop by {name}")
-            return answered
-
-        def relax() -> Awaitable[CommandDone]:
-            end_goals(f"relaxed by {RELAX}")
-            return arm.order(Order.RELAX)
-
-        def stop() -> Awaitable[CommandDone]:
-            end_goals(f"stopped by {STOP}")
-            return _standstill(arm)
-
         self._offer(ENABLE, lambda: arm.order(Order.ENABLE))
-        self._offer(RELAX, relax)
-        self._offer(STOP, stop)
-        self._offer(EMERGENCY_STOP, lambda: emergency_stop(EMERGENCY_STOP))
+        self._offer(RELAX, self._relax)
+        self._offer(STOP, self._stop)
+        self._offer(EMERGENCY_STOP, lambda: self._emergency_stop(EMERGENCY_STOP))
         self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT))
-        # Whoever writes to this topic wants the arm to stop, whatever the message looks like.
-        stopper = Subscriber(
-            lambda _published: _log_end(emergency_stop(EMERGENCY_STOP_TOPIC)),
-            lambda _error: _log_end(emergency_stop(EMERGENCY_STOP_TOPIC)),
-        )
-        self._graph.subscribe(self._node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
+        # A message to this topic means that the arm must stop, valid or not.
+        stopper = Subscriber(self._on_emergency_stop, self._on_emergency_stop)
+        graph.subscribe(self._node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
+
+    def _emergency_stop(self, name: str) -> asyncio.Future[CommandDone]:
+        answered = self._arm.order(Order.EMERGENCY_STOP)
+        log.warning("emergency stop by %s", name)
+        self._end_goals(f"emergency stop by {name}")
+        return answered
+
+    def _on_emergency_stop(self, _message: object) -> None:
+        _log_end(self._emergency_stop(EMERGENCY_STOP_TOPIC))
+
+    def _relax(self) -> Awaitable[CommandDone]:
+        self._end_goals(f"relaxed by {RELAX}")
+        return self._arm.order(Order.RELAX)
+
+    def _stop(self) -> Awaitable[CommandDone]:
+        self._end_goals(f"stopped by {STOP}")
+        return _standstill(self._arm)
 
     def _offer(self, name: str, act: Callable[[], Awaitable[CommandDone]]) -> None:
         def serve(_request: Response) -> Awaitable[Response]:
@@ -85,7 +77,7 @@ class ArmServices:
 
 
 async def _response(answered: Awaitable[CommandDone]) -> Response:
-    """The std_srvs/Trigger response of an order's answer."""
+    """Await an order's answer and return it as a response of std_srvs/Trigger."""
     done = await answered
     return {"success": done.done, "message": done.message}
 
@@ -98,7 +90,7 @@ async def _standstill(arm: Arm) -> CommandDone:
 
 
 def _log_end(answered: asyncio.Future[CommandDone]) -> None:
-    """Tell the log how an emergency stop went that nobody waits for."""
+    """Log the answer to an emergency stop that no client waits for."""
 
     def tell(future: asyncio.Future[CommandDone]) -> None:
         if not future.cancelled():
@@ -121,27 +113,21 @@ _SENTENCES = {
 
 
 class ArmPace:
-    """Lets people say how motions are played. The guards and limits of the arm hold at every pace.
+    """Sets the pace of motions: speed, pause and the way back. Guards and limits of the arm hold at every pace.
 
     Args:
-        graph: where the topic and the services are.
+        graph: the graph of the topic and the services.
+        arm: the arm.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, arm: Arm) -> None:
         self._graph = graph
         self._node = Node("arm pace")
-
-    def open(self, arm: Arm) -> None:
-        """Subscribe and offer.
-
-        Args:
-            arm: who obeys.
-        """
         subscriber = Subscriber(
             lambda published: _set_speed(arm, published.msg["data"]),
             lambda error: log.warning("%s: %s", SPEED_FACTOR_TOPIC, error),
         )
-        self._graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
+        graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
         for name, course in ((PAUSE, Course.PAUSED), (RESUME, Course.FORWARD), (STEP_BACK, Course.BACK)):
             self._offer(arm, name, course)
 

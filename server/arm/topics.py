@@ -1,7 +1,4 @@
-"""``/joint_states`` from what the servos report.
-
-``/arm/state`` and ``/arm/joint_limits``: latched, published when they change.
-"""
+"""State of the arm as topics: ``/joint_states``, and the latched ``/arm/state`` and ``/arm/joint_limits``."""
 
 from __future__ import annotations
 
@@ -27,10 +24,7 @@ class JointStates:
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
         self._node = Node("arm")
-
-    def open(self) -> None:
-        """Advertise the topic."""
-        self._graph.advertise(self._node, TOPIC, "sensor_msgs/JointState")
+        graph.advertise(self._node, TOPIC, "sensor_msgs/JointState")
 
     def publish(self, state: ArmState) -> None:
         """Publish one state; a disconnected arm has none."""
@@ -64,27 +58,25 @@ _LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAUL
 
 
 class ArmStateTopics:
-    """Publishes what the arm is doing, and within which limits.
+    """Publishes the arm's mode, fault and pace, and its joint limits.
 
     Args:
-        graph: where the topics are.
+        graph: the graph of the topics.
         robot: the arm; names the hardware, and gives the limits until the servos' own are known.
+        state: the arm's state at the start.
     """
 
-    def __init__(self, graph: Graph, robot: RobotModel) -> None:
+    def __init__(self, graph: Graph, robot: RobotModel, state: ArmState) -> None:
         self._graph = graph
         self._robot = robot
         self._node = Node("arm state")
         # All of a state that its message tells.
         self._told: tuple[Mode, str, Fault | None, Pace] | None = None
         self._limits: dict[str, Any] | None = None
-
-    def open(self) -> None:
-        """Advertise the topics."""
-        self._graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
-        self._graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
-        joints = self._robot.movable_joints
-        self._publish_limits({joint.name: (joint.lower, joint.upper) for joint in joints})
+        graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
+        self._publish_limits({joint.name: (joint.lower, joint.upper) for joint in robot.movable_joints})
+        self.take_state(state)
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state when it says something new."""

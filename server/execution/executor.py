@@ -25,27 +25,24 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState, Course, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.current_state import ARM_START_TIMEOUT_S, CurrentState, check_ready
 from server.execution.failures import Alternatives, FailedGoals
+from server.execution.monitors import ARM_START_TIMEOUT_S, CurrentState, SceneMonitor, SceneSource, check_ready
 from server.execution.motions import (
+    HORIZON_S,
+    SENDING_S,
+    START_TOLERANCE_RAD,
+    STATE_AGE_S,
     ExternalTrajectory,
     Motion,
     PlannedMotion,
     PlannedSequence,
     Positions,
-    plan_sequence,
-)
-from server.execution.queue import Answer, GoalState, Performed, Progress
-from server.execution.scene_monitor import SceneMonitor, SceneSource
-from server.execution.splicing import (
-    HORIZON_S,
-    SENDING_S,
-    START_TOLERANCE_RAD,
-    STATE_AGE_S,
     SplicePoint,
+    plan_sequence,
     splice_point_of,
     with_lead_in,
 )
+from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.execution.time_limits import ArmClock, ExecutionDeadline, TimeLimits
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.

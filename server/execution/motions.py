@@ -1,4 +1,8 @@
-"""Motions that goals ask for: those to plan, one after the other, and those planned elsewhere."""
+"""Motions that goals ask for: those to plan, one after the other, those planned elsewhere, and how they are spliced.
+
+A motion that replaces the one in progress leaves its path at a splice point ahead, without a stop; a given
+trajectory that does not start where the arm is gets a lead-in.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,12 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
 
-from planners.problem import CartesianPlan, CartesianProblem, Plan, PlanningFailure, PlanningProblem
+import numpy as np
+
+from planners.problem import CartesianPlan, CartesianProblem, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
+from robot.description.model import RobotModel
+from robot.messages import ArmState, Course, Mode
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.queue import Performed
@@ -152,3 +160,152 @@ async def _plan(problem: PlanningProblem | CartesianProblem, scene: Scene, ask: 
 
 def _in_item(number: int, failure: PlanningFailure) -> PlanningFailure:
     return replace(failure, message=f"items[{number}]: {failure.message}", details={**failure.details, "item": number})
+
+
+# The next motion leaves the present one so far ahead: planning takes a few milliseconds, on a busy machine some tens.
+HORIZON_S = 0.16
+
+# The part of it that is reserved for the way to the arm process and its next tick.
+SENDING_S = 0.03
+
+# The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.
+STATE_AGE_S = 0.1
+
+# A point of the motion so near to an end of the lead is left out: on a piece of 1e-18 s, which rounding makes, the
+# accelerations of the cubic are arbitrary.
+MIN_PIECE_S = 1e-6
+
+# MoveIt's allowed_start_tolerance. The arm may have moved so far since the motion was planned: backlash and droop of a
+# client's measured start, and the rounding of the arm's controller.
+START_TOLERANCE_RAD = 0.05
+
+# Nearer starts are the same: half a servo tick.
+SAME_START_RAD = 0.0008
+
+# Share of the limits that the lead-in uses; it is short, and no client asked for it.
+LEAD_IN_SCALING = 0.2
+
+# Peak velocity and acceleration of a cubic from rest to rest, as multiples of way / time and way / time^2.
+CUBIC_PEAK_VELOCITY, CUBIC_PEAK_ACCELERATION = 1.5, 6.0
+
+
+@dataclass(frozen=True)
+class SplicePoint:
+    """Point at which another motion can replace the present one.
+
+    Attributes:
+        lead: the present motion from a little before now to the point, its time from 0 on.
+        from_s: time on the present motion at which the lead begins [s].
+    """
+
+    lead: Trajectory
+    from_s: float
+
+    @property
+    def start_rad(self) -> dict[str, float]:
+        """Joint positions at the start of the lead [rad]."""
+        return dict(zip(self.lead.joint_names, self.lead.positions_rad[0].tolist(), strict=True))
+
+    @property
+    def positions_rad(self) -> dict[str, float]:
+        """Joint positions at the point [rad]."""
+        return dict(zip(self.lead.joint_names, self.lead.positions_rad[-1].tolist(), strict=True))
+
+    @property
+    def velocities_rad_s(self) -> dict[str, float]:
+        """Joint velocities at the point [rad/s]."""
+        return dict(zip(self.lead.joint_names, self.lead.velocities_rad_s[-1].tolist(), strict=True))
+
+    def splice(self, motion: Trajectory) -> Trajectory:
+        """Return the lead followed by a motion that begins at the point, of the same joints."""
+        lead = self.lead
+        return Trajectory(
+            lead.joint_names,
+            np.concatenate((lead.time_s, motion.time_s[1:] + lead.duration_s)),
+            np.vstack((lead.positions_rad, motion.positions_rad[1:])),
+            np.vstack((lead.velocities_rad_s, motion.velocities_rad_s[1:])),
+            np.vstack((lead.accelerations_rad_s2, motion.accelerations_rad_s2[1:])),
+        )
+
+
+def splice_point_of(motion: Trajectory, state: ArmState, age_s: float) -> SplicePoint | None:
+    """Return the point at which the present motion can be replaced; None if it is paused, reverses or ends soon.
+
+    Args:
+        motion: the present motion.
+        state: the arm's latest state.
+        age_s: time since the state came [s].
+    """
+    if state.mode is not Mode.MOVING or state.pace.course is not Course.FORWARD:
+        return None
+    now_s = state.fraction * motion.duration_s + age_s * state.pace.speed_factor
+    leave_s = now_s + HORIZON_S * state.pace.speed_factor
+    if state.pace.speed_factor == 0.0 or leave_s >= motion.duration_s:
+        return None
+    from_s = max(now_s - STATE_AGE_S, 0.0)
+    return SplicePoint(_between(motion, from_s, leave_s), from_s)
+
+
+def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: RobotModel) -> Trajectory:
+    """Lead a motion in from where the arm holds, when that is near its start.
+
+    Args:
+        motion: begins somewhere near.
+        held_rad: position of every joint of the motion [rad].
+        robot: the arm, for its limits.
+
+    Returns:
+        The motion with the way to its start before it; the motion itself when the arm holds at its start.
+
+    Raises:
+        RefusedError: the start is too far away; names the joint and the numbers.
+    """
+    held = np.array([held_rad[name] for name in motion.joint_names])
+    away = np.abs(motion.positions_rad[0] - held)
+    worst = int(np.argmax(away))
+    if away[worst] > START_TOLERANCE_RAD:
+        raise _too_far(motion, held, worst)
+    if away[worst] <= SAME_START_RAD:
+        return motion
+    lead_s = _lead_in_s(motion.joint_names, away, robot)
+    still = np.zeros((1, len(held)))
+    return Trajectory(
+        motion.joint_names,
+        np.concatenate(([0.0], motion.time_s + lead_s)),
+        np.vstack((held, motion.positions_rad)),
+        np.vstack((still, motion.velocities_rad_s)),
+        np.vstack((still, motion.accelerations_rad_s2)),
+    )
+
+
+def _between(motion: Trajectory, from_s: float, to_s: float) -> Trajectory:
+    """Return the part of a motion between two times; it is the same curve."""
+    inside = (motion.time_s > from_s + MIN_PIECE_S) & (motion.time_s < to_s - MIN_PIECE_S)
+    first, last = motion.sample(from_s), motion.sample(to_s)
+    arrays = (motion.positions_rad, motion.velocities_rad_s, motion.accelerations_rad_s2)
+    columns = [np.vstack((first[i], array[inside], last[i])) for i, array in enumerate(arrays)]
+    time_s = np.concatenate(([0.0], motion.time_s[inside] - from_s, [to_s - from_s]))
+    return Trajectory(motion.joint_names, time_s, *columns)
+
+
+def _lead_in_s(joint_names: tuple[str, ...], way_rad: np.ndarray, robot: RobotModel) -> float:
+    """Return the time in which every joint moves so far, from rest, at a share of its limits [s]."""
+    joints = [robot.joints[name] for name in joint_names]
+    velocity = LEAD_IN_SCALING * np.array([joint.max_velocity for joint in joints])
+    acceleration = LEAD_IN_SCALING * np.array([joint.max_acceleration for joint in joints])
+    by_velocity = CUBIC_PEAK_VELOCITY * way_rad / velocity
+    by_acceleration = np.sqrt(CUBIC_PEAK_ACCELERATION * way_rad / acceleration)
+    return float(np.max(np.maximum(by_velocity, by_acceleration)))
+
+
+def _too_far(motion: Trajectory, held: np.ndarray, worst: int) -> RefusedError:
+    name = motion.joint_names[worst]
+    start_rad, held_rad = float(motion.positions_rad[0, worst]), float(held[worst])
+    return RefusedError(
+        PlanningFailure(
+            MoveItErrorCode.CONTROL_FAILED,
+            f"the motion starts with joint {name} at {start_rad:.4f} rad, but the arm holds it at {held_rad:.4f} rad "
+            f"(tolerance {START_TOLERANCE_RAD} rad): plan it anew from here",
+            {"joint": name, "start_rad": start_rad, "held_rad": held_rad, "tolerance_rad": START_TOLERANCE_RAD},
+        )
+    )

@@ -17,7 +17,6 @@ from typing import Any
 from protocol.dialect import Dialect
 from protocol.errors import NothingToDoError, OperationError, ProtocolError
 from protocol.limits import Limits
-from protocol.names import qualify
 from protocol.operations import (
     ActionFeedback,
     ActionResult,
@@ -38,6 +37,7 @@ from protocol.operations import (
     UnadvertiseAction,
     UnadvertiseService,
     Unsubscribe,
+    qualify,
 )
 from protocol.publication import EncodedMessage, PublishedMessage
 from protocol.session import Refusal, Session, with_id

@@ -361,7 +361,7 @@ class HttpHandler:
         routes: Mapping[str, Route] | None = None,
     ) -> None:
         self._robot = robot
-        self._routes = routes or {}
+        self._routes = {} if routes is None else routes
         self._page_directory = page_directory
         # Large meshes do not put the page out, nor does their disk hold it up.
         self._page_files = FileCache()

@@ -100,7 +100,7 @@ class GoalQueueSource(Protocol):
 
 @dataclass
 class Sources:
-    """Parts of the server that are monitored; those that have not been started are None.
+    """Parts of the server that are monitored; None for those that a server does not have.
 
     Attributes:
         traffic: traffic of clients.

@@ -377,17 +377,17 @@ class Monitor:
     """Monitor of the server.
 
     Args:
+        sources: parts of the server.
         notifier: notifies systemd.
 
     Attributes:
-        sources: parts of the server; each is entered as soon as it has been started.
         routes: handlers of HTTP requests, by path.
     """
 
-    def __init__(self, notifier: SystemdNotifier) -> None:
-        self.sources = Sources()
+    def __init__(self, sources: Sources, notifier: SystemdNotifier) -> None:
+        self._sources = sources
         self._notifier = notifier
-        self._metrics = Metrics(self.sources)
+        self._metrics = Metrics(sources)
         self._event_loop = EventLoopMonitor(notifier, self.health, self._metrics.loop_lag_s)
         self.routes: Mapping[str, Route] = {
             "healthz": self._on_readyz,
@@ -400,14 +400,18 @@ class Monitor:
         """Watch the event loop, until cancelled."""
         await self._event_loop.run()
 
+    def take_health(self, health: ArmHealth) -> None:
+        """Keep the latest report of the arm process."""
+        self._sources.arm_health = health
+
     def notify_started(self) -> None:
         """Take note of the end of the start, and notify systemd."""
-        self.sources.started = True
+        self._sources.started = True
         self._notifier.notify_ready("; ".join(self.health().reasons) or "ready")
 
     def notify_stopping(self) -> None:
         """Take note of the begin of the stop, and notify systemd."""
-        self.sources.stopping = True
+        self._sources.stopping = True
         self._notifier.notify_stopping()
 
     def close(self) -> None:
@@ -416,7 +420,7 @@ class Monitor:
 
     def health(self) -> Health:
         """Return the health of the server at this moment."""
-        return check_health(self.sources)
+        return check_health(self._sources)
 
     async def _on_readyz(self, _request: Request) -> HttpResponse:
         health = self.health()

@@ -10,7 +10,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from robot.trajectory import Trajectory, Vector
-from server.execution.current_state import state_message
+from server.execution.monitors import state_message
 from server.execution.queue import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph

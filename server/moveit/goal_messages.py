@@ -33,7 +33,7 @@ class FrameSource(Protocol):
 
 
 class PositionSource(Protocol):
-    """Positions of the arm, as `server.execution.current_state.CurrentState`."""
+    """Positions of the arm, as `server.execution.monitors.CurrentState`."""
 
     def positions_rad(self) -> Positions | None:
         """Return the position of every movable joint [rad]; None while they are unknown."""

@@ -13,9 +13,9 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.config import Settings
-from server.execution.current_state import CurrentState
 from server.execution.executor import GoalExecutor
 from server.execution.failures import FailedGoals
+from server.execution.monitors import CurrentState
 from server.execution.motions import Motion
 from server.execution.queue import Answer, GoalQueue, QueuedGoal
 from server.execution.time_limits import TimeLimits

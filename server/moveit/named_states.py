@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from robot.description.model import RobotModel
 from server.errors import ServiceError
-from server.execution.current_state import CurrentState, state_message
+from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Positions
 from server.graph.node import Node
 from server.graph.services import ServiceFunction

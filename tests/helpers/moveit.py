@@ -19,7 +19,7 @@ from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError
-from server.execution.current_state import CurrentState
+from server.execution.monitors import CurrentState
 from server.execution.motions import Motion
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, Progress, QueuedGoal
 from server.graph.actions import Goal, Result

@@ -159,7 +159,7 @@ meshes = st.integers(0, 3 * PART_BYTES // 24).map(
 
 
 @given(st.lists(st.one_of(meshes, st.just(Box((1.0, 1.0, 1.0)))), max_size=20))
-def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shapes: list[Mesh | Box]) -> None:
+async def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shapes: list[Mesh | Box]) -> None:
     objects = tuple(SceneObject(str(i), ((shape, Pose()),)) for i, shape in enumerate(shapes))
     divided = list(parts(objects))
     assert tuple(each for part in divided for each in part) == objects
@@ -172,16 +172,16 @@ def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shapes: li
         assert sum(sizes[:-1]) < PART_BYTES
 
 
-def test_ten_thousand_objects_come_in_many_parts() -> None:
+async def test_ten_thousand_objects_come_in_many_parts() -> None:
     assert max(len(part) for part in parts(boxes(10_000))) <= 128
 
 
 @pytest.mark.parametrize("allowed_s", [math.nan, math.inf, -1.0, 1e9])
-def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever(allowed_s: float) -> None:
+async def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever(allowed_s: float) -> None:
     assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=allowed_s)) == MAX_ALLOWED_TIME_S
 
 
-def test_every_kind_of_request_has_an_allowed_time() -> None:
+async def test_every_kind_of_request_has_an_allowed_time() -> None:
     assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=0.7)) == 0.7
     assert all(0.0 < allowed_time_s(request) < 10.0 for request, _ in REQUESTS)
 

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import NothingToDoError, OperationError
-from protocol.names import qualify
-from protocol.operations import Advertise, Subscribe
+from protocol.operations import Advertise, Subscribe, qualify
 from protocol.subscriptions import Publications, Registrations, Rule, Subscription, Subscriptions
 
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 
 import pytest
@@ -23,7 +22,7 @@ def test_a_recording_that_cannot_be_written_prevents_the_start(tmp_path: Path) -
         open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101")
 
 
-def test_session_settings_reach_the_graph_and_the_bridge() -> None:
+async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
     limits = SessionSettings(max_message_bytes=70_000)
     app = App(
         Settings(server=ServerSettings(unregister_timeout_s=3.0, limits=limits), zenoh=ZenohSettings(mode="peer"))
@@ -31,16 +30,3 @@ def test_session_settings_reach_the_graph_and_the_bridge() -> None:
     assert app._graph._unregister_timeout_s == 3.0
     assert app._bridge is not None
     assert app._bridge._max_message_bytes == 70_000
-
-
-async def test_a_task_that_fails_is_told_at_once_and_ends(caplog: pytest.LogCaptureFixture) -> None:
-    async def fail() -> None:
-        raise RuntimeError("a bug")
-
-    app = App(Settings())
-    app._run_task("zenoh", fail())
-    await asyncio.wait([*app._tasks.values()])
-    await asyncio.sleep(0)
-    assert "zenoh failed" in caplog.text
-    await app._end_task("zenoh")
-    await app._end_task("zenoh")

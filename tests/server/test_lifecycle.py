@@ -8,7 +8,17 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from server.errors import StartError
-from server.lifecycle import HURRIED_S, RESERVED_S, Step, allowance_s, stop_in_order, stop_signals, unless_ended
+from server.lifecycle import (
+    HURRIED_S,
+    RESERVED_S,
+    BackgroundTask,
+    Part,
+    allowance_s,
+    start_in_order,
+    stop_in_reverse,
+    stop_signals,
+    unless_ended,
+)
 
 pytestmark = pytest.mark.stepped_time
 
@@ -23,16 +33,46 @@ def recorder(taken: list[str], name: str, takes_s: float = 0.0) -> Callable[[], 
     return end
 
 
-async def test_steps_are_taken_one_after_the_other() -> None:
+def part(name: str, stop: Callable[[], Awaitable[None]], deadline_s: float) -> Part:
+    return Part(name, stop=stop, deadline_s=deadline_s)
+
+
+async def test_parts_start_in_order_and_one_that_fails_is_among_those_to_stop() -> None:
     taken: list[str] = []
-    await stop_in_order([Step(name, recorder(taken, name), 1.0) for name in ("a", "b", "c")], TOTAL_S)
-    assert taken == ["a", "b", "c"]
+
+    async def broken() -> None:
+        raise StartError("port in use")
+
+    parts = [Part("a", recorder(taken, "a")), Part("b", broken), Part("c", recorder(taken, "c"))]
+    started: list[Part] = []
+    with pytest.raises(StartError):
+        await start_in_order(parts, started)
+    assert taken == ["a"]
+    assert started == parts[:2]
+
+
+async def test_a_background_task_that_fails_is_logged_at_once_and_stops(caplog: pytest.LogCaptureFixture) -> None:
+    async def fail() -> None:
+        raise RuntimeError("a bug")
+
+    task = BackgroundTask("zenoh", fail)
+    await task.start()
+    await asyncio.sleep(0.01)
+    assert "zenoh failed" in caplog.text
+    await task.stop()
+    await task.stop()
+
+
+async def test_parts_stop_in_the_reverse_order_of_their_start() -> None:
+    taken: list[str] = []
+    await stop_in_reverse([part(name, recorder(taken, name), 1.0) for name in ("a", "b", "c")], TOTAL_S)
+    assert taken == ["c", "b", "a"]
 
 
 async def test_a_step_that_hangs_is_told_of_and_the_next_begun(caplog: pytest.LogCaptureFixture) -> None:
     taken: list[str] = []
-    steps = [Step("goals", recorder(taken, "goals", 60.0), 0.02), Step("clients", recorder(taken, "clients"), 1.0)]
-    await asyncio.wait_for(stop_in_order(steps, TOTAL_S), 1.0)
+    steps = [part("clients", recorder(taken, "clients"), 1.0), part("goals", recorder(taken, "goals", 60.0), 0.02)]
+    await asyncio.wait_for(stop_in_reverse(steps, TOTAL_S), 1.0)
     assert taken == ["goals", "clients"]
     assert "goals did not end within 0.0 s; going on" in caplog.text
 
@@ -48,8 +88,8 @@ async def test_a_step_that_does_not_even_let_itself_be_cancelled_holds_nothing_u
             except asyncio.CancelledError:
                 taken.append("cancelled")
 
-    steps = [Step("stubborn", stubborn, 0.01), Step("next", recorder(taken, "next"), 1.0)]
-    await asyncio.wait_for(stop_in_order(steps, TOTAL_S), 1.0)
+    steps = [part("next", recorder(taken, "next"), 1.0), part("stubborn", stubborn, 0.01)]
+    await asyncio.wait_for(stop_in_reverse(steps, TOTAL_S), 1.0)
     released.set()
     assert taken == ["cancelled", "next"]
 
@@ -60,7 +100,7 @@ async def test_a_step_that_fails_is_told_of_and_the_next_begun(caplog: pytest.Lo
     async def broken() -> None:
         raise ValueError("no such thing")
 
-    await stop_in_order([Step("broken", broken, 1.0), Step("next", recorder(taken, "next"), 1.0)], TOTAL_S)
+    await stop_in_reverse([part("next", recorder(taken, "next"), 1.0), part("broken", broken, 1.0)], TOTAL_S)
     assert taken == ["next"]
     assert "stopping: broken failed" in caplog.text
 
@@ -68,10 +108,10 @@ async def test_a_step_that_fails_is_told_of_and_the_next_begun(caplog: pytest.Lo
 async def test_a_hurry_leaves_each_step_little_time() -> None:
     taken: list[str] = []
     hurry = asyncio.Event()
-    steps = [Step(name, recorder(taken, name, 60.0), 30.0) for name in ("a", "b")]
+    steps = [part(name, recorder(taken, name, 60.0), 30.0) for name in ("b", "a")]
     loop = asyncio.get_running_loop()
     loop.call_later(0.01, hurry.set)
-    await stop_in_order(steps, 60.0, hurry, loop.time)
+    await stop_in_reverse(steps, 60.0, hurry, loop.time)
     assert taken == ["a", "b"]
     assert loop.time() == pytest.approx(0.01 + 2 * HURRIED_S)
 

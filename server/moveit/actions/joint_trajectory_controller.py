@@ -24,7 +24,7 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
-from server.execution.current_state import CurrentState, state_message
+from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.graph.actions import Goal, GoalStatus

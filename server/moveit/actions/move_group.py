@@ -20,7 +20,7 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
 from server.errors import RefusedError
-from server.execution.current_state import CurrentState
+from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import Answer, GoalQueue
 from server.graph.actions import Goal

@@ -17,7 +17,7 @@ from typing import Any
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
 from server.errors import RefusedError
-from server.execution.current_state import CurrentState
+from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.requests.error_codes import invalid

@@ -13,7 +13,7 @@ from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
 from server.errors import RefusedError
-from server.execution.current_state import CurrentState, state_message
+from server.execution.monitors import CurrentState, state_message
 from server.graph.node import Node
 from server.graph.services import Call, answer
 from server.graph.topics import Graph, Subscriber

@@ -17,7 +17,7 @@ from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorC
 from planners.scene import Pose, Scene
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory, Vector
-from server.execution.current_state import state_message
+from server.execution.monitors import state_message
 from server.graph.node import Node
 from server.moveit.poses import pose_of
 from server.moveit.requests.context import Message

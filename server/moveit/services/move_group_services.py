@@ -20,7 +20,7 @@ from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError
-from server.execution.current_state import state_message
+from server.execution.monitors import state_message
 from server.execution.motions import plan_sequence
 from server.graph.node import Node
 from server.graph.services import Call, answer

@@ -18,7 +18,7 @@ from protocol.publication import PublishedMessage
 from robot.arm import Arm
 from robot.description.model import RobotModel
 from server.errors import RefusedError
-from server.execution.current_state import check_ready
+from server.execution.monitors import check_ready
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters

@@ -108,12 +108,14 @@ def crane(tmp_path):
     return model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path)
 
 
+def pose(rng, reach_m):
+    return pin.SE3(pin.Quaternion(*rng.normal(size=4)).normalized(), rng.uniform(-reach_m, reach_m, 3))
+
+
 def boxes(rng, count):
-    shapes = []
-    for i in range(count):
-        place = pin.SE3(pin.Quaternion(*rng.normal(size=4)).normalized(), rng.uniform(-0.3, 0.3, 3))
-        shapes.append(pin.GeometryObject(str(i), 0, 0, place, coal.Box(*rng.uniform(0.01, 0.1, 3))))
-    return shapes
+    return [
+        pin.GeometryObject(str(i), 0, 0, pose(rng, 0.3), coal.Box(*rng.uniform(0.01, 0.1, 3))) for i in range(count)
+    ]
 
 
 @pytest.mark.parametrize("margin_m", [0.0, 0.01, 0.05])
@@ -121,8 +123,7 @@ def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
     rng, verdicts = np.random.default_rng(1), set()
     for _ in range(60):
         first, second = boxes(rng, 4), boxes(rng, 3)
-        at_first, at_second = pin.SE3.Random(), pin.SE3.Random()
-        at_first.translation, at_second.translation = rng.uniform(-0.2, 0.2, (2, 3))
+        at_first, at_second = pose(rng, 0.2), pose(rng, 0.2)
         nearest_m = min(
             coal.distance(
                 one.geometry,

@@ -16,10 +16,9 @@ from tests.helpers.server import ServerOnBus
 
 class Leased:
     def __init__(self, policy: str = "lease") -> None:
-        self.busy = False
         self.changes: list[str] = []
         self.lease = ControlLease(policy, 10.0, lambda: 1_000_000.0)  # type: ignore[arg-type]
-        self.lease.connect(lambda: self.busy, lambda: self.changes.append(str(self.lease.holder)))
+        self.lease.watch(lambda: self.changes.append(str(self.lease.holder)))
         self.a, self.b = Node("a", remote=True), Node("b", remote=True)
 
 
@@ -71,9 +70,7 @@ def test_an_idle_holder_loses_control(leased: Leased) -> None:
 
 def test_nobody_idles_while_a_goal_is_worked_on_nor_right_after(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
-    leased.busy = True
-    leased.lease.tick(60.0)
-    leased.busy = False
+    leased.lease.keep(60.0)
     assert leased.lease.drive(leased.b, 69.9) is not None
     assert leased.lease.drive(leased.b, 70.0) is None
 
@@ -148,8 +145,9 @@ class World(InProcess):
     def __init__(self, **settings: Any) -> None:
         super().__init__(access=AccessSettings.model_validate(settings))
         self.busy = False
-        self.control = ControlServices(self.graph, self.access.lease, self.clock, self.clock.call_later)
-        self.control.open(lambda: self.busy)
+        self.control = ControlServices(
+            self.graph, self.access.lease, lambda: self.busy, self.clock, self.clock.call_later
+        )
 
     def call(self, client: str, service: str) -> dict[str, Any]:
         self.say(client, op="call_service", service=service, id="asked")

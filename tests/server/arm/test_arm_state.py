@@ -24,9 +24,10 @@ class Heard:
 
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
-        self.topics = ArmStateTopics(self.graph, ROBOT)
-        self.topics.open()
+        self.topics = ArmStateTopics(self.graph, ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
         self.states = self._listen(STATE_TOPIC)
+        # The state at the start, which is latched.
+        self.states.clear()
         self.limits = self._listen(LIMITS_TOPIC)
 
     def _listen(self, topic: str) -> list[Any]:

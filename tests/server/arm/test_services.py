@@ -171,7 +171,7 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.arm = FakeArm()
-        ArmPace(self.graph).open(self.arm.as_arm)
+        ArmPace(self.graph, self.arm.as_arm)
 
     def call(self, service: str) -> Any:
         answers: list[Any] = []

@@ -17,7 +17,6 @@ from server.graph.topics import Graph, Subscriber
 def heard() -> tuple[JointStates, list[Any]]:
     graph = Graph(Registry.load())
     states = JointStates(graph)
-    states.open()
     messages: list[Any] = []
     graph.subscribe(Node("test"), TOPIC, None, Subscriber(lambda published: messages.append(published.msg)))
     return states, messages

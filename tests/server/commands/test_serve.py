@@ -142,7 +142,7 @@ def test_an_option_out_of_range_is_named_with_its_limits(
 
 def parse(*arguments: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    serve.add_parser(parser.add_subparsers())
+    serve.add_emulate_parser(parser.add_subparsers())
     return parser.parse_args(["emulate", *arguments])
 
 
@@ -165,7 +165,7 @@ def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: P
 import argparse
 from server.commands import serve
 parser = argparse.ArgumentParser()
-serve.add_parser(parser.add_subparsers())
+serve.add_emulate_parser(parser.add_subparsers())
 options = parser.parse_args(["emulate", "--link", {str(tmp_path / "arm")!r}])
 raise SystemExit(options.run(options))
 """

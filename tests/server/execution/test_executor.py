@@ -26,9 +26,8 @@ from robot.messages import ArmConfig, ArmState, Mode
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
-from server.execution.motions import ExternalTrajectory, PlannedMotion, Positions
+from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
 from server.execution.queue import GoalState, Progress
-from server.execution.splicing import STATE_AGE_S
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import JOINTS, FakeArm, settle

@@ -1,5 +1,13 @@
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
 from planners.goals import JointGoal
 from planners.problem import (
     CartesianPlan,
@@ -11,8 +19,23 @@ from planners.problem import (
     PlanningProblem,
 )
 from planners.scene import EMPTY_SCENE, Scene
+from robot.control.checks import refusal
+from robot.description import model
+from robot.description.limits import JointBounds
+from robot.messages import ArmState, Course, Mode, Pace
 from server.errors import RefusedError
-from server.execution.motions import Positions, Step, plan_sequence
+from server.execution.motions import (
+    HORIZON_S,
+    LEAD_IN_SCALING,
+    SAME_START_RAD,
+    START_TOLERANCE_RAD,
+    Positions,
+    SplicePoint,
+    Step,
+    plan_sequence,
+    splice_point_of,
+    with_lead_in,
+)
 from tests.helpers.motions import smooth_move
 
 START = {"a": 0.0, "b": 0.5}
@@ -91,3 +114,96 @@ async def test_half_a_cartesian_path_is_a_failure() -> None:
         return CartesianPlan(smooth_move({"a": (0.0, 0.1)}, 1.0), 0.5, WALL, 0.1)
 
     assert (await plan_sequence([to(0.3)], START, EMPTY_SCENE, half)).failure == WALL
+
+
+UNDER_WAY = smooth_move({"a": (0.0, 1.0), "b": (0.5, -0.5)}, 2.0)
+MOVING = ArmState(0.0, Mode.MOVING, ("a", "b"), fraction=0.5)
+
+ROBOT = model.builtin()
+JOINTS = ROBOT.groups["arm"].joints
+HOME = dict.fromkeys(JOINTS, 0.0)
+BOUNDS = JointBounds.of(ROBOT, JOINTS)
+GIVEN = smooth_move(dict.fromkeys(JOINTS, (0.0, 0.4)), 2.0)
+
+NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
+
+
+@given(st.floats(0.0, 0.9), st.floats(0.0, 1.0), st.floats(0.1, 1.0))
+# The lead begins by rounding alone before a point of the motion.
+@example(0.06, 1e-279, 1.0)
+def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
+    fraction: float, share: float, speed: float
+) -> None:
+    splice_point = splice_point_of(UNDER_WAY, replace(MOVING, fraction=fraction, pace=Pace(speed)), 0.0)
+    assert splice_point is not None
+    time_s = share * splice_point.lead.duration_s
+    # Each derivative of a short piece has more of the rounding.
+    for order, (ours, theirs) in enumerate(
+        zip(splice_point.lead.sample(time_s), UNDER_WAY.sample(splice_point.from_s + time_s), strict=True)
+    ):
+        np.testing.assert_allclose(ours, theirs, atol=(1e-9, 1e-6, 1e-3)[order])
+    # There is the whole horizon to plan in, at whatever speed the motion is played.
+    left_s = splice_point.from_s + splice_point.lead.duration_s - fraction * UNDER_WAY.duration_s
+    assert left_s == pytest.approx(HORIZON_S * speed)
+
+
+def test_the_age_of_the_state_counts() -> None:
+    fresh, old = splice_point_of(UNDER_WAY, MOVING, 0.0), splice_point_of(UNDER_WAY, MOVING, 0.05)
+    assert fresh is not None
+    assert old is not None
+    assert old.from_s - fresh.from_s == pytest.approx(0.05)
+
+
+STILL = {
+    "not moving": replace(MOVING, mode=Mode.HOLDING),
+    "paused": replace(MOVING, pace=Pace(course=Course.PAUSED)),
+    "going back": replace(MOVING, pace=Pace(course=Course.BACK)),
+    "at speed 0": replace(MOVING, pace=Pace(0.0)),
+    "about to end": replace(MOVING, fraction=0.95),
+}
+
+
+@pytest.mark.parametrize("state", STILL.values(), ids=STILL.keys())
+def test_a_motion_that_cannot_be_replaced_has_no_splice_point(state: ArmState) -> None:
+    assert splice_point_of(UNDER_WAY, state, 0.0) is None
+
+
+def test_the_next_motion_begins_where_the_lead_ends() -> None:
+    splice_point = splice_point_of(UNDER_WAY, MOVING, 0.0)
+    assert isinstance(splice_point, SplicePoint)
+    start = splice_point.positions_rad
+    whole = splice_point.splice(smooth_move({"a": (start["a"], 2.0), "b": (start["b"], 0.0)}, 1.0))
+    assert (np.diff(whole.time_s) > 0.0).all()
+    assert whole.duration_s == pytest.approx(splice_point.lead.duration_s + 1.0)
+    np.testing.assert_allclose(whole.positions_rad[-1], [2.0, 0.0])
+    assert splice_point.velocities_rad_s["a"] > 0.0 > splice_point.velocities_rad_s["b"]
+
+
+def test_a_motion_from_where_the_arm_holds_is_unchanged() -> None:
+    assert with_lead_in(GIVEN, dict.fromkeys(JOINTS, SAME_START_RAD), ROBOT) is GIVEN
+
+
+@given(st.lists(NEAR, min_size=len(JOINTS), max_size=len(JOINTS)))
+def test_a_motion_from_nearby_is_led_in_within_the_limits(held: list[float]) -> None:
+    whole = with_lead_in(GIVEN, dict(zip(JOINTS, held, strict=True)), ROBOT)
+    assert not refusal(whole, JOINTS, BOUNDS, np.array(held))
+    lead_s = whole.duration_s - GIVEN.duration_s
+    speeds = [whole.sample(time_s)[1] for time_s in np.linspace(0.0, lead_s, 20)]
+    assert (np.abs(speeds) <= LEAD_IN_SCALING * BOUNDS.max_velocity + 1e-9).all()
+    np.testing.assert_allclose(whole.sample(lead_s + 1.0)[0], GIVEN.sample(1.0)[0], atol=1e-9)
+
+
+def test_slow_joints_are_led_in_slowly() -> None:
+    slow = {name: replace(joint, max_velocity=0.05) for name, joint in ROBOT.joints.items()}
+    whole = with_lead_in(GIVEN, dict.fromkeys(JOINTS, 0.04), replace(ROBOT, joints=slow))
+    lead_s = whole.duration_s - GIVEN.duration_s
+    speeds = np.abs([whole.sample(time_s)[1] for time_s in np.linspace(0.0, lead_s, 20)])
+    assert speeds.max() <= LEAD_IN_SCALING * 0.05 + 1e-9
+
+
+@pytest.mark.parametrize("away_rad", [0.06, -1.0])
+def test_a_motion_from_far_away_is_refused_with_joint_and_numbers(away_rad: float) -> None:
+    sentence = f"elbow_flex at 0.0000 rad, but the arm holds it at {away_rad:.4f} rad"
+    with pytest.raises(RefusedError, match=re.escape(sentence)) as refused:
+        with_lead_in(GIVEN, {**HOME, "elbow_flex": away_rad}, ROBOT)
+    assert refused.value.failure.code is MoveItErrorCode.CONTROL_FAILED

@@ -428,7 +428,7 @@ def metrics(port: int) -> dict[str, float]:
 
 
 async def test_routes_are_answered_before_any_part_is_there() -> None:
-    monitor = Monitor(SystemdNotifier())
+    monitor = Monitor(Sources(), SystemdNotifier())
     assert set(monitor.routes) == {"healthz", "readyz", "livez", "metrics"}
     assert monitor.health().reasons == ("the server is starting",)
     monitor.notify_started()
@@ -663,7 +663,7 @@ async def test_a_blocked_event_loop_shows_as_its_lag(monkeypatch: pytest.MonkeyP
 
 
 async def test_the_accept_header_chooses_the_format_of_the_metrics() -> None:
-    answer = Monitor(SystemdNotifier()).routes["metrics"]
+    answer = Monitor(Sources(), SystemdNotifier()).routes["metrics"]
     plain = await answer(Request("/metrics", Headers()))
     assert plain.headers["Content-Type"].startswith("text/plain; version=")
     assert any(family.name == "armbridge_live" for family in text_string_to_metric_families(plain.body.decode()))

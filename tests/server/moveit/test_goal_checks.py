@@ -13,7 +13,7 @@ from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
-from server.execution.current_state import CurrentState
+from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph

@@ -16,7 +16,7 @@ from robot.description import model
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, Mode
 from server.errors import ServiceError
-from server.execution.current_state import CurrentState
+from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber

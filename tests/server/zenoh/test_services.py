@@ -125,7 +125,6 @@ async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
     async with Site(port, offer=("/arm/*",), access=AccessSettings(control="lease")) as site:
         offered(site, "/arm/enable")
         site.access.lease.drive(site.client, 0.0)
-        site.access.lease.connect(lambda: True)
         with RosMachine(port) as machine:
             (reply,) = await replies(machine, "/arm/enable")
     assert reply.err is not None

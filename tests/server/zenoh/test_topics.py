@@ -307,7 +307,6 @@ async def test_while_a_client_controls_the_arm_others_send_no_goals_but_stop_it(
             site.hear("/stop", "std_msgs/msg/Empty", site.part),
         )
         assert site.access.lease.drive(site.client, 0.0) is None
-        site.access.lease.connect(lambda: True)
         with RosMachine(port) as machine:
             await listening(machine, "%stop")
             machine.publish("/moveit_goal_named", STRING, data="ready")

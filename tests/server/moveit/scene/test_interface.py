@@ -15,7 +15,7 @@ from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.errors import RefusedError
-from server.execution.current_state import state_message
+from server.execution.monitors import state_message
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters

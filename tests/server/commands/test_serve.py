@@ -14,8 +14,8 @@ from server import cli
 from server.app import App
 from server.commands import serve
 from server.commands.terminal import ExitCode
-from tests.helpers.recordings import record, text
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
+from tests.server.recordings import record, text
 
 
 def test_an_id_that_lerobot_does_not_know_is_one_line_and_exit_2(capsys):

@@ -22,7 +22,7 @@ from server.recording.files import (
     is_latched,
 )
 from server.recording.replay import Recording
-from tests.helpers.recordings import REGISTRY, START_NS, entry, record, text
+from tests.server.recordings import REGISTRY, START_NS, entry, record, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.
 

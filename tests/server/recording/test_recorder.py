@@ -17,7 +17,7 @@ from server.recording import recorder as recorder_module
 from server.recording.files import FileSeries, RecordedMessage
 from server.recording.recorder import QueuedMessage, Recorder, WriterThread
 from server.recording.replay import Recording
-from tests.helpers.recordings import REGISTRY, recorded_messages, wait_until
+from tests.server.recordings import REGISTRY, recorded_messages, wait_until
 
 TALKER = Node("talker")
 

@@ -19,7 +19,7 @@ from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
 from server.recording.replay import Player, RecordedTopic, Recording, ReplayOptions, ReplayServer
 from tests.helpers.clients import frame_client
-from tests.helpers.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
+from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
 CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]
 

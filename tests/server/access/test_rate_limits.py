@@ -64,7 +64,7 @@ def test_a_line_with_a_key_is_written_once_for_each_of_its_kind(caplog: pytest.L
     ]
 
 
-def test_what_is_told_is_bounded_and_the_end_of_it_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_logged_lines_are_limited_and_the_limit_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     limiter = LogLimiter(LOG, MAX_REFUSAL_LINES)
     for number in range(2 * MAX_REFUSAL_LINES):
         limiter.write(logging.WARNING, "refused: no", ("origin", str(number)))

@@ -33,14 +33,14 @@ async def alone() -> Network:
     return Network(thread, loop, Graph(REGISTRY), node, "us", 0, Namespace(""), tokens, 10_000_000)
 
 
-def test_what_is_wrong_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_repeated_warning_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     told = WarnOnce()
     for _ in range(3):
         told.warn("a")
     assert [record.message for record in caplog.records] == ["zenoh: a"]
 
 
-def test_whoever_invents_mistakes_fills_no_log(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_number_of_different_warnings_is_limited(caplog: pytest.LogCaptureFixture) -> None:
     told = WarnOnce()
     for number in range(network.MAX_WARNINGS + 10):
         told.warn(str(number))

@@ -16,7 +16,7 @@ from planners.files.plan_command import Options, Outcome
 from planners.problem import Plan
 from robot.description import model
 from tests.helpers.full_meshes import Judge
-from tests.helpers.shared import SHARED
+from tests.helpers.resources import SHARED
 
 SEEDS = range(100, 104)
 OPTIMIZATION_S = 0.5

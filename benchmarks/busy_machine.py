@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from benchmarks.figures import print_table
-from tests.helpers.client import FrameClient, frame_client
+from tests.helpers.clients import FrameClient, frame_client
 from tests.helpers.server import RunningServer
 
 GOALS = 40

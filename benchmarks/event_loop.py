@@ -26,7 +26,7 @@ from planners.pool import NICENESS, PlannerPool
 from robot.description import model
 from server.app import App
 from server.config_loader import load
-from tests.helpers.requests import EASY, LONG
+from tests.helpers.motions import EASY, LONG
 
 BUSY_PROGRAM = f"import os; os.nice({NICENESS})\nwhile True: sum(range(100_000))"
 

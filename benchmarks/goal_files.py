@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.figures import print_table
-from tests.helpers.client import frame_client
+from tests.helpers.clients import frame_client
 from tests.helpers.server import RunningServer
 
 ROOT = Path(__file__).parents[1]

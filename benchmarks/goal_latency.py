@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.figures import percentiles, print_table
-from tests.helpers.client import frame_client
+from tests.helpers.clients import frame_client
 from tests.helpers.server import RunningServer, read_write_log
 
 GOALS = 60

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scene_things import Arrangement, Fields, arrangements
 from tests.helpers.full_meshes import Judge
-from tests.helpers.shared import SHARED
+from tests.helpers.resources import SHARED
 
 Vector = NDArray[np.float64]
 

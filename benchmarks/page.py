@@ -19,7 +19,7 @@ import psutil
 from websockets.sync.client import connect
 
 from benchmarks.figures import percentiles, print_table
-from tests.helpers.blocking import call
+from tests.helpers.clients import call
 from tests.helpers.page import chromium, opened, what_is_missing
 from tests.helpers.server import RunningServer
 

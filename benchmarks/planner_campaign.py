@@ -25,7 +25,7 @@ from planners.pool import LOAD_TIMEOUT_S, OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
 from robot.description import model
 from tests.helpers.broken_planner import FAULTS
-from tests.helpers.requests import EASY, LONG, STATE, broken
+from tests.helpers.motions import EASY, LONG, STATE, broken
 
 MEMORY_LIMIT_BYTES = 300_000_000
 

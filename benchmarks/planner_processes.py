@@ -18,7 +18,7 @@ from planners.problem import Answer, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot.description import model
 from tests.helpers import broken_planner
-from tests.helpers.requests import EASY, LONG, STATE, broken
+from tests.helpers.motions import EASY, LONG, STATE, broken
 
 STARTS = 7
 ROUND_TRIPS = 500

@@ -25,7 +25,7 @@ from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
 from robot.description import model
 from tests.helpers.full_meshes import Judge
-from tests.helpers.shared import SHARED
+from tests.helpers.resources import SHARED
 
 # A feasible problem counts as solved within this time.
 ALLOWED_TIME_S = 1.0

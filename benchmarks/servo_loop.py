@@ -32,7 +32,7 @@ from robot.description.limits import within_calibration
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
 from robot.trajectory import rest_to_rest
-from tests.helpers.arm_server import ArmClient, arm_client, values_of
+from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator
 

@@ -30,7 +30,7 @@ from robot.description import model
 from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, Commanded
-from tests.helpers.arm_server import ArmClient, arm_client
+from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator
 

@@ -20,7 +20,7 @@ from websockets.asyncio.client import connect
 
 from benchmarks.figures import print_table
 from server.moveit.gripper import GRIPPER_ACTION
-from tests.helpers.client import FrameClient, frame_client
+from tests.helpers.clients import FrameClient, frame_client
 from tests.helpers.server import RunningServer
 
 SECONDS = 60.0

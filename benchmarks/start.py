@@ -21,7 +21,7 @@ from typing import Any
 from websockets.asyncio.client import connect
 
 from benchmarks.figures import percentiles, print_table
-from tests.helpers.client import GOAL_TYPES
+from tests.helpers.clients import GOAL_TYPES
 from tests.helpers.server import READY, ROOT, free_port
 
 STARTS = 9

@@ -1,4 +1,4 @@
-"""What holds for every test."""
+"""Fixtures and settings of all tests."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hypothesis import settings
 
 # Imported before any test imports websockets: sets what that package reads when it is imported.
 import server  # noqa: F401
-from tests.helpers.examples import EXAMPLES_IN_CI
+from tests.helpers.clock import SteppedLoop
+from tests.helpers.resources import EXAMPLES_IN_CI
 from tests.helpers.server import FAST, RunningServer
-from tests.helpers.stepped_loop import SteppedLoop
 
 # No deadline: how long an example takes depends on the machine and on what else it does; no test is about that.
 settings.register_profile("default", settings.get_profile("default"), max_examples=25, deadline=None)

@@ -27,7 +27,7 @@ async def the_answer(websocket: ClientConnection, step: dict[str, Any]) -> dict[
 
 
 def shown(values: dict[str, Any]) -> dict[str, Any]:
-    """What a response says of its outcome, at whatever depth."""
+    """Return the outcome in a response, at any depth."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         if key == "error_code":

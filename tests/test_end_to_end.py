@@ -24,7 +24,7 @@ from robot.calibration import Calibration
 from robot.description import model
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, page_is_built
 from server.recording.replay import Recording
-from tests.helpers.client import FrameClient, frame_client, goal_is, status_state
+from tests.helpers.clients import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.server import RunningServer, read_write_log
 
 pytestmark = pytest.mark.real_time

@@ -12,17 +12,16 @@ import pytest
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from tests.helpers.arm_server import arm_client, values_of
-from tests.helpers.client import FrameClient, frame_client
+from tests.helpers.clients import FrameClient, arm_client, frame_client, values_of
+from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import RunningServer
-from tests.helpers.seven_joint_arm import SRDF, URDF
 
 pytestmark = pytest.mark.real_time
 
 # The last joint moves the hand along its axis instead of about it.
 TURNS = '<axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="4" effort="9"/>'
 SLIDES = '<axis xyz="0 0 1"/><limit lower="-0.02" upper="0.2" velocity="0.3" effort="9"/>'
-SLIDING = URDF.replace('name="a7" type="revolute"', 'name="a7" type="prismatic"').replace(TURNS, SLIDES)
+SLIDING = SEVEN_JOINT_URDF.replace('name="a7" type="revolute"', 'name="a7" type="prismatic"').replace(TURNS, SLIDES)
 
 # What the lag of an ideal joint leaves over [rad, m].
 ARRIVED = 0.005
@@ -31,11 +30,11 @@ ARRIVED = 0.005
 POSITION_M = 0.012
 
 
-@pytest.fixture(scope="module", params=[URDF, SLIDING], ids=["seven joints turn", "the last one slides"])
+@pytest.fixture(scope="module", params=[SEVEN_JOINT_URDF, SLIDING], ids=["seven joints turn", "the last one slides"])
 def described(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """The files of the robot's description."""
     folder = tmp_path_factory.mktemp("robot")
-    for name, text in (("arm.urdf", request.param), ("arm.srdf", SRDF)):
+    for name, text in (("arm.urdf", request.param), ("arm.srdf", SEVEN_JOINT_SRDF)):
         (folder / name).write_text(text)
     return [folder / "arm.urdf", folder / "arm.srdf"]
 
@@ -61,7 +60,7 @@ async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
 
 
 async def present(client: FrameClient) -> dict[str, float]:
-    """Where every joint is, by a state that came after this was asked for."""
+    """Return the position of every joint, by a state that came after this was asked for."""
     seen = len(client.messages("/joint_states"))
     state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
     return dict(zip(state["name"], state["position"], strict=True))

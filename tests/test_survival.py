@@ -1,4 +1,4 @@
-"""What becomes of everybody else when a process dies or hangs, at the start, in the middle and at the end."""
+"""Survival of everything else when a process dies or hangs, at the start, in the middle and at the end."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ import psutil
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
-from tests.helpers.arm_server import ServerOnBus, server_on_bus
-from tests.helpers.client import FrameClient, frame_client, goal_is
-from tests.helpers.server import ROOT, RunningServer, free_port, run_command
+from tests.helpers.clients import FrameClient, frame_client, goal_is
+from tests.helpers.server import ROOT, RunningServer, ServerOnBus, free_port, run_command, server_on_bus
 
 RESULT = "/moveit_goal_result"
 STATE = "/arm/state"

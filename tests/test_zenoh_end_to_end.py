@@ -17,7 +17,7 @@ import pytest
 from websockets.asyncio.client import connect
 
 from protocol.codecs import json
-from tests.helpers.client import frame_client
+from tests.helpers.clients import frame_client
 from tests.helpers.server import RunningServer
 from tests.helpers.zenoh_network import RosMachine, free_port, wait_until
 

@@ -22,7 +22,7 @@ from robot.description import model
 from robot.description.limits import within_calibration
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 ROBOT = within_calibration(model.builtin(), CALIBRATION)
 

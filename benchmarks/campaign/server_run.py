@@ -15,7 +15,7 @@ from benchmarks.campaign.result import Result
 from benchmarks.campaign.scenario import Happening, Scenario, random_goal
 from benchmarks.campaign.write_log import Entry
 from robot.messages import EndState
-from tests.helpers.arm_server import ArmClient, arm_client, values_of
+from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.server import RunningServer
 
 RESULT_TOPIC = "/moveit_goal_result"

@@ -5,14 +5,13 @@ It is large and wants an environment of its own: ``make test-clients`` makes it 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robot.description import model
-from tests.helpers.scenario import heard_by
+from tests.helpers.clients import heard_by
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("compas_fab_scenario.py")
@@ -27,12 +26,6 @@ MESH_JOINT = '<joint name="sign" type="fixed"><parent link="base_link"/><child l
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 QUERIES = {"ros1": "?ros=1", "ros2": ""}
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[RunningServer]:
-    with RunningServer() as running:
-        yield running
 
 
 @pytest.fixture(scope="module", params=QUERIES)

@@ -5,23 +5,16 @@ from __future__ import annotations
 import subprocess
 import sys
 import venv
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.helpers.scenario import heard_by
+from tests.helpers.clients import heard_by
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("roslibpy_scenario.py")
 OLD = "roslibpy==1.8.1"
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[RunningServer]:
-    with RunningServer() as running:
-        yield running
 
 
 def old_python(folder: Path) -> str:

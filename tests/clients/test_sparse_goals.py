@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.scenario import heard_by
+from tests.helpers.clients import heard_by
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("sparse_goals_scenario.py")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from docker import health
-from tests.helpers.certificates import make_pair
+from tests.helpers.resources import make_pair
 
 
 class Answers(BaseHTTPRequestHandler):

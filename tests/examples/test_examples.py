@@ -12,7 +12,7 @@ import pytest
 from websockets.sync.client import connect
 
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
-from tests.helpers.blocking import call_on
+from tests.helpers.clients import call_on
 from tests.helpers.server import RunningServer, free_port
 
 SCREEN_LINES = 100

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
 
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S, Pacer
@@ -15,7 +17,7 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
-from robot.hardware.interface import HardwareInterface
+from robot.hardware.interface import HardwareInterface, Measured, Steps
 from robot.messages import (
     ArmConfig,
     ArmHealth,
@@ -29,7 +31,36 @@ from robot.messages import (
     Order,
 )
 from robot.trajectory import Trajectory
-from tests.helpers.stepped_emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator
+
+
+def reading(position_rad: Any, **told: Any) -> Measured:
+    """Return a measurement of six servos; every named value is one number for all joints, or six."""
+    usual = {
+        "velocity_rad_s": 0.0,
+        "load": 0.0,
+        "current_a": 0.0,
+        "voltage_v": 6.0,
+        "temperature_c": 35.0,
+        "status": 0,
+        "age_s": 0.0,
+    }
+    columns = {name: np.broadcast_to(np.asarray(value), (6,)) for name, value in (usual | told).items()}
+    return Measured(position_rad=np.asarray(position_rad, dtype=float), **columns)
+
+
+Result = TypeVar("Result")
+
+
+def run(steps: Steps[Result]) -> Result:
+    """Take every step at once, without the waits in between; returns what the sequence returns."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            result: Result = done.value
+            return result
+
 
 CALIBRATION = Calibration.nominal()
 ROBOT = within_calibration(model.builtin(), CALIBRATION)

@@ -1,7 +1,9 @@
-"""Time that a test moves, and what is to happen then."""
+"""Time that a test moves: a clock with timers, and an event loop that never waits."""
 
 from __future__ import annotations
 
+import asyncio
+import selectors
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -35,7 +37,7 @@ class FakeClock:
 
     @property
     def waiting(self) -> int:
-        """How many timers are still to come."""
+        """Number of timers that are still to come."""
         return sum(not timer.cancelled for timer in self.timers)
 
     def advance(self, seconds: float) -> None:
@@ -47,3 +49,36 @@ class FakeClock:
             self.now_s = max(self.now_s, timer.due_s)
             timer.action()
         self.now_s = until_s
+
+
+class SteppedLoop(asyncio.SelectorEventLoop):
+    """Event loop whose clock starts at 0 and goes on to the next timer as soon as no callback is ready.
+
+    Only for tests without sockets, threads and child processes: what takes real time takes none of this clock's, and a
+    wait for it with a timeout ends with the timeout.
+    """
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+        super().__init__(_SteppingSelector(self.advance))
+
+    def time(self) -> float:
+        return self._now_s
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass while the loop does something else, as when a callback holds it up."""
+        self._now_s += seconds
+
+
+class _SteppingSelector(selectors.DefaultSelector):
+    """Selector that has time pass instead of waiting for a timer."""
+
+    def __init__(self, advance: Callable[[float], None]) -> None:
+        super().__init__()
+        self._advance = advance
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready = super().select(None if timeout is None else 0.0)
+        if not ready and timeout is not None:
+            self._advance(timeout)
+        return ready

@@ -78,19 +78,19 @@ class Judge:
         )
 
     def collides(self, point: Vector) -> bool:
-        """Whether anything touches in a configuration of the file's joints, shape (n,) [rad]."""
+        """Return true if anything touches in a configuration of the file's joints, shape (n,) [rad]."""
         self._q[self._columns] = point
         return bool(pin.computeCollisions(self._model, self._data, self._tree, self._q, True))
 
     def tip_m(self, point: Vector) -> Vector:
-        """Where the tip is in a configuration [m]."""
+        """Return the position of the tip in a configuration [m]."""
         self._q[self._columns] = point
         pin.framesForwardKinematics(self._model, self._data, self._q)
         position_m: Vector = self._data.oMf[self._model.getFrameId(TIP)].translation.copy()
         return position_m
 
     def faults(self, asked: Fields, answer: Fields, rate_excess: float = RATE_EXCESS) -> list[str]:
-        """What is wrong with a motion.
+        """Return the faults of a motion.
 
         Args:
             asked: a problem of the file.

@@ -46,7 +46,7 @@ LOOK_MS = 20
 
 
 def browser_is_missing() -> str:
-    """Why no browser can be started here; empty when one can."""
+    """Return the reason for having no browser here; empty when one can be started."""
     if shutil.which("chromium") is None:
         return "chromium is not installed (apt-get install chromium)"
     try:
@@ -57,7 +57,7 @@ def browser_is_missing() -> str:
 
 
 def what_is_missing() -> str:
-    """Why the page cannot be opened here; empty when it can."""
+    """Return the reason for having no page here; empty when it can be opened."""
     if reason := browser_is_missing():
         return reason
     if not BUILT.exists():
@@ -136,7 +136,7 @@ class OpenPage:
             self.page.wait_for_timeout(LOOK_MS)
 
     def describe(self) -> str:
-        """What a person would see now, for the message of a failed test."""
+        """Return the visible text, for the message of a failed test."""
         said = {
             test_id: self.page.get_by_test_id(test_id).text_content()
             for test_id in ("state-pill", "link-pill", "message", "control", "stop", "target-state", "notices")
@@ -174,7 +174,7 @@ class OpenPage:
         return path
 
     def colours(self) -> int:
-        """How many colours the drawing has: a blank canvas has one."""
+        """Number of colours of the drawing: a blank canvas has one."""
         from PIL import Image
 
         image = Image.open(io.BytesIO(self.page.locator("canvas").first.screenshot())).convert("RGB").resize((64, 64))
@@ -196,7 +196,7 @@ class OpenPage:
         return red, green, blue
 
     def screen_of(self, position_m: tuple[float, float, float]) -> tuple[float, float]:
-        """Where a point of the root link's frame is on the screen [px]."""
+        """Return the place of a point of the root link's frame on the screen [px]."""
         x, y = self.page.evaluate("p => window.armbridge.screen_of(...p)", list(position_m))
         return float(x), float(y)
 

@@ -1,4 +1,4 @@
-"""A running ``armbridge serve``, started by the command that ``make run`` runs."""
+"""A running ``armbridge serve``, started by the command behind ``make run``, and commands to its simulated arm."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import shlex
 import signal
 import socket
 import subprocess
+import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -109,3 +112,61 @@ def free_port() -> int:
 def read_write_log(path: Path) -> list[dict[str, Any]]:
     """The emulator's log of every write to a servo, oldest first."""
     return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+# The arm process listens as soon as it knows its arm, and takes commands at every tick.
+CONNECT_TIMEOUT_S = 30.0
+ANSWER_TIMEOUT_S = 30.0
+
+
+class EmulatorControl:
+    """A controller of the emulated servos whose control socket is at a path; connects anew for each command.
+
+    Args:
+        path: as the settings name it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def command(self, **command: object) -> dict[str, object]:
+        """Send one live command and return the answer."""
+        with self._connected() as controller, controller.makefile("rb") as lines:
+            controller.sendall(json.dumps(command).encode() + b"\n")
+            answer: dict[str, object] = json.loads(lines.readline())
+        return answer
+
+    def _connected(self) -> socket.socket:
+        until_s = time.monotonic() + CONNECT_TIMEOUT_S
+        while True:
+            controller = socket.socket(socket.AF_UNIX)
+            controller.settimeout(ANSWER_TIMEOUT_S)
+            try:
+                controller.connect(str(self.path))
+            except OSError:
+                # An arm process that was killed is being replaced.
+                controller.close()
+                if time.monotonic() > until_s:
+                    raise
+                time.sleep(0.01)
+            else:
+                return controller
+
+
+@dataclass
+class ServerOnBus:
+    """A running server and the emulated servos of its arm."""
+
+    server: RunningServer
+    emulator: EmulatorControl
+
+
+@contextmanager
+def server_on_bus(arguments: str = "--port 0", **settings: str) -> Iterator[ServerOnBus]:
+    """Start a server; settings are environment variables without ``ARMBRIDGE_``."""
+    # A short path: that of a Unix socket has 107 bytes at most, and pytest's folders are deep.
+    with tempfile.TemporaryDirectory(prefix="arm") as folder:
+        control = Path(folder) / "control"
+        settings = {"EMULATOR__CONTROL": str(control), **settings}
+        with RunningServer(arguments, {f"ARMBRIDGE_{key}": value for key, value in settings.items()}) as server:
+            yield ServerOnBus(server, EmulatorControl(control))

@@ -210,7 +210,7 @@ class RosMachine:
         )
 
     def has_token(self, part: str) -> bool:
-        """Whether somebody has announced what has this in its token."""
+        """Return true if a token with this text has been announced."""
         return any(part in token for token in list(self.tokens))
 
     def _on_token(self, sample: zenoh.Sample) -> None:
@@ -218,5 +218,5 @@ class RosMachine:
 
 
 def attached(number: int) -> bytes:
-    """What rmw_zenoh attaches."""
+    """Return the attachment of rmw_zenoh."""
     return struct.pack("<qqB16s", number, time.time_ns(), 16, b"a-ros-2-machine.")

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.meshed_arm import meshed_arm
 from tests.helpers.page import OpenPage, opened
+from tests.helpers.robots import meshed_arm
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.blocking import call, goal, tip
+from tests.helpers.clients import call, goal, tip
 from tests.helpers.page import OpenPage, opened
 from tests.helpers.server import RunningServer
 

@@ -10,9 +10,9 @@ from urllib.parse import quote
 import pytest
 from websockets.sync.client import connect
 
-from tests.helpers.blocking import call_on
-from tests.helpers.meshed_arm import meshed_arm, small_stl
+from tests.helpers.clients import call_on
 from tests.helpers.page import OpenPage, opened
+from tests.helpers.robots import meshed_arm, small_stl
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
 from planners.problem import RateLimits
 from robot.description import model
-from tests.helpers import shared as helpers_shared
+from tests.helpers import resources
 
 
 @pytest.fixture(scope="session")
@@ -24,6 +24,11 @@ def robot():
 @pytest.fixture(scope="session")
 def arm(robot):
     return robot.groups["arm"]
+
+
+@pytest.fixture
+def at_home(robot):
+    return {joint.name: 0.0 for joint in robot.movable_joints}
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +68,7 @@ def rate_limits(robot, arm):
 
 @pytest.fixture(scope="session")
 def shared_data():
-    return helpers_shared.shared_data()
+    return resources.shared_data()
 
 
 @pytest.fixture(scope="session")

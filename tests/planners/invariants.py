@@ -1,4 +1,4 @@
-"""What must be true of every motion, whatever was asked."""
+"""Invariants of every motion, for any request."""
 
 from __future__ import annotations
 

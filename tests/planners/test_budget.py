@@ -55,7 +55,7 @@ def test_a_process_that_waits_for_ever_passes_its_deadline_in_the_end() -> None:
 
 
 @pytest.mark.parametrize("known_first", [False, True])
-def test_where_the_waits_are_not_known_the_deadline_stays_where_it_is(known_first: bool) -> None:
+def test_without_known_waits_the_deadline_stays(known_first: bool) -> None:
     waiter = Waiter()
     waiter.waited_s = 7.0 if known_first else None
     deadline = waiter.deadline(2.0)

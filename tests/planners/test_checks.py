@@ -24,11 +24,6 @@ INVALID = MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
 
 
 @pytest.fixture
-def at_home(robot):
-    return {joint.name: 0.0 for joint in robot.movable_joints}
-
-
-@pytest.fixture
 def problem(at_home):
     return PlanningProblem("arm", at_home, JointGoal({"elbow_flex": 0.5}))
 

@@ -12,7 +12,7 @@ import pytest
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
 from robot.description import model
-from tests.helpers import shared
+from tests.helpers import resources
 from tests.helpers.full_meshes import Judge
 
 # Of each list of a file, every so manieth problem: all of them are the benchmark's.
@@ -27,14 +27,14 @@ LISTS = ("joint_problems", "position_problems", "infeasible")
 
 
 def fields_of(name: str):
-    path = shared.shared_data() / "planning_problems" / f"{name}.json"
+    path = resources.shared_data() / "planning_problems" / f"{name}.json"
     return path, json.loads(path.read_text())
 
 
 @cache
 def judged(name: str):
     _, fields = fields_of(name)
-    return fields, Judge(shared.SHARED, fields)
+    return fields, Judge(resources.SHARED, fields)
 
 
 def straight(start, goal, duration_s: float):
@@ -58,7 +58,7 @@ def test_hard_problems_of_the_benchmark_are_solved_and_valid(name: str, problem:
     (answer,) = plan_command.as_json([outcome], file.joint_names)
     (entry,) = (entry for entry in fields["position_problems"] if entry["id"] == problem)
     assert outcome.expected
-    assert not Judge(shared.shared_data(), fields).faults(entry, answer)
+    assert not Judge(resources.shared_data(), fields).faults(entry, answer)
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -411,7 +411,7 @@ def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, scene,
         assert answer.contact is None
 
 
-def test_what_is_behind_does_not_count(robot, collision, motion, scene):
+def test_contacts_behind_the_arm_do_not_count(robot, collision, motion, scene):
     scene((0.25 * np.cos(-0.6), 0.25 * np.sin(0.6), 0.2))
     before = ask(robot, collision, motion)
     assert before.contact is not None

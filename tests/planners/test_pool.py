@@ -47,7 +47,7 @@ from planners.servo.question import JointVelocities, ServoQuestion
 from robot.channel import MAX_MESSAGE_BYTES
 from robot.description import model
 from tests.helpers import broken_planner
-from tests.helpers.requests import EASY, LONG, REQUESTS, START, STATE, STILL, broken
+from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
 
@@ -97,7 +97,7 @@ async def test_a_scene_given_up_half_way_is_sent_anew(worker: WorkerProcess) -> 
 
 
 @in_one_loop
-async def test_what_no_message_can_hold_is_refused_and_harms_nothing(worker: WorkerProcess) -> None:
+async def test_a_request_too_large_for_a_message_is_refused_and_harms_nothing(worker: WorkerProcess) -> None:
     huge = Mesh(np.zeros((MAX_MESSAGE_BYTES // 24 + 1, 3)), np.zeros((0, 3), dtype=np.int32))
     answer = await worker.ask(STATE, Scene(4, (SceneObject("huge", ((huge, Pose()),)),)))
     assert isinstance(answer, PlanningFailure)
@@ -121,18 +121,18 @@ async def test_a_cancelled_worker_that_waits_for_a_core_is_waited_for(
     assert worker.usable
 
 
-async def test_what_is_in_work_is_ended_once_its_deadline_has_passed() -> None:
+async def test_work_is_cancelled_once_its_deadline_has_passed() -> None:
     with pytest.raises(TimeoutError):
         async with timeout_at(Deadline(0.01, lambda: 0.0)):
             await asyncio.sleep(10.0)
 
 
-async def test_what_is_in_work_is_not_ended_while_its_process_waits_for_a_core() -> None:
+async def test_work_is_not_cancelled_while_its_process_waits_for_a_core() -> None:
     async with timeout_at(Deadline(0.01, time.monotonic)):
         await asyncio.sleep(0.1)
 
 
-async def test_what_is_in_work_is_ended_when_its_process_waits_no_more() -> None:
+async def test_work_is_cancelled_when_its_process_waits_no_more() -> None:
     waits_until_s = time.monotonic() + 0.1
     with pytest.raises(TimeoutError):
         async with timeout_at(Deadline(0.01, lambda: min(time.monotonic(), waits_until_s))):
@@ -366,7 +366,7 @@ async def test_a_robot_that_no_worker_can_load_is_told() -> None:
     assert "planning is not available" in answer.message
 
 
-async def test_where_workers_have_loaded_requests_wait_for_the_next_that_does(
+async def test_after_failed_starts_requests_wait_for_the_next_worker_that_loads(
     both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.1)
@@ -478,7 +478,7 @@ async def test_a_worker_that_waits_for_a_core_is_waited_for(request_: Request) -
 
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("request_", [RECHECK, SERVO], ids=["a recheck", "steering"])
-async def test_where_an_arm_moves_meanwhile_a_worker_that_waits_for_a_core_is_not_waited_for(request_: Request) -> None:
+async def test_while_an_arm_moves_a_worker_starved_of_cores_is_not_waited_for(request_: Request) -> None:
     starved = StarvedWorker(None)
     pool = with_worker(starved)
     answer = await asyncio.wait_for(pool.ask(request_), 30.0)

@@ -9,11 +9,6 @@ TIP = "gripper_frame_link"
 FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.69, "wrist_flex": 1.2}
 
 
-@pytest.fixture
-def at_home(robot):
-    return {joint.name: 0.0 for joint in robot.movable_joints}
-
-
 def tip_m(collision, positions_rad):
     return collision.tip_positions([np.array([positions_rad[name] for name in collision.joint_names])], TIP)[0]
 

@@ -89,7 +89,7 @@ def test_names_that_are_empty_or_taken_are_refused(name):
     assert refusal.code == MoveItErrorCode.INVALID_OBJECT_NAME
 
 
-def test_what_is_held_shares_its_names_with_what_stands_around():
+def test_an_attached_object_must_not_share_the_name_of_another_object():
     refusal = check_scene(scene(thing(), attached=(AttachedObject(thing(), "gripper_link"),)), LINKS)
     assert refusal.code == MoveItErrorCode.INVALID_OBJECT_NAME
 

@@ -11,13 +11,13 @@ from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description import model
-from tests.helpers import seven_joint_arm
+from tests.helpers import robots
 from tests.planners.setting import Setting, end_of
 
 
 @pytest.fixture(scope="module")
 def seven():
-    return model.parse(seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    return model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
 
 
 @pytest.fixture(scope="module")

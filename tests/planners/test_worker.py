@@ -68,7 +68,7 @@ def test_a_worker_that_hangs_ends_with_its_server() -> None:
 import asyncio, os
 from planners import pool as pool_module
 from planners.pool import PlannerPool
-from tests.helpers.requests import broken
+from tests.helpers.motions import broken
 from robot.description import model
 async def serve():
     pool_module.WORKER_MODULE = "tests.helpers.broken_planner"

@@ -29,7 +29,7 @@ def test_a_message_goes_out_with_the_fields_that_ros1_declares(name):
 
 
 @given(st.integers(0, 2**32))
-def test_what_both_generations_have_comes_back_as_it_was(seed):
+def test_fields_of_both_dialects_survive_translation_and_back(seed):
     name = "moveit_msgs/msg/MotionPlanRequest"
     message = made_up(REGISTRY, name, seed)
     for constraint in message["goal_constraints"]:
@@ -99,7 +99,7 @@ def test_a_message_may_be_partial_on_the_way_in():
 
 
 @pytest.mark.parametrize("msg", [None, 3, "now", [], {"header": 3}, {"header": {"stamp": "now"}}, {"nonsense": {}}])
-def test_what_cannot_be_understood_is_passed_on_to_the_validation(msg):
+def test_an_untranslatable_message_is_passed_on_to_the_validation(msg):
     assert from_ros1(REGISTRY, "sensor_msgs/JointState", msg) == msg
 
 

@@ -14,7 +14,7 @@ from protocol.errors import FrameError, OperationError
 from protocol.framing import MAX_LEADING_BYTES, MAX_REFUSALS_PER_FRAME, FrameReader, Reassembly, split
 from protocol.limits import Limits
 from protocol.operations import Fragment
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 operations = st.fixed_dictionaries(
     {
@@ -61,7 +61,7 @@ def test_an_object_may_come_in_several_frames_cut_anywhere(operation, cuts, asci
     assert read(*pieces(text, cuts)) == [operation]
 
 
-def test_what_follows_an_object_is_kept_for_the_next_frame():
+def test_text_after_an_object_is_kept_for_the_next_frame():
     assert read('{"op":"a"}{"op":', '"b"}') == [{"op": "a"}, {"op": "b"}]
 
 
@@ -214,7 +214,7 @@ def outcome(receiver, *operations, now=0.0):
 
 
 @given(st.text(min_size=1), st.integers(1, 50), st.randoms(use_true_random=False))
-def test_what_is_split_is_put_together_in_any_order(text, size, source):
+def test_fragments_are_reassembled_in_any_order(text, size, source):
     frames = [json.loads(frame) for frame in split(text, size, "7")]
     source.shuffle(frames)
     results = outcome(reassembly(), *map(Fragment.model_validate, frames))

@@ -56,7 +56,7 @@ def test_values_are_counted_with_those_of_the_messages_in_a_message() -> None:
     assert {name: values_in(REGISTRY, name) for name in sizes} == sizes
 
 
-def test_what_is_taken_is_gone_until_the_next_message() -> None:
+def test_spent_budget_is_gone_until_the_next_message() -> None:
     budget = MessageBudget()
     budget.take(MAX_VALUES)
     with pytest.raises(MessageError):
@@ -137,12 +137,12 @@ def test_of_every_type_a_complete_message_is_taken_as_it_is_or_left_to_the_slow_
     ("name", "message"),
     [("sensor_msgs/JointState", JOINT_STATE), ("trajectory_msgs/JointTrajectory", TRAJECTORY), ("std_msgs/Empty", {})],
 )
-def test_what_robots_say_most_goes_the_quick_way(name, message):
+def test_the_most_common_messages_go_the_quick_way(name, message):
     assert quick(name, message) == message
 
 
 @given(st.sampled_from(MESSAGE_NAMES), st.data())
-def test_what_the_quick_way_takes_the_slow_way_completes_to_the_same(name, data):
+def test_the_quick_way_and_the_slow_way_complete_messages_equally(name, data):
     message = copy.deepcopy(sample(name))
     spots = list(places(message))
     if spots:
@@ -154,7 +154,7 @@ def test_what_the_quick_way_takes_the_slow_way_completes_to_the_same(name, data)
 
 
 @given(st.sampled_from(MESSAGE_NAMES), st.data())
-def test_what_is_left_out_is_filled_in_as_on_the_slow_way(name, data):
+def test_missing_fields_are_filled_in_as_on_the_slow_way(name, data):
     message = copy.deepcopy(sample(name))
     for _ in range(3):
         spots = [spot for spot in places(message) if type(spot[0]) is dict]
@@ -182,7 +182,7 @@ def test_a_header_without_stamp_is_left_to_the_slow_way_which_knows_the_time():
     assert quick("sensor_msgs/JointState", {"name": ["a"]}) is None
 
 
-def test_what_is_filled_in_is_not_shared():
+def test_filled_in_values_are_not_shared():
     first, second = (quick("shape_msgs/SolidPrimitive", {}) for _ in range(2))
     first["dimensions"].append(1.0)
     first["polygon"]["points"].append({})
@@ -213,7 +213,7 @@ def test_integers_that_javascript_writes_for_floats_are_taken_as_floats():
         [1, 2],
     ],
 )
-def test_what_is_not_valid_is_left_to_the_slow_way(value):
+def test_an_invalid_message_is_left_to_the_slow_way(value):
     assert quick("builtin_interfaces/Time", value) is None
 
 

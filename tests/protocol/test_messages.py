@@ -51,7 +51,7 @@ def test_the_first_clients_joint_goal_keeps_what_it_says():
     assert completed("sensor_msgs/JointState", goal) == goal
 
 
-def test_what_came_is_left_as_it_was_and_shares_nothing_with_what_goes_out():
+def test_a_completed_message_leaves_its_original_unchanged_and_shares_nothing_with_it():
     came = {"header": {"seq": 1}, "name": ["a"], "position": [1]}
     before = copy.deepcopy(came)
     message = completed("sensor_msgs/JointState", came)

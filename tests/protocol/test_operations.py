@@ -161,7 +161,7 @@ def test_throttle_rate_is_taken_as_integer_and_as_float(rate):
     assert parse({"op": "subscribe", "topic": "/a", "throttle_rate": rate}).throttle_rate == rate
 
 
-def test_what_ros_sharp_sends_is_taken():
+def test_operations_of_ros_sharp_are_accepted():
     operation = parse(
         {
             "op": "subscribe",
@@ -204,7 +204,7 @@ def test_a_missing_op_is_refused_with_the_ops_there_are():
 
 
 @pytest.mark.parametrize("value", [42, [1], None, "text", True])
-def test_what_is_no_object_is_refused(value):
+def test_a_value_that_is_no_object_is_refused(value):
     assert "wanted an object" in str(refused(value))
 
 

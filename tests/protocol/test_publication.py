@@ -17,7 +17,7 @@ from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp, complete
 from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame, PublishedMessage, pack
 from protocol.registry import Registry
-from tests.helpers.cdr import deserialize
+from tests.helpers.messages import deserialize
 
 
 def text_frame(length):
@@ -32,7 +32,7 @@ def test_an_encoded_message_costs_its_frames_and_what_is_spent_on_each():
     ("frame", "size"),
     [(text_frame(100), None), (text_frame(100), 100), (Frame(b"x" * 100, text=False), 10)],
 )
-def test_what_is_short_enough_or_binary_stays_whole(frame, size):
+def test_a_short_or_binary_frame_stays_whole(frame, size):
     assert pack(frame, size, "f").frames == (frame,)
 
 
@@ -78,7 +78,7 @@ def test_on_the_wire_frames_follow_each_other():
     ]
 
 
-def test_what_goes_over_the_wire_is_made_once():
+def test_the_bytes_on_the_wire_are_made_once():
     encoded = EncodedMessage(text_frame(10))
     assert encoded.on_wire is encoded.on_wire
 

@@ -8,7 +8,7 @@ from protocol import registry
 from protocol.errors import InterfaceError
 from protocol.messages import Stamp, complete
 from protocol.registry import ArrayBounds, Constant, Registry
-from tests.helpers.shared import shared_data
+from tests.helpers.resources import shared_data
 
 
 @pytest.mark.parametrize(("read", "name"), [(registry.read_ros2, "ros2"), (registry.read_ros1, "ros1")])
@@ -18,7 +18,7 @@ def test_the_tables_hold_every_interface_of_the_reference(read, name):
     assert {key: table[key] for key in reference} == reference
 
 
-def test_what_the_ros1_table_has_beyond_the_reference_are_seven_messages_an_action():
+def test_the_ros1_table_adds_seven_messages_for_each_action():
     table = registry.read_ros1()
     actions = [name for name, definition in table.items() if definition["kind"] == "action"]
     assert len(actions) == 13
@@ -144,7 +144,7 @@ def test_every_service_and_action_and_all_that_they_refer_to_can_be_read(registr
 
 
 @pytest.mark.parametrize("name", ["std_msgs/String", "std_srvs/srv/SetBool_Goal", "std_srvs/Nothing", "std_srvs/srv/"])
-def test_what_is_no_service_is_refused_as_one(registry, name):
+def test_a_type_that_is_no_service_is_refused_as_one(registry, name):
     with pytest.raises(InterfaceError):
         registry.service(name)
 

@@ -71,7 +71,7 @@ def test_the_newest_message_stays_even_if_it_is_larger_than_the_bound(free):
     assert taken(box, 1.0) == [b"x" * 10_000]
 
 
-def test_what_left_makes_room_again(free):
+def test_sent_frames_make_room_again(free):
     box = send_queue(topic_frames=3)
     for round_number in range(5):
         put_all(box, free, frames(3))
@@ -122,7 +122,7 @@ def test_a_throttled_topic_holds_nothing_else_back(free):
     assert taken(box, 5.5) == [b"later"]
 
 
-def test_what_waits_for_a_closed_subscription_is_not_sent():
+def test_messages_queued_for_a_closed_subscription_are_not_sent():
     box, paced = send_queue(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
     put_all(box, paced, frames(3))
     paced.closed = True
@@ -288,7 +288,7 @@ def test_one_reply_may_have_any_size_beside_requests():
     assert not box.overflowed
 
 
-def test_what_a_clients_own_throttle_drops_is_told_apart():
+def test_messages_dropped_by_a_clients_own_throttle_are_counted_apart():
     box, paced = send_queue(topic_frames=2), Subscription("/paced", throttle_s=1.0, queue_length=1)
     put_all(box, paced, frames(3))
     assert (box.dropped, box.throttled) == (2, 2)

@@ -73,7 +73,7 @@ def test_text_and_binary_frames_carry_the_same_operations(frame):
         ('{"op":"publish"}', "publish: field topic"),
     ],
 )
-def test_what_cannot_be_read_is_refused_in_one_line(frame, text):
+def test_an_unreadable_frame_is_refused_in_one_line(frame, text):
     (refusal,) = read(Session(), frame)
     assert isinstance(refusal, Refusal)
     assert text in refusal.text
@@ -269,7 +269,7 @@ def test_a_picture_is_read_as_the_frame_in_it():
         ({"op": "png", "data": "rubbish"}, "png: field data: not"),
     ],
 )
-def test_what_is_packed_wrongly_is_refused(fields, text):
+def test_a_wrongly_packed_operation_is_refused(fields, text):
     assert text in receive(Session(), **fields).text
 
 
@@ -421,7 +421,7 @@ def test_feedback_is_dropped_where_a_reply_would_overflow():
     assert session.dropped > 0
 
 
-def test_what_is_fetched_at_a_time_is_bounded():
+def test_the_data_fetched_at_a_time_is_bounded():
     session = subscribed()
     for step in range(500):
         session.deliver(message("x" * 1000 + str(step)), 1.0)

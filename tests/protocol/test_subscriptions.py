@@ -22,7 +22,7 @@ def test_the_first_entry_on_a_topic_is_told_from_later_ones(table):
     assert list(table.entries("/a")) == ["x", "y"]
 
 
-def test_a_topic_has_one_key_however_it_is_spelled(table):
+def test_a_topic_has_one_key_for_all_its_spellings(table):
     table.put("a", None, "x")
     assert list(table) == ["/a"]
     assert "a" in table
@@ -245,7 +245,7 @@ def test_with_a_queue_all_are_admitted_and_one_leaves_per_interval():
     assert subscription.due_count(3, subscription.due_s) == 1
 
 
-def test_what_waits_for_a_closed_subscription_is_due_at_once():
+def test_messages_queued_for_a_closed_subscription_are_due_at_once():
     subscription = Subscription("/a", throttle_s=10.0, queue_length=4, last_sent_s=5.0, closed=True)
     assert subscription.due_count(3, 5.0) == 3
 

@@ -124,7 +124,7 @@ def test_whole_floats_are_taken_for_octets():
 
 
 @pytest.mark.parametrize("value", ["AA=", "AAA", "A-_A", "AAAA\n", "é", "no base64", 42, None, {}])
-def test_what_is_neither_base64_nor_a_list_is_refused(value):
+def test_octets_that_are_neither_base64_nor_a_list_are_refused(value):
     with pytest.raises(MessageError, match=r"wanted uint8\[\] as base64 text"):
         values.to_octets(value, "uint8[]")
 

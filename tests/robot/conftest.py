@@ -21,8 +21,8 @@ import pytest
 from robot.control.pacing import take_priority
 from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus
-from tests.helpers.scripted_port import Script
-from tests.helpers.stepped_emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.scripted_servos import Script
 
 START_TIMEOUT_S = 10.0
 END_TIMEOUT_S = 5.0

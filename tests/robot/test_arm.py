@@ -22,9 +22,8 @@ from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, ChangePace, Mode, Order, Outcome, Pace
 from robot.trajectory import Trajectory
-from tests.helpers.emulator_control import EmulatorControl
-from tests.helpers.server import read_write_log
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
+from tests.helpers.server import EmulatorControl, read_write_log
 
 CALIBRATION = Calibration.nominal()
 ROBOT = within_calibration(model.builtin(), CALIBRATION)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.trajectory import Trajectory, rest_to_rest
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 
 @given(st.floats(min_value=-1.0, max_value=5.0))

@@ -22,7 +22,7 @@ def test_a_recording_that_cannot_be_written_prevents_the_start(tmp_path: Path) -
         open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101")
 
 
-async def test_what_is_set_reaches_its_place() -> None:
+async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
     limits = SessionSettings(max_message_bytes=70_000)
     app = App(
         Settings(server=ServerSettings(unregister_timeout_s=3.0, limits=limits), zenoh=ZenohSettings(mode="peer"))

@@ -94,7 +94,7 @@ def test_an_explanation_ends_with_unit_and_range() -> None:
     assert "# Rate of /joint_states. (Hz, at least 1, at most 100)\njoint_state_rate_hz = 50.0\n" in TEXT
 
 
-def test_what_has_no_default_is_left_out_and_says_what_that_means() -> None:
+def test_a_setting_without_default_is_commented_out_with_its_meaning() -> None:
     assert '# Serial device, URL or auto; leave it out for the simulated arm.\n# serial = "..."\n' in TEXT
     assert "\n# limit_mb = ...\n" in TEXT
 

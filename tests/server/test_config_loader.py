@@ -54,7 +54,7 @@ def test_a_file_that_does_not_exist_is_named(file: Path) -> None:
         load(file, {})
 
 
-def test_who_has_set_what_is_known(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_source_of_each_setting_is_known(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("[server]\nport = 1\n[arm.zero_offset_rad]\nelbow_flex = 0.1\n")
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     _, sources = load_with_sources(file, {"goals": {"capacity": 3}})

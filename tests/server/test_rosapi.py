@@ -6,11 +6,44 @@ from typing import Any
 import pytest
 
 from protocol.dialect import Dialect
+from protocol.registry import Registry
 from server import rosapi
 from server.access.permissions import NameFilter
 from server.errors import ServiceError
-from server.rosapi import MAX_PARAMETER_BYTES, Parameters, Request, names_of_type, node_name
-from tests.helpers.asked_world import ARM, CLIENT, AskedWorld
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph, Subscriber
+from server.rosapi import MAX_PARAMETER_BYTES, Parameters, Request, RosApi, names_of_type, node_name
+from tests.helpers.clock import FakeClock
+
+REGISTRY = Registry.load()
+ARM, CLIENT = Node("arm"), Node("client 127.0.0.1:53944", remote=True)
+
+
+class AskedWorld:
+    """The graph, in a time that stands still."""
+
+    def __init__(self) -> None:
+        self.graph = Graph(
+            REGISTRY, wall_clock=lambda: 12.5, call_later=FakeClock().call_later, relay_unknown_types=True
+        )
+        RosApi(self.graph, lambda: 12.5)
+        self.graph.advertise(ARM, "/joint_states", "sensor_msgs/JointState")
+        self.graph.subscribe(CLIENT, "/joint_states", None, Subscriber(lambda _published: None))
+        self.graph.advertise(CLIENT, "/chatter", "std_msgs/String")
+        self.graph.services.offer(ARM, "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True})
+
+    def ask(self, service: str, dialect: Dialect = "ros2", /, **arguments: Any) -> dict[str, Any]:
+        response = self.response(service, arguments, dialect)
+        assert response.ok, response.values
+        values: dict[str, Any] = response.values
+        return values
+
+    def response(self, service: str, arguments: Any, dialect: Dialect = "ros2") -> Response:
+        responses: list[Response] = []
+        self.graph.services.call(CLIENT, f"/rosapi/{service}", arguments, responses.append, dialect=dialect)
+        assert len(responses) == 1
+        return responses[0]
 
 
 @pytest.fixture
@@ -247,7 +280,7 @@ def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
 
 
 @pytest.mark.parametrize("value", ["", "{", "[" * 200_000])
-def test_what_is_no_json_is_refused(kept: Kept, value: str) -> None:
+def test_a_parameter_that_is_no_json_is_refused(kept: Kept, value: str) -> None:
     with pytest.raises(ServiceError, match="value: must be JSON text"):
         kept.ask("set_param", name="/speed", value=value)
     assert kept.ask("get_param_names") == {"names": []}
@@ -298,7 +331,7 @@ class TestNameFilters:
 
     @pytest.mark.parametrize("service", ["get_param", "set_param", "has_param", "delete_param", "search_param"])
     @pytest.mark.parametrize("name", ["/robot_description", "//open/speed", "open/speed"])
-    def test_others_are_refused_with_what_to_set(self, some: Kept, service: str, name: str) -> None:
+    def test_others_are_refused_with_the_setting_to_change(self, some: Kept, service: str, name: str) -> None:
         with pytest.raises(ServiceError, match=r"fits no pattern of access\.params_glob"):
             some.ask(service, name=name, value="0", default_value="")
 

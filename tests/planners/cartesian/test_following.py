@@ -5,16 +5,11 @@ from hypothesis import given
 
 from planners.cartesian.following import CHORD_M, CORNER_STEP_M, ON_PATH_M, Ended, Following
 from planners.cartesian.tip_path import TipPath, apart_m
-from tests.helpers.examples import examples
-from tests.planners.following import Follower, line, shares
+from tests.helpers.resources import examples
+from tests.planners.following import line, shares
 from tests.planners.invariants import never
 
 START = np.array([0.0, -0.5, 0.7, 0.4, 0.0])
-
-
-@pytest.fixture(scope="module")
-def follower(robot, collision):
-    return Follower(robot, collision)
 
 
 def following(follower, start, segments, flaw=lambda point: None, should_stop=never, **asked):
@@ -89,7 +84,7 @@ def test_a_joint_step_beyond_the_threshold_ends_the_path_and_is_named(follower):
     assert ended.details["step_rad"] > 1e-4
 
 
-def test_what_is_wrong_with_points_ends_the_path_where_it_begins(follower):
+def test_a_flaw_ends_the_path_at_its_first_point(follower):
     limit_rad = START[0] - 0.1
     flaw = Ended("constraint", "too far to the right", {})
     task = following(

@@ -25,8 +25,8 @@ from planners.goals import Constraints, JointConstraint, OrientationConstraint
 from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, RateLimits
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from robot.trajectory import Trajectory
-from tests.helpers.examples import examples
-from tests.planners.following import TIP, Follower, arc, as_pose, line, shares
+from tests.helpers.resources import examples
+from tests.planners.following import TIP, arc, as_pose, line, shares
 from tests.planners.invariants import (
     assert_from_rest_to_rest,
     assert_keeps_positions,
@@ -190,7 +190,7 @@ def test_progress_is_what_toppra_makes_of_its_own_spline():
 
 
 @pytest.mark.parametrize("rate", [None, np.full(21, np.nan)])
-def test_what_toppra_cannot_time_has_no_timing(monkeypatch, rate):
+def test_a_path_that_toppra_cannot_time_has_no_timing(monkeypatch, rate):
     monkeypatch.setattr(toppra.algorithm.TOPPRA, "compute_parameterization", lambda *_: (None, rate, None))
     assert toppra_profile(spline(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]])), LIMITS) is None
 
@@ -241,11 +241,6 @@ FOLDED_INTO_ITSELF = np.array([0.0, -1.74, 1.69, 1.2, 0.0])
 
 # Between the points that are measured the tip may be off by a little more than at them.
 BOUND_M = 3e-4
-
-
-@pytest.fixture(scope="module")
-def follower(robot, collision):
-    return Follower(robot, collision)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from planners.cartesian.following import CHORD_M, Followed
 from planners.cartesian.tip_curve import SplinePath, tip_curve
 from planners.cartesian.tip_path import TipPath, apart_m
-from tests.planners.following import Follower, line
+from tests.planners.following import line
 
 coordinates = st.floats(-2.0, 2.0).map(lambda value: round(value, 3))
 curves = st.lists(st.tuples(*[coordinates] * 3), min_size=2, max_size=12).map(np.array)
@@ -69,11 +69,6 @@ def test_points_that_are_not_finite_make_no_curve():
 
 
 START = np.array([0.0, -0.5, 0.7, 0.4, 0.0])
-
-
-@pytest.fixture(scope="module")
-def follower(robot, collision):
-    return Follower(robot, collision)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from planners.cartesian.tip_path import TipPath, apart_rad, arc_flaw, check_path
 from planners.goals import Constraints, JointConstraint
 from planners.problem import Arc, CartesianProblem, Line, MoveItErrorCode
 from planners.scene import Pose
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 START = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.1]))
 QUARTER_ABOUT_Z = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))

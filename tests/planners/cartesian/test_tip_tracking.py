@@ -5,15 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.cartesian.tip_path import apart_m, apart_rad
-from tests.helpers.examples import examples
-from tests.planners.following import Follower, shares
+from tests.helpers.resources import examples
+from tests.planners.following import shares
 
 steps_m = st.tuples(*[st.floats(-0.005, 0.005)] * 3).map(np.array)
-
-
-@pytest.fixture(scope="module")
-def follower(robot, collision):
-    return Follower(robot, collision)
 
 
 def moved(placement, step_m):

@@ -17,9 +17,9 @@ from planners.errors import BatchError
 from planners.files import batch, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.description import model
-from tests.helpers.certificates import make_pair
-from tests.helpers.dask_cluster import DaskCluster
+from tests.helpers.resources import make_pair
 from tests.helpers.server import free_port
+from tests.planners.files.dask_cluster import DaskCluster
 
 distributed = pytest.importorskip("distributed", reason="the extra [dask] is not installed")
 
@@ -205,6 +205,6 @@ def test_without_dask_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1"])
-def test_what_is_no_address_of_a_scheduler_is_refused(address: str) -> None:
+def test_an_invalid_scheduler_address_is_refused(address: str) -> None:
     with pytest.raises(BatchError, match="must be tcp://HOST:PORT or tls://HOST:PORT"):
         next(batch.plan_on(address, []))

@@ -180,7 +180,7 @@ def test_problems_of_several_files_are_told_apart_by_their_paths(path) -> None:
 
 
 class TerminalText(io.StringIO):
-    """What goes to a terminal."""
+    """Return the output to a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -201,7 +201,7 @@ UNUSABLE = {
 
 
 @pytest.mark.parametrize(("options", "words"), UNUSABLE.values(), ids=UNUSABLE)
-def test_what_cannot_be_done_is_one_line_and_exit_2(path, options, words) -> None:
+def test_an_impossible_request_is_one_line_and_exit_2(path, options, words) -> None:
     run = Run(options(path))
     assert run.code == EXIT_USAGE
     (line,) = run.errors

@@ -6,7 +6,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.scene import Box
 from robot.trajectory import Trajectory
-from tests.helpers.examples import in_proportion
+from tests.helpers.resources import in_proportion
 from tests.planners.invariants import BLOCKED_LINES
 from tests.planners.scenes import around_the_arm, scene, thing
 
@@ -109,7 +109,7 @@ def test_certified_motions_are_free_at_a_finer_step(space_in, own_collision, arm
             assert not touching or touching[0] >= verdict.time_s - 0.02
 
 
-def test_where_only_hulls_touch_the_parts_have_the_last_word(own_collision, space_in, arm, robot):
+def test_if_only_hulls_touch_the_parts_decide(own_collision, space_in, arm, robot):
     rng = np.random.default_rng(5)
     space = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
     points = rng.uniform(0.6 * space.lower_rad, 0.6 * space.upper_rad, (3000, 5))

@@ -20,7 +20,7 @@ from planners.geometry.kinematics import kinematic_urdf
 from planners.geometry.shapes import robot_shapes
 from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject, Sphere
-from tests.helpers.examples import in_proportion
+from tests.helpers.resources import in_proportion
 from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, scene, thing
 
 CUBE = SceneObject("cube", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.3, 0.0, 0.0)))
@@ -71,7 +71,7 @@ def test_objects_are_checked_against_all_links_that_move(robot, checked):
     assert with_cube == {frozenset(("cube", link)) for link in robot.hulls if link != robot.root_link}
 
 
-def test_what_is_held_is_checked_against_objects_and_links_that_it_may_not_touch(robot, checked):
+def test_an_attached_object_is_checked_against_objects_and_links_it_may_not_touch(robot, checked):
     with_bar = {pair for pair in checked(Scene(1, (CUBE,), (HELD,))) if "bar" in pair}
     touched = {"gripper_link", *FINGERS}
     assert with_bar == {frozenset(("bar", name)) for name in {*robot.hulls, "cube"} - touched}
@@ -249,7 +249,7 @@ def test_a_room_of_triangles_around_the_whole_arm_is_free_inside(changing):
     assert not changing.colliding_pairs(np.zeros(6))
 
 
-def test_what_is_held_goes_with_its_link_and_reaches_further(changing):
+def test_an_attached_object_moves_with_its_link_and_extends_the_reach(changing):
     bar = AttachedObject(
         thing(Box((0.02, 0.02, 0.3)), 0.0, 0.0, 0.2), "gripper_frame_link", frozenset({"gripper_link"})
     )

@@ -16,7 +16,7 @@ from planners.geometry.kinematics import kinematic_urdf
 from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
 from planners.scene import Box
 from robot.description import model
-from tests.helpers.examples import in_proportion
+from tests.helpers.resources import in_proportion
 from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
@@ -80,7 +80,7 @@ def test_each_pair_has_a_margin_of_its_own(crowded):
             assert broadphase.near(q, margins_m) == np.flatnonzero(slack_m < 0.0).tolist()
 
 
-def test_what_must_stay_apart_touches_before_it_overlaps(crowded):
+def test_padded_pairs_touch_before_they_overlap(crowded):
     build, states = crowded
     plain, padded = build(0.0), build(0.02)
     count = len(plain._pairs)
@@ -182,7 +182,7 @@ def test_a_robot_of_simple_shapes_needs_no_closer_ones():
     assert not ExactShapes(arm, pin.buildModelFromXML(kinematic_urdf(arm))).available
 
 
-def test_what_only_a_hull_touches_is_no_contact(crane):
+def test_touching_only_a_hull_is_no_contact(crane):
     collision, q = CollisionModel(crane), np.zeros(3)
     # The boom is 27 cm up; the thing is in its middle, where nothing is. Their faces are parallel: without any margin
     # coal misses that the hull overlaps it by 14 mm.
@@ -194,7 +194,7 @@ def test_what_only_a_hull_touches_is_no_contact(crane):
     assert not collision.in_collision(q, by_mesh=frozenset((BETWEEN,)))
 
 
-def test_what_the_mesh_touches_is_a_contact(crane):
+def test_touching_the_mesh_is_a_contact(crane):
     collision, q = CollisionModel(crane), np.zeros(3)
     collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.285, 0.005, 0.275)))
     assert collision.collides(q)

@@ -52,7 +52,7 @@ def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
     assert free > 5
 
 
-def test_what_threatens_a_wide_range_is_all_that_threatens_one_in_it(robot, arm):
+def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(robot, arm):
     collision = CollisionModel(robot)
     collision.set_scene(around_the_arm(1))
     space, rng = JointSpace(collision, arm, np.zeros(6)), np.random.default_rng(0)

@@ -27,7 +27,7 @@ def near(model, q):
     return {(pair.first, pair.second): pair for pair in model.near_pairs(q, WITHIN_M)}
 
 
-def test_what_is_near_is_found_and_what_is_far_is_not(among_balls):
+def test_near_pairs_are_found_and_far_ones_are_not(among_balls):
     found = near(among_balls, np.zeros(6))
     assert all(pair.distance_m < WITHIN_M for pair in found.values())
     assert any("left" in names for names in found)

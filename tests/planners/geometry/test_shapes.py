@@ -28,14 +28,14 @@ from planners.geometry.shapes import (
 )
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Sphere
 from robot.description import model
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 
 
 def outside_m(hull, points):
-    """How far the farthest of the points is outside of a hull."""
+    """Return the distance of the farthest of the points from a hull."""
     corners = np.asarray(hull.points())
     triangles = [hull.polygons(i) for i in range(hull.num_polygons)]
     a, b, c = (corners[[triangle[k] for triangle in triangles]] for k in range(3))

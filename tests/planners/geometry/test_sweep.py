@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.geometry.sweep import EARLIEST_STEP_M, FINEST_STEP_M, Cubics, first_contact, line_is_free
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 
 class Discs:
@@ -136,7 +136,7 @@ def test_a_curve_stays_in_the_range_that_is_told_of_each_span(seed, pieces):
     assert not any(covered)
 
 
-def test_halves_know_what_they_are_halves_of():
+def test_halves_refer_to_their_parents():
     spans = wavy(1, 7).spans()
     while len(spans.at) < 40:
         halves, parents = spans.halves(np.arange(len(spans.at))[::2])

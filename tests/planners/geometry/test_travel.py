@@ -15,7 +15,7 @@ ARMS = {"so101": model.builtin, "crane": lambda: model.parse(CRANE_URDF, CRANE_S
 
 
 class Arm:
-    """Where all points of an arm's shapes are."""
+    """Positions of all points of an arm's shapes."""
 
     def __init__(self, robot_model):
         self.robot = robot_model

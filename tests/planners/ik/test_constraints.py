@@ -31,7 +31,7 @@ from planners.ik.constraints import (
     wish,
 )
 from planners.scene import Pose
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 angles = st.floats(-3.0, 3.0)
 vectors = st.tuples(angles, angles, angles).map(np.array)
@@ -54,7 +54,7 @@ def point(**changes):
 
 @given(vectors, st.floats(0.01, 2.0))
 @examples(50)
-def test_what_is_outside_a_ball_leads_back_to_its_surface(vector, radius):
+def test_the_excess_over_a_ball_leads_back_to_its_surface(vector, radius):
     rest = outside(vector, radius, 1.0)
     length = np.linalg.norm(vector)
     assert np.linalg.norm(vector - rest) == pytest.approx(min(length, radius), abs=2 * ROUNDING)
@@ -63,7 +63,7 @@ def test_what_is_outside_a_ball_leads_back_to_its_surface(vector, radius):
 
 @given(vectors)
 @examples(50)
-def test_what_is_outside_a_box_is_told_for_each_axis(vector):
+def test_the_excess_over_a_box_is_told_for_each_axis(vector):
     half = np.array([0.1, 1.0, 5.0])
     rest = outside(vector, half, 1.0)
     assert np.all(np.abs(vector - rest) <= half + 2 * ROUNDING)

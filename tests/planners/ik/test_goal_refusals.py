@@ -73,7 +73,7 @@ def test_constraints_out_of_reach_are_answered_with_what_does_not_hold():
     assert VIOLATION.sentence in failure.message
 
 
-def test_who_runs_out_of_time_tells_how_near_it_had_come():
+def test_a_timeout_tells_how_near_the_search_came():
     late = PlanningFailure(MoveItErrorCode.TIMED_OUT, "too late", {"allowed_time_s": 0.01})
     failure = out_of_time(POINT, late, (0.25, 0.0, 0.2), Deviation(0.05))
     assert failure.code is MoveItErrorCode.TIMED_OUT

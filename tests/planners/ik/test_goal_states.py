@@ -73,7 +73,7 @@ def test_collision_is_told_only_where_no_solution_is_free(findings):
     assert not found.only_colliding
 
 
-def test_what_can_be_had_only_with_a_contact_is_told_apart_from_what_is_out_of_reach(findings):
+def test_goals_reached_only_in_contact_are_told_apart_from_goals_out_of_reach(findings):
     touching, out_of_reach = findings(FOLDED, tolerance_m=1.0), findings(HOME + 0.5, tolerance_m=0.001)
     touching.add(FOLDED)
     out_of_reach.add(FOLDED)
@@ -166,7 +166,7 @@ def axis_goal(search, q):
     ],
     ids=["position", "pose", "axis"],
 )
-def test_what_a_free_configuration_has_is_found_free_and_within_limits(
+def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
     search, collision, arm, joints, free_states, goal_at
 ):
     for state in free_states:
@@ -298,7 +298,7 @@ def test_a_point_out_of_reach_comes_with_the_configuration_that_has_the_nearest_
     np.testing.assert_allclose(collision.tip_positions([q], TIP)[0], failure.details["nearest_m"], atol=1e-3)
 
 
-def test_strict_pose_that_can_be_had_is_had(find, goal_states):
+def test_a_reachable_strict_pose_is_reached(find, goal_states):
     q = np.array([0.4, -0.3, 0.6, 0.5, 0.2, 0.0])
     goal = PoseGoal(TIP, pose_of(goal_states.forward, q), 0.001, (0.01, 0.01, 0.01), strict=True)
     assert all(state.deviation.orientation_rad < 0.018 for state in find(goal))
@@ -327,7 +327,7 @@ def test_alternatives_of_which_none_can_be_had_are_refused_together(find):
     assert [other["code"] for other in failure.details["alternatives"]] == [-31, -12]
 
 
-def test_constraint_goal_holds_where_it_is_met(find, joints, collision):
+def test_states_found_for_a_constraint_goal_meet_it(find, joints, collision):
     constraints = Constraints(
         joints=(JointConstraint("wrist_roll", 0.5, 0.05, 0.05),),
         positions=(PositionConstraint(TIP, Pose((0.25, 0.1, 0.2)), half_size_m=(0.05, 0.05, 0.01)),),

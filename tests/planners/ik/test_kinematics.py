@@ -41,7 +41,7 @@ from planners.ik.kinematics import (
 )
 from planners.scene import Pose
 from robot.description import model
-from tests.helpers import seven_joint_arm
+from tests.helpers import robots
 from tests.planners.ik.test_constraints import pose_of
 
 TIP = "gripper_frame_link"
@@ -70,7 +70,7 @@ def placement(wrapper):
 
 
 def follow(wrapper, solver, task, steps=30):
-    """What is missing before, and after some steps."""
+    """Return the error before and after some steps."""
     first = task.aim(placement(wrapper), 0.0)
     for _ in range(steps):
         last = task.aim(placement(wrapper), 0.0)
@@ -113,7 +113,7 @@ def test_joint_is_moved_into_its_range(wrapper, solver):
     assert wrapper.state.q[wrapper.get_joint_offset("elbow_flex")] == pytest.approx(0.4, abs=1e-4)
 
 
-def test_what_is_missing_is_weighted(wrapper, solver):
+def test_the_error_is_weighted(wrapper, solver):
     here = placement(wrapper)
     heavy, light = (link_task(wrapper, solver, CONDITIONS["point"], weight, 0) for weight in (4.0, 1.0))
     assert heavy.aim(here, 0.0) == pytest.approx(2.0 * light.aim(here, 0.0))
@@ -183,7 +183,7 @@ def so101(robot):
 
 @pytest.fixture(scope="module")
 def seven():
-    return Bench(model.parse(seven_joint_arm.URDF, seven_joint_arm.SRDF), "tool")
+    return Bench(model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF), "tool")
 
 
 def goals_at(bench, q):
@@ -204,7 +204,7 @@ def goals_at(bench, q):
 
 @pytest.mark.parametrize("kind", ["point", "offset", "axis", "pose"])
 @pytest.mark.parametrize("arm_name", ["so101", "seven"])
-def test_what_a_nearby_configuration_has_is_reached(arm_name, kind, request):
+def test_the_goal_of_a_nearby_configuration_is_reached(arm_name, kind, request):
     bench = request.getfixturevalue(arm_name)
     inner = 0.8 * bench.states(25)
     reached = 0

@@ -87,7 +87,7 @@ def test_every_piece_of_a_line_is_looked_at_once_and_its_end_first(pieces):
 
 
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)
-def test_a_glance_at_a_line_sees_what_is_as_wide_as_its_steps(counted, blocked):
+def test_a_glance_along_a_line_finds_obstacles_as_wide_as_its_steps(counted, blocked):
     assert not counted.glance(*map(np.array, blocked), STEP_M)
     assert counted.glance(HOME, READY, STEP_M)
 

@@ -51,7 +51,7 @@ def test_a_shortened_curve_consists_of_free_pieces(seed):
     assert curve.duration_ticks < 0.8 * polyline(DETOUR, LIMITS).duration_ticks
 
 
-def test_where_everything_is_free_nearly_the_least_time_is_left():
+def test_in_free_space_shortening_nearly_reaches_the_least_time():
     least_s = least_time_s(DETOUR[0], np.zeros(2), DETOUR[-1], np.zeros(2), LIMITS)
     assert TICK_S * shortened().duration_ticks < 1.03 * least_s
 
@@ -65,7 +65,7 @@ def test_a_moving_start_keeps_its_velocity():
     assert curve.duration_ticks < moving.duration_ticks
 
 
-def test_where_nothing_is_free_the_curve_stays():
+def test_without_free_space_the_curve_stays():
     curve = shortened(lambda piece: False)
     np.testing.assert_array_equal(curve.positions_rad, polyline(DETOUR, LIMITS).positions_rad)
 

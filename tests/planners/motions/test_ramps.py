@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from planners.motions.curve import TICK_S, connect, least_time_s, reduced, whole_ticks
 from planners.problem import RateLimits
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 LIMITS = RateLimits(np.array([3.0, 2.0, 1.5]), np.array([10.0, 5.0, 8.0]))
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from planners.motions.curve import TICK_S, brake, from_moving, line, polyline, same_point
 from planners.problem import RateLimits
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
 
 NAMES = ("a", "b", "c")

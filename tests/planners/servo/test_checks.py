@@ -30,7 +30,7 @@ from planners.servo.steering import (
     steered,
 )
 from planners.servo.velocity_limits import Walls
-from tests.helpers.steering import PERIOD_S, TIP
+from tests.planners.servo.steering import PERIOD_S, TIP
 
 
 def refusal(robot, command, velocity_rad_s=None):
@@ -71,7 +71,7 @@ def tip(position_m=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0)):
     return pin.SE3(pin.exp3(np.array(turn_rad)), np.array(position_m))
 
 
-def test_what_lies_along_the_motion_is_left_and_what_lies_across_is_brought_back():
+def test_drift_along_the_motion_is_left_and_drift_across_is_corrected():
     wish = steered(TipTwist((0.1, 0.0, 0.0)), tip((0.005, 0.004, 0.0)), ORIGIN)
     assert wish.linear_m_s == pytest.approx([0.1, -0.004 * GAIN_PER_S, 0.0])
     assert wish.anchor.pose.position_m == pytest.approx((0.005, 0.0, 0.0))
@@ -131,7 +131,7 @@ def told(active=NONE, had=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.0), **more):
     return answer_of(question, NAMES, outcome, AROUND)
 
 
-def test_what_is_had_whole_is_told_without_a_word():
+def test_a_command_followed_in_full_has_no_warning():
     answer = told()
     assert (answer.status, answer.message, answer.share) == (ServoStatus.NO_WARNING, "", pytest.approx(1.0))
     assert answer.velocity_rad_s == {"a": 0.3, "b": 0.4}

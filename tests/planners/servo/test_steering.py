@@ -12,7 +12,7 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from tests.helpers.steering import PERIOD_S, READY, TIP, SteeredArm
+from tests.planners.servo.steering import PERIOD_S, READY, TIP, SteeredArm
 
 TABLE = Scene(7001, (SceneObject("table", ((Box((2.0, 2.0, 0.1)), Pose((0.0, 0.0, -0.05))),)),))
 STRETCHED = {"shoulder_lift": 1.57, "elbow_flex": -1.57}
@@ -47,7 +47,7 @@ def test_nothing_drifts_that_nobody_moves(arm):
     assert arm.tip_m[0] == pytest.approx(start[0], abs=0.0005)
 
 
-def test_to_and_fro_the_arm_is_what_it_was(arm):
+def test_a_motion_to_and_fro_returns_the_arm(arm):
     start = arm.joints_rad[-1]
     for side in (1.0, -1.0):
         arm.steer(TipTwist((0.0, side * 0.15, 0.0)), 0.8)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from planners.servo.question import ServoLimits, ServoStatus
 from planners.servo.velocity_limits import Ahead, bounded_least_squares, regular
-from tests.helpers.examples import examples
+from tests.helpers.resources import examples
 
 DAMPING = 0.01
 
@@ -21,7 +21,7 @@ def problem(seed):
 
 @examples(100)
 @given(st.integers(0, 10**6))
-def test_what_is_found_keeps_every_inequality_and_nothing_pulls_it_further(seed):
+def test_the_solution_keeps_every_inequality_and_is_optimal(seed):
     matrix, wanted, damping, rows, bounds = problem(seed)
     x, active = bounded_least_squares(matrix, wanted, damping, rows, bounds)
     assert (rows @ x <= bounds + 1e-7).all()
@@ -97,7 +97,7 @@ def test_directions_that_are_not_weak_stay_free_at_a_singularity():
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-6, 0.05])
-def test_no_joint_has_to_run_away_for_what_is_left_of_a_wish(bend):
+def test_the_followed_share_of_a_command_needs_no_extreme_joint_speed(bend):
     found = ask(bend, (0.1, 0.02, 0.03))
     velocity = np.linalg.pinv(found.jacobian) @ found.linear_m_s
     assert np.abs(velocity).max() < 20.0

@@ -24,7 +24,7 @@ json_values = st.recursive(
 
 
 @given(json_values)
-def test_what_is_encoded_is_one_document_and_decodes_to_the_same(value):
+def test_an_encoded_value_is_one_document_and_decodes_to_the_same(value):
     frame = bson.encode({"value": value})
     assert bson.is_document(frame)
     assert bson.decode(frame) == {"value": value}

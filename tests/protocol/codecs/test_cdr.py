@@ -10,9 +10,8 @@ from protocol.codecs import cdr
 from protocol.codecs.cbor import with_octets
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from tests.helpers.cdr import deserialize
-from tests.helpers.examples import examples
-from tests.helpers.messages import made_up
+from tests.helpers.messages import deserialize, made_up
+from tests.helpers.resources import examples
 
 REGISTRY = Registry.load()
 MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
@@ -28,7 +27,7 @@ def same_fields(name):
 
 
 def alike(name):
-    """Whether rosbags declares a type, and all types in it, as the tables do."""
+    """Return true if rosbags declares a type, and all types in it, as the tables do."""
     if name not in ROSBAGS.fielddefs or not REGISTRY.message(name).fields or not same_fields(name):
         return False
     return all(field.primitive or alike(field.base) for field in REGISTRY.message(name).fields)
@@ -59,7 +58,7 @@ def foreign(name, msg):
 @pytest.mark.parametrize("name", MESSAGE_TYPES)
 @FEW
 @given(seed=SEEDS)
-def test_what_is_serialized_is_read_back_the_same(name, seed):
+def test_a_serialized_message_is_read_back_the_same(name, seed):
     message = made_up(REGISTRY, name, seed)
     assert deserialize(REGISTRY, name, cdr.serialize(REGISTRY, name, message)) == message
 

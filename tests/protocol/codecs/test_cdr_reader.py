@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from protocol.codecs.cdr import HEADER, deserialize, serialize
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from tests.helpers.examples import examples
 from tests.helpers.messages import made_up
+from tests.helpers.resources import examples
 
 REGISTRY = Registry.load()
 MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]

@@ -28,7 +28,7 @@ def without_infinities(value):
 
 
 @given(json_values)
-def test_what_is_encoded_is_ascii_and_decodes_to_the_same(value):
+def test_an_encoded_value_is_ascii_and_decodes_to_the_same(value):
     encoded = json.encode(value)
     assert encoded.isascii()
     assert json.decode(encoded) == stdlib_json.loads(encoded) == without_infinities(value)
@@ -69,7 +69,7 @@ def test_integers_within_64_bits_come_in_as_integers(numeral):
 
 
 @pytest.mark.parametrize("frame", ["", "{", '{"a":1}x', "{'a':1}", '"\\ud800"', "[NaN", '["\\ud800",NaN]', "[nan]"])
-def test_what_is_not_json_is_refused_with_a_position(frame):
+def test_text_that_is_no_json_is_refused_with_a_position(frame):
     with pytest.raises(FrameError, match="not JSON, ") as refusal:
         json.decode(frame)
     assert refusal.value.position is not None

@@ -18,7 +18,7 @@ def drawn(mode, size):
 
 
 @given(st.binary(max_size=2000).filter(lambda frame: not frame.endswith(b"\n")))
-def test_what_is_drawn_is_read_back_but_for_newlines_behind_it(frame):
+def test_text_in_a_picture_is_read_back_but_for_newlines_behind_it(frame):
     assert png.decode(png.encode(frame)).rstrip(b"\n") == frame
 
 
@@ -33,7 +33,7 @@ def test_a_picture_is_as_square_as_can_be_and_its_pixels_are_the_frame(size):
 
 
 @pytest.mark.parametrize("data", ["", "no base64!", "aGVsbG8=", drawn("RGB", (4, 4))[:60]])
-def test_what_is_no_picture_is_refused(data):
+def test_data_that_is_no_picture_is_refused(data):
     with pytest.raises(FrameError):
         png.decode(data)
 

@@ -15,7 +15,8 @@ from robot.description import model
 from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmConfig, GuardLimits
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.arm_rig import NAMES
+from tests.helpers.motions import smooth_move
 
 CONFIG = ArmConfig(model.builtin(), IdealConfig())
 ALL_RANGES = {**CONFIG_RANGES, **GUARD_RANGES}
@@ -44,7 +45,6 @@ def test_a_number_outside_its_range_becomes_the_default_with_a_log_line(
     assert caplog.text.count(f"{name} must be {least:g} to {most:g}") == 4
 
 
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 BOUNDS = JointBounds.of(model.builtin(), NAMES)
 
 

@@ -29,10 +29,9 @@ from robot.messages import (
     Stream,
 )
 from robot.trajectory import Trajectory
-from tests.helpers.readings import reading
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.arm_rig import NAMES, reading
+from tests.helpers.motions import smooth_move
 
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 BOUNDS = JointBounds.of(model.builtin(), NAMES)
 PERIOD_S = 0.01
 LIMITS = GuardLimits()

@@ -14,8 +14,8 @@ from robot.hardware.interface import Measured
 from robot.messages import Execute, MotionEnded, Outcome
 from robot.trajectory import Vector
 from tests.helpers.arm_rig import BOUNDS, NAMES
-from tests.helpers.stepped_emulator import SteppedClock
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.emulator import SteppedClock
+from tests.helpers.motions import smooth_move
 
 PAN = smooth_move({"shoulder_pan": (0.0, 0.5)}, duration_s=1.0)
 

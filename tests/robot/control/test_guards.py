@@ -15,9 +15,8 @@ from robot.control.guards import (
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag
 from robot.messages import GuardLimits
-from tests.helpers.readings import reading
+from tests.helpers.arm_rig import NAMES, reading
 
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 GOAL = np.zeros(6)
 FULL = np.array([0.8] * 5 + [0.5])
 PERIOD_S = 0.01

@@ -12,7 +12,7 @@ from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
 from robot.messages import ArmConfig
-from tests.helpers.stepped_emulator import SteppedClock
+from tests.helpers.emulator import SteppedClock
 
 CALIBRATION = Calibration.nominal()
 ROBOT = within_calibration(model.builtin(), CALIBRATION)

@@ -12,7 +12,7 @@ from robot.description import model
 from robot.description.limits import JointBounds
 from robot.messages import Execute, GuardLimits, Outcome
 from robot.trajectory import Trajectory
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 PERIOD_S = 0.01
 MAX_ACCELERATION = np.array([6.0, 5.0])

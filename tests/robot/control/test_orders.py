@@ -10,7 +10,7 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
 from robot.messages import GuardLimits, Mode, Order
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
-from tests.helpers.stepped_emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator
 
 IDS = [joint.servo_id for joint in CALIBRATION.joints]
 

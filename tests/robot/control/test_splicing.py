@@ -9,7 +9,7 @@ from robot.description import model
 from robot.description.limits import JointBounds
 from robot.messages import Continuation, Execute, GuardLimits, Outcome
 from robot.trajectory import Trajectory
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 NAMES = ("shoulder_pan", "elbow_flex", "gripper")
 BOUNDS = JointBounds.of(model.builtin(), NAMES)

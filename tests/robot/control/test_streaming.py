@@ -15,6 +15,7 @@ from robot.control.streaming import (
 from robot.description import model
 from robot.description.limits import JointBounds
 from robot.messages import Outcome, Stream
+from tests.helpers.arm_rig import NAMES
 
 PERIOD_S = 0.01
 BOUNDS = JointBounds(np.array([-1.0, -0.5]), np.array([1.0, 0.8]), np.array([2.0, 1.2]), np.array([6.0, 3.0]))
@@ -78,7 +79,6 @@ def test_a_target_too_slow_to_see_is_rest() -> None:
     assert np.abs(follow([((0.9 * LEAST_SPEED_RAD_S, 0.0), 100)])).max() == 0.0
 
 
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 NOWHERE = np.zeros(6)
 
 

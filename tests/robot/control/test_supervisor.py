@@ -16,8 +16,8 @@ from robot.hardware.feetech.hardware import FeetechHardware
 from robot.hardware.feetech.registers import Register
 from robot.messages import ArmHealth, ArmState, EmergencyPolicy, EndState, GuardLimits, Mode, Order, Outcome, Shutdown
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ArmRig
-from tests.helpers.stepped_emulator import SteppedEmulator
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.motions import smooth_move
 
 
 @pytest.fixture

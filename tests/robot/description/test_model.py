@@ -9,7 +9,7 @@ import pytest
 
 from robot.description import model
 from robot.errors import DescriptionError
-from tests.helpers.shared import shared_data
+from tests.helpers.resources import shared_data
 
 URDF = """<robot name="two"><link name="a"/><link name="b"/><link name="c"/>
 <joint name="ab" type="revolute"><parent link="a"/><child link="b"/><limit lower="-1" upper="2" velocity="3"/></joint>

@@ -23,10 +23,9 @@ from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES,
 from robot.hardware.interface import Measured, run_to_end
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES
-from tests.helpers.examples import examples
+from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
+from tests.helpers.resources import examples
 from tests.helpers.server import read_write_log
-from tests.helpers.servo_requests import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, packet
-from tests.helpers.stepped_emulator import SteppedClock, SteppedEmulator
 
 BLOCK_READ = packet(ALL, SYNC_READ, [TELEMETRY_ADDRESS, TELEMETRY_BYTES, *IDS])
 STEP_S = 0.01

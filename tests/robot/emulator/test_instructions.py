@@ -9,10 +9,22 @@ from robot.emulator.arm import build_servos
 from robot.emulator.servo_bus import Instruction, InstructionParser, execute, status_packet
 from robot.hardware.feetech.packets import checksum, parse_status_frames, sync_write_parameters
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
+from tests.helpers.emulator import (
+    ACTION,
+    ALL,
+    BACKUP,
+    CALIBRATE,
+    PING,
+    READ,
+    REBOOT,
+    REG_WRITE,
+    RESTORE,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+)
 
-PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
-RESTORE, REBOOT, BACKUP, RESET, CALIBRATE = 6, 8, 9, 10, 11
-ALL = 0xFE
+RESET = 10
 
 
 @pytest.fixture

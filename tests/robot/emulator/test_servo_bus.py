@@ -16,8 +16,7 @@ from robot.emulator.servo_bus import BAUDRATES, ServoBus, status_packet
 from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, decode, goal_block
 from robot.hardware.interface import StatusFlag
-from tests.helpers.examples import examples
-from tests.helpers.servo_requests import (
+from tests.helpers.emulator import (
     ALL,
     COMMANDS,
     IDS,
@@ -30,6 +29,7 @@ from tests.helpers.servo_requests import (
     WRITE,
     packet,
 )
+from tests.helpers.resources import examples
 
 BLOCK_READ = packet(ALL, SYNC_READ, [56, 15, *IDS])
 

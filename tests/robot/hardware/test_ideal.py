@@ -13,7 +13,7 @@ from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.hardware.ideal import RELAX_S, IdealArm
 from robot.hardware.interface import Measured, run_to_end
-from tests.helpers.stepped_emulator import SteppedClock
+from tests.helpers.emulator import SteppedClock
 
 # A rail, whose positions are metres, and a joint whose range excludes 0.
 URDF = """

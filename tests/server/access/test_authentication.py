@@ -37,7 +37,7 @@ def test_each_token_says_name_and_role() -> None:
 
 
 @pytest.mark.parametrize("wrong", ["", ONE[:-1], ONE + "x", ONE.upper(), f" {ONE}", "\ud800", "x" * 10_000])
-def test_what_is_no_token_is_nobody(wrong: str) -> None:
+def test_an_invalid_token_identifies_nobody(wrong: str) -> None:
     assert tokens(token=ONE).identify(wrong) is None
 
 
@@ -150,7 +150,7 @@ def verifier() -> RosauthVerifier:
     return RosauthVerifier(Tokens({ADAS: ADA, SCREENS: SCREEN}, None))
 
 
-def test_a_proof_made_with_a_token_says_whose_it_is(verifier: RosauthVerifier) -> None:
+def test_a_proof_made_with_a_token_identifies_its_owner(verifier: RosauthVerifier) -> None:
     assert verifier.identify(proof(), NOW_S) == ADA
     assert verifier.identify(proof(SCREENS, rand="s"), NOW_S) == SCREEN
 
@@ -221,11 +221,11 @@ def after_wrong_ones(count: int, clock: FakeClock) -> AuthThrottle:
     return made
 
 
-def test_who_errs_a_few_times_is_still_heard() -> None:
+def test_an_address_with_a_few_wrong_tokens_may_try_again() -> None:
     assert after_wrong_ones(MAX_WRONG - 1, FakeClock()).refusal(GUESSER) is None
 
 
-def test_who_guesses_is_not_heard_for_a_while_and_hears_how_long() -> None:
+def test_an_address_that_guesses_tokens_is_blocked_and_told_for_how_long() -> None:
     clock = FakeClock()
     made = after_wrong_ones(MAX_WRONG, clock)
     clock.now_s += WINDOW_S - 10.0
@@ -246,7 +246,7 @@ def test_the_wait_begins_with_the_last_wrong_one() -> None:
     assert made.wait_s(GUESSER) == WINDOW_S
 
 
-def test_what_is_long_ago_is_forgotten() -> None:
+def test_wrong_tokens_of_long_ago_are_forgotten() -> None:
     clock = FakeClock()
     made = after_wrong_ones(MAX_WRONG - 1, clock)
     clock.now_s += WINDOW_S

@@ -11,7 +11,7 @@ from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimit
 from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.graph.node import Node
-from tests.helpers.arm_server import ArmClient
+from tests.helpers.clients import ArmClient
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
 
@@ -74,7 +74,7 @@ def test_an_operation_needs_its_role(least: Role, op: str, fields: dict[str, Any
         assert (refusal is None) is (identity.role >= least), refusal
 
 
-def test_a_refusal_names_what_is_needed_what_is_there_and_what_to_show() -> None:
+def test_a_refusal_names_the_needed_role_the_present_one_and_the_remedy() -> None:
     refusal = asked(World().authorizer(SCREEN), "publish", **GOAL)
     assert refusal == (
         "topic /moveit_goal_named: needs the role operate, this client has view; show a token of "
@@ -97,7 +97,7 @@ def test_a_role_that_changes_counts_from_then_on() -> None:
 
 
 @pytest.mark.parametrize("topic", ["/a", "/moveit_goal_named"])
-def test_what_was_refused_once_is_refused_again(topic: str) -> None:
+def test_a_refused_operation_is_refused_again(topic: str) -> None:
     authorizer = World().authorizer(SCREEN)
     for _ in range(3):
         assert asked(authorizer, "publish", topic=topic) is not None
@@ -160,7 +160,7 @@ class TestControl:
         first.leave()
         assert asked(second, "publish", **GOAL) is None
 
-    def test_what_is_refused_takes_no_control(self) -> None:
+    def test_a_refused_operation_takes_no_control(self) -> None:
         world = World(topics_glob=["/joint_states"])
         asked(world.authorizer(), "publish", **GOAL)
         assert world.access.lease.holder is None
@@ -175,7 +175,7 @@ class TestGlobs:
 
     @pytest.mark.parametrize("op", ["publish", "subscribe", "advertise"])
     @pytest.mark.parametrize("topic", ["/joint_states", "joint_states", "//open/a", "/Open/a", "/x/open/a"])
-    def test_others_are_not_however_they_are_written(self, op: str, topic: str) -> None:
+    def test_other_topics_are_refused_in_every_spelling(self, op: str, topic: str) -> None:
         refusal = asked(World(topics_glob=["/open/*"]).authorizer(), op, topic=topic, type="std_msgs/String")
         assert "fits no pattern of access.topics_glob; add one there" in str(refusal)
 
@@ -268,7 +268,7 @@ def test_a_client_is_known_by_a_proof_as_clients_of_rosauth_make_it() -> None:
     assert access_of().identify(shown) == Identity("otto", Role.OPERATE)
 
 
-def test_who_shows_nothing_is_told_what_to_show() -> None:
+def test_an_auth_without_a_token_names_the_missing_field() -> None:
     assert "wanted the field token" in str(access_of().identify(Auth()))
 
 
@@ -313,7 +313,7 @@ async def test_every_topic_that_the_server_listens_to_has_a_rule(client: ArmClie
 @pytest.mark.parametrize(
     "name", ["/arm/stop", "/arm/emergency_stop", "/servo_node/stop_servo", "/move_action/_action/cancel_goal"]
 )
-def test_services_that_stop_are_open_to_whoever_looks(name: str) -> None:
+def test_services_that_stop_the_arm_are_open_to_viewers(name: str) -> None:
     assert authorization.rule_of_service(name).stops
     assert authorization.rule_of_service(name).role is Role.VIEW
 
@@ -329,7 +329,7 @@ def test_services_that_stop_are_open_to_whoever_looks(name: str) -> None:
         "/arm_controller/follow_joint_trajectory/cancel",
     ],
 )
-def test_topics_that_stop_are_open_to_whoever_looks(name: str) -> None:
+def test_topics_that_stop_the_arm_are_open_to_viewers(name: str) -> None:
     assert authorization.rule_of_topic(name).stops
     assert authorization.rule_of_topic(name).role is Role.VIEW
 
@@ -351,7 +351,7 @@ def test_topics_that_move_the_arm_drive(name: str) -> None:
     assert authorization.rule_of_topic(name).role is Role.OPERATE
 
 
-def test_what_clients_offer_needs_the_right_to_operate_and_no_control() -> None:
+def test_services_of_clients_need_the_role_operate_and_no_control() -> None:
     for rule in (
         authorization.rule_of_service("/mine"),
         authorization.rule_of_action("/mine"),

@@ -9,8 +9,9 @@ from server.access.control_lease import RESERVED_S, ControlLease, ControlService
 from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.graph.node import Node
-from tests.helpers.arm_server import ArmClient, ServerOnBus, arm_client, values_of
-from tests.helpers.in_process import InProcess
+from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.gateway import InProcess
+from tests.helpers.server import ServerOnBus
 
 
 class Leased:
@@ -26,13 +27,13 @@ def leased() -> Leased:
     return Leased()
 
 
-def test_the_first_who_drives_controls_the_arm(leased: Leased) -> None:
+def test_the_first_client_that_drives_controls_the_arm(leased: Leased) -> None:
     assert leased.lease.drive(leased.a, 0.0) is None
     assert leased.lease.holder is leased.a
     assert leased.changes == ["a"]
 
 
-def test_another_is_told_who_drives_since_when_and_how_it_gets_free(leased: Leased) -> None:
+def test_another_client_is_told_the_holder_the_time_and_how_control_becomes_free(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
     refusal = leased.lease.drive(leased.b, 1.0)
     assert refusal == (
@@ -48,7 +49,7 @@ def test_it_is_free_when_its_holder_leaves(leased: Leased) -> None:
     assert leased.lease.drive(leased.b, 0.0) is None
 
 
-def test_one_who_leaves_without_it_changes_nothing(leased: Leased) -> None:
+def test_a_client_that_leaves_without_control_changes_nothing(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
     leased.lease.leave(leased.b)
     assert leased.lease.holder is leased.a
@@ -60,7 +61,7 @@ def test_it_is_free_when_its_holder_releases_it(leased: Leased) -> None:
     assert leased.lease.drive(leased.b, 0.0) is None
 
 
-def test_who_asks_for_nothing_for_too_long_loses_it(leased: Leased) -> None:
+def test_an_idle_holder_loses_control(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
     leased.lease.drive(leased.a, 5.0)
     assert leased.lease.drive(leased.b, 14.9) is not None
@@ -99,7 +100,7 @@ def test_an_admin_by_token_does(leased: Leased) -> None:
     assert leased.lease.drive(leased.b, 0.0) is None
 
 
-def test_who_loses_it_to_an_admin_does_not_have_it_again_before_the_admin_could_take_it(leased: Leased) -> None:
+def test_after_an_admin_released_control_its_former_holder_waits(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
     leased.b.identity = Identity("ada", Role.ADMIN)
     leased.lease.release(leased.b, 1.0)
@@ -110,7 +111,7 @@ def test_who_loses_it_to_an_admin_does_not_have_it_again_before_the_admin_could_
 
 
 @pytest.mark.parametrize("leaves", [True, False])
-def test_an_admin_who_does_not_take_it_keeps_nobody_waiting(leased: Leased, leaves: bool) -> None:
+def test_an_admin_that_does_not_take_control_keeps_nobody_waiting(leased: Leased, leaves: bool) -> None:
     leased.lease.drive(leased.a, 0.0)
     leased.b.identity = Identity("ada", Role.ADMIN)
     leased.lease.release(leased.b, 1.0)
@@ -125,7 +126,7 @@ def test_parts_of_the_server_are_not_asked(leased: Leased) -> None:
     assert leased.lease.holder is leased.a
 
 
-def test_where_control_is_shared_all_drive() -> None:
+def test_with_shared_control_all_clients_drive() -> None:
     leased = Leased("shared")
     assert leased.lease.drive(leased.a, 0.0) is None
     assert leased.lease.drive(leased.b, 0.0) is None
@@ -167,7 +168,7 @@ def world() -> World:
     return World()
 
 
-def test_who_comes_later_hears_at_once_that_nobody_drives(world: World) -> None:
+def test_a_late_subscriber_hears_at_once_that_nobody_has_control(world: World) -> None:
     world.watch("late")
     (status,) = world.told("late")
     assert status["name"] == "control"
@@ -177,7 +178,7 @@ def test_who_comes_later_hears_at_once_that_nobody_drives(world: World) -> None:
     assert values_of(status) == told
 
 
-def test_who_takes_control_is_named(world: World) -> None:
+def test_the_client_that_takes_control_is_named(world: World) -> None:
     world.client("a").node.address = "10.0.0.1:5"
     world.watch("viewer")
     world.told("viewer")
@@ -201,7 +202,7 @@ def test_another_is_refused_and_told_by_whom(world: World) -> None:
     assert refused["message"].startswith("a has controlled the arm since")
 
 
-def test_who_drives_releases_it(world: World) -> None:
+def test_the_holder_releases_control(world: World) -> None:
     world.call("a", "/arm/take_control")
     assert world.call("a", "/arm/release_control")["success"]
     assert world.call("b", "/arm/take_control")["success"]
@@ -233,7 +234,7 @@ def test_a_viewer_may_neither_take_nor_release_it(world: World) -> None:
         assert "needs the role operate" in answer["values"]
 
 
-async def test_who_leaves_gives_it_back_and_others_hear_of_it(world: World) -> None:
+async def test_a_client_that_leaves_releases_control_and_others_are_told(world: World) -> None:
     world.call("a", "/arm/take_control")
     world.watch("viewer")
     world.told("viewer")
@@ -241,7 +242,7 @@ async def test_who_leaves_gives_it_back_and_others_hear_of_it(world: World) -> N
     assert world.told("viewer")[-1]["hardware_id"] == ""
 
 
-async def test_who_idles_loses_it_and_others_see_it_coming(world: World) -> None:
+async def test_others_see_the_idle_time_until_control_is_free(world: World) -> None:
     world.call("a", "/arm/take_control")
     world.watch("viewer")
     for _ in range(11):
@@ -267,14 +268,14 @@ async def test_no_beat_comes_after_the_end(world: World) -> None:
     assert world.told("viewer") == []
 
 
-def test_where_control_is_shared_everybody_gets_it() -> None:
+def test_with_shared_control_every_client_is_granted_it() -> None:
     world = World(control="shared")
     for name in ("a", "b"):
         answer = world.call(name, "/arm/take_control")
         assert answer == {"success": True, "message": "all clients may drive the arm at once (access.control)"}
 
 
-def test_who_drives_is_told_when_it_will_be_free(world: World) -> None:
+def test_the_status_tells_when_control_will_be_free(world: World) -> None:
     world.watch("viewer")
     world.call("a", "/arm/take_control")
     world.clock.advance(3.0)

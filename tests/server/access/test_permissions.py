@@ -17,7 +17,7 @@ def test_a_client_without_one_is_called_by_its_address() -> None:
     assert display_name(ANYONE, "10.0.0.1:5") == display_name(None, "10.0.0.1:5") == "client 10.0.0.1:5"
 
 
-def test_only_who_has_shown_a_token_is_known_by_it() -> None:
+def test_only_a_client_with_a_token_is_known_by_it() -> None:
     assert Identity("alice", Role.ADMIN).by_token
     assert not ANYONE.by_token
 
@@ -26,12 +26,12 @@ def test_without_patterns_every_name_fits() -> None:
     assert NameFilter("access.topics_glob").refusal("topic", "/any") is None
 
 
-def test_a_name_that_fits_none_is_refused_with_what_to_set() -> None:
+def test_a_name_that_fits_none_is_refused_with_the_setting_to_change() -> None:
     refusal = NameFilter("access.topics_glob", ["/a*"]).refusal("topic", "/b")
     assert refusal == "topic /b: fits no pattern of access.topics_glob; add one there to open it"
 
 
-def test_what_is_always_open_stays_so_beside_patterns() -> None:
+def test_names_that_are_always_open_stay_open_beside_patterns() -> None:
     names = NameFilter("access.services_glob", ["/a"], ["/rosapi/*"])
     assert names.refusal("service", "/rosapi/topics") is None
     assert names.refusal("service", "/other") is not None

@@ -13,7 +13,7 @@ from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from tests.helpers.arm_server import ArmClient, values_of
+from tests.helpers.clients import ArmClient, values_of
 
 ROBOT = model.builtin()
 STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex", 12.5)
@@ -87,7 +87,7 @@ def test_the_limits_are_the_descriptions_until_the_servos_own_are_known(heard: H
     assert gripper["max_velocity"] == ROBOT.joints["gripper"].max_velocity
 
 
-async def test_who_comes_later_hears_state_and_limits_at_once(client: ArmClient) -> None:
+async def test_a_late_subscriber_gets_state_and_limits_at_once(client: ArmClient) -> None:
     assert (await client.until_mode("holding"))["level"] == 0
     limits = (await client.until("/arm/joint_limits", bool))[0]
     assert limits["joint_names"][0] == "shoulder_pan"

@@ -13,16 +13,13 @@ from websockets.asyncio.client import connect
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot.arm import Arm
-from robot.calibration import Calibration
-from robot.description import model
-from robot.hardware.config import EmulatedConfig
-from robot.messages import ArmConfig, ArmState, ChangePace, Mode
+from robot.messages import ChangePace
 from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.arm_server import ArmClient, ServerOnBus, arm_client, server_on_bus, values_of
-from tests.helpers.server import read_write_log
+from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.fake_arm import FakeArm
+from tests.helpers.server import ServerOnBus, read_write_log, server_on_bus
 from tests.server.conftest import FAST, JOINTS
 
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
@@ -170,26 +167,11 @@ CLIENT = Node("client")
 GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
 
 
-class ListeningArm(Arm):
-    """Notes what it is told, and is in the mode a test says."""
-
-    def __init__(self) -> None:
-        super().__init__(ArmConfig(model.builtin(), EmulatedConfig(Calibration.nominal())), lambda _state: None)
-        self.changes: list[ChangePace] = []
-        self.be(Mode.HOLDING)
-
-    def be(self, mode: Mode) -> None:
-        self.state = ArmState(0.0, mode, ())
-
-    def change_pace(self, change: ChangePace) -> None:
-        self.changes.append(change)
-
-
 class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
-        self.arm = ListeningArm()
-        ArmPace(self.graph, self.arm)
+        self.arm = FakeArm()
+        ArmPace(self.graph, self.arm.as_arm)
 
     def call(self, service: str) -> Any:
         answers: list[Any] = []

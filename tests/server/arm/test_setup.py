@@ -17,7 +17,7 @@ from server.arm.setup import Description, arm_config, check_parameters
 from server.config import ArmSettings, EmulatorSettings, GuardSettings, Settings
 from server.errors import ConfigurationError
 from server.moveit.parameters import MoveItParameters
-from tests.helpers import seven_joint_arm
+from tests.helpers import robots
 
 
 def test_the_default_parameters_fit_the_builtin_arm() -> None:
@@ -71,7 +71,7 @@ def test_a_robot_without_the_calibrated_joints_is_refused(tmp_path: Path, on_ser
 
 
 def test_another_description_alone_is_an_ideal_arm(tmp_path: Path) -> None:
-    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    files = described(tmp_path, robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
     settings = Settings(arm=ArmSettings(**files, ideal_lag_s=0.1))
     read = Description.read(settings.arm)
     config = arm_config(settings, read)
@@ -107,20 +107,20 @@ BUS_OPTIONS = {"drop": 0.1, "corrupt": 0.1, "seed": 1, "write_log": Path("writes
 
 @pytest.mark.parametrize("name", EmulatorSettings.model_fields)
 def test_an_option_of_the_emulated_servos_is_refused_for_an_ideal_arm(tmp_path: Path, name: str) -> None:
-    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    files = described(tmp_path, robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
     with pytest.raises(ConfigurationError, match=rf"emulator\.{name}: the ideal arm .* has no servo bus"):
         hardware_of(arm=ArmSettings(**files), emulator=EmulatorSettings(**{name: BUS_OPTIONS[name]}))
 
 
 def test_a_trim_of_a_zero_is_refused_for_an_ideal_arm(tmp_path: Path) -> None:
-    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    files = described(tmp_path, robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
     with pytest.raises(ConfigurationError, match=r"arm\.zero_offset_rad\.a1: the ideal arm has no servos"):
         Description.read(ArmSettings(**files, zero_offset_rad={"a1": 0.1}))
 
 
 @pytest.mark.parametrize("enabled", [True, False])
 def test_simulated_joints_start_with_torque_on_where_the_arm_is_to_hold(tmp_path: Path, *, enabled: bool) -> None:
-    files = described(tmp_path, seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    files = described(tmp_path, robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
     for hardware in (
         hardware_of(arm=ArmSettings(start_enabled=enabled)),
         hardware_of(arm=ArmSettings(start_enabled=enabled, **files)),

@@ -19,7 +19,7 @@ from server import cli
 from server.commands import arm as arm_module
 from server.commands import options as command_options
 from server.commands.terminal import Terminal
-from tests.helpers.stepped_emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator
 from tests.robot.conftest import (  # noqa: F401 - fixtures
     RunningEmulator,
     bus,

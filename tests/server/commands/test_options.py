@@ -44,7 +44,7 @@ def test_a_calibration_of_unknown_id_is_refused():
         (KeyboardInterrupt(), "stop"),
     ],
 )
-def test_what_a_command_fails_at_is_one_line_and_exit_1(error, words, capsys):
+def test_an_error_of_a_command_is_one_line_and_exit_1(error, words, capsys):
     def command(_terminal):
         raise error
 

@@ -35,7 +35,7 @@ PLAN_USAGE = {
 
 
 @pytest.mark.parametrize(("options", "words"), PLAN_USAGE.values(), ids=PLAN_USAGE.keys())
-def test_what_plan_cannot_use_is_one_line_and_exit_2(
+def test_bad_input_of_plan_is_one_line_and_exit_2(
     options: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["plan", "/nowhere.json", *options]) == 2

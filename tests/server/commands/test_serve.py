@@ -14,8 +14,8 @@ from server import cli
 from server.app import App
 from server.commands import serve
 from server.commands.terminal import ExitCode
-from tests.helpers.recorded import record, text
-from tests.helpers.seven_joint_arm import SRDF, URDF
+from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
+from tests.server.recordings import record, text
 
 
 def test_an_id_that_lerobot_does_not_know_is_one_line_and_exit_2(capsys):
@@ -42,13 +42,16 @@ SECOND_LIMIT = '<limit lower="-1.9" upper="1.9" velocity="2" effort="9"/>'
 
 NO_ARM = {
     "no joint that moves": (
-        re.sub(r"<axis[^>]*><limit[^>]*>", "", URDF).replace('"revolute"', '"fixed"'),
+        re.sub(r"<axis[^>]*><limit[^>]*>", "", SEVEN_JOINT_URDF).replace('"revolute"', '"fixed"'),
         "URDF has no movable joint: no <joint> has the type revolute, continuous or prismatic",
     ),
-    "no limit": (URDF.replace(SECOND_LIMIT, ""), "URDF joint 'a2' has no <limit>"),
-    "no range": (URDF.replace('lower="-1.9" ', ""), "URDF joint 'a2' <limit> has no attribute 'lower'"),
+    "no limit": (SEVEN_JOINT_URDF.replace(SECOND_LIMIT, ""), "URDF joint 'a2' has no <limit>"),
+    "no range": (
+        SEVEN_JOINT_URDF.replace('lower="-1.9" ', ""),
+        "URDF joint 'a2' <limit> has no attribute 'lower'",
+    ),
     "no speed": (
-        URDF.replace('velocity="2.5"', 'velocity="0"'),
+        SEVEN_JOINT_URDF.replace('velocity="2.5"', 'velocity="0"'),
         "URDF joint 'a4' <limit> velocity must be above 0, not 0",
     ),
 }
@@ -66,7 +69,7 @@ def never_served(monkeypatch):
 
 def described(folder: Path, urdf: str) -> list[str]:
     """The options that name a robot's description, which is written to files."""
-    files = {"--urdf": (folder / "arm.urdf", urdf), "--srdf": (folder / "arm.srdf", SRDF)}
+    files = {"--urdf": (folder / "arm.urdf", urdf), "--srdf": (folder / "arm.srdf", SEVEN_JOINT_SRDF)}
     for path, content in files.values():
         path.write_text(content)
     return [word for option, (path, _) in files.items() for word in (option, str(path))]
@@ -81,7 +84,7 @@ def test_a_description_of_no_arm_is_one_line_that_names_joint_and_element_and_ex
 
 @pytest.mark.usefixtures("never_served")
 def test_a_fault_of_a_bus_is_refused_for_an_ideal_arm_which_has_none(tmp_path, capsys):
-    options = ["--set", "emulator.drop=0.1", *described(tmp_path, URDF)]
+    options = ["--set", "emulator.drop=0.1", *described(tmp_path, SEVEN_JOINT_URDF)]
     assert cli.main(["serve", *options]) == ExitCode.USAGE
     assert capsys.readouterr().err == (
         "armbridge: emulator.drop: the ideal arm (arm.urdf without arm.serial or arm.calibration) has no servo bus "

@@ -30,8 +30,8 @@ from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMot
 from server.execution.queue import GoalState, Progress
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.played_arm import JOINTS, PlayedArm, settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import JOINTS, FakeArm, settle
+from tests.helpers.motions import smooth_move
 
 TIMEOUT_S = 30.0
 
@@ -163,7 +163,7 @@ class Stage:
     """An arm without a process, a scene, and planners that answer what they are told to."""
 
     def __init__(self) -> None:
-        self.arm = PlayedArm()
+        self.arm = FakeArm()
         self.scene = Scene(1)
         self.failures: list[PlanningFailure] = []
         self.planners_answer = asyncio.Event()
@@ -431,7 +431,7 @@ OTHERWISE: dict[str, Callable[[Stage], object]] = {
 
 
 @pytest.mark.parametrize("obstacle", OTHERWISE.values(), ids=OTHERWISE.keys())
-async def test_where_a_motion_cannot_be_replaced_the_arm_brakes_first(
+async def test_the_arm_brakes_before_a_motion_that_cannot_be_blended_in(
     stage: Stage, obstacle: Callable[[Stage], object]
 ) -> None:
     await under_way(stage)

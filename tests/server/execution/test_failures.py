@@ -12,8 +12,9 @@ from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningPro
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot.description import model
 from server.execution.failures import Alternatives, FailedGoals
-from tests.helpers.moveit_services import HOME, ROBOT, DirectPool
-from tests.helpers.requests import EASY
+from tests.helpers.fake_arm import HOME
+from tests.helpers.motions import EASY
+from tests.helpers.moveit import ROBOT, DirectPool
 
 IN_THE_WAY = Scene(1, (SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.2, 0.0, 0.1))),))
 FAILURE = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "the goal touches the box")

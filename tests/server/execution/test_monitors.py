@@ -19,8 +19,8 @@ from robot.messages import ArmState, Mode
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState, SceneMonitor, check_ready, state_message
 from tests.helpers.clock import FakeClock
-from tests.helpers.played_arm import settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import settle
+from tests.helpers.motions import smooth_move
 
 ROBOT = model.builtin()
 NAMES = ("shoulder_pan", "gripper")

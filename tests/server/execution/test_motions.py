@@ -36,7 +36,7 @@ from server.execution.motions import (
     splice_point_of,
     with_lead_in,
 )
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.motions import smooth_move
 
 START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})

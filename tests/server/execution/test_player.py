@@ -9,15 +9,15 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
-from robot.messages import Course, MotionEnded, Outcome, Pace
+from robot.messages import Course, Outcome, Pace
 from server.execution import executor
 from server.execution import executor as executor_module
 from server.execution.executor import CODE_OF_OUTCOME, CheckedMotion, Player
 from server.execution.queue import Answer, Progress
 from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
-from tests.helpers.played_arm import JOINTS, PlayedArm, settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
+from tests.helpers.motions import smooth_move
 
 pytestmark = pytest.mark.stepped_time
 
@@ -48,8 +48,8 @@ LIMITS = TimeLimits(scaling=3.0)
 
 
 class Stage:
-    def __init__(self, arm: PlayedArm | None = None) -> None:
-        self.arm, self.scene_monitor = arm or PlayedArm(), FakeSceneMonitor()
+    def __init__(self, arm: FakeArm | None = None) -> None:
+        self.arm, self.scene_monitor = arm or FakeArm(), FakeSceneMonitor()
         self.clock = FakeClock()
         self.player = Player(self.arm, self.scene_monitor, LIMITS, self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
@@ -127,13 +127,6 @@ async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lag
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert answer.message.startswith("the arm did not end the motion; joint ")
     assert "is 0.000 rad behind: stopped half-way" in answer.message
-
-
-class StubbornArm(PlayedArm):
-    """An arm that brakes when a test says so."""
-
-    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
-        self.stops.append(motion)
 
 
 @pytest.fixture

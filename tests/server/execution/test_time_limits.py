@@ -5,7 +5,7 @@ import pytest
 from robot.messages import Course, Pace
 from server.execution.time_limits import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
-from tests.helpers.played_arm import PlayedArm
+from tests.helpers.fake_arm import FakeArm
 
 DURATION_S = 3.0
 LIMITS = TimeLimits(scaling=3.0, margin_s=4.0, paused_s=50.0)
@@ -58,7 +58,7 @@ LAPS = {
 def test_the_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
     here_s: float, by_arm_s: float, passed_s: float
 ) -> None:
-    arm, clock = PlayedArm(), FakeClock()
+    arm, clock = FakeArm(), FakeClock()
     time = ArmClock(arm, clock)
     for _ in range(2):
         clock.advance(here_s)
@@ -68,7 +68,7 @@ def test_the_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
 
 
 def test_states_that_come_unevenly_are_counted_as_one_delay() -> None:
-    arm, clock = PlayedArm(), FakeClock()
+    arm, clock = FakeArm(), FakeClock()
     time = ArmClock(arm, clock)
     passed_s = 0.0
     for at_s in range(100):

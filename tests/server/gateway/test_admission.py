@@ -48,9 +48,7 @@ def test_without_tokens_everybody_comes_in() -> None:
 
 
 @pytest.mark.parametrize("upgrade", [True, False])
-def test_a_name_that_was_turned_to_this_machine_is_refused_with_what_to_set(
-    upgrade: bool, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_rebound_name_is_refused_with_the_setting_to_change(upgrade: bool, caplog: pytest.LogCaptureFixture) -> None:
     policy = AdmissionPolicy()
     for _ in range(2):
         status, text = refused(policy.check(request_for(host="Evil.com:9090", upgrade=upgrade)))
@@ -80,7 +78,7 @@ def test_the_robots_files_are_no_exception_from_the_name() -> None:
 # Origin.
 
 
-def test_a_foreign_page_is_refused_with_what_to_set(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_foreign_page_is_refused_with_the_setting_to_change(caplog: pytest.LogCaptureFixture) -> None:
     policy = AdmissionPolicy()
     for _ in range(2):
         status, text = refused(policy.check(request_for("/", ("Origin", "http://evil.com"))))
@@ -126,16 +124,16 @@ def test_every_page_may_read_the_robots_files_and_nothing_else() -> None:
         request_for(f"/?token={SECRET}", ("Authorization", f"Bearer {SECRET}")),
     ],
 )
-def test_who_shows_a_token_is_its_owner(asked: HandshakeRequest) -> None:
+def test_a_token_identifies_its_owner(asked: HandshakeRequest) -> None:
     assert AdmissionPolicy(LOCKED).check(asked) == ALICE
 
 
-def test_who_shows_none_has_to_say_it_later() -> None:
+def test_a_handshake_without_a_token_leaves_authentication_for_later() -> None:
     assert AdmissionPolicy(LOCKED).check(request_for()) is None
     assert AdmissionPolicy(LOCKED).check(request_for("/", ("Authorization", "Basic YTpi"))) is None
 
 
-def test_who_shows_none_where_anybody_may_look_looks() -> None:
+def test_a_handshake_without_a_token_is_a_viewer_if_anonymous_clients_may_view() -> None:
     assert AdmissionPolicy(VIEWED).check(request_for()) == VIEWED.anonymous
 
 
@@ -160,7 +158,7 @@ def test_without_tokens_one_that_is_shown_is_passed_over() -> None:
     assert AdmissionPolicy().check(request_for(f"/?token={OTHER}")) is ANYONE
 
 
-def test_who_guesses_is_refused_for_a_while_even_with_the_right_one() -> None:
+def test_after_many_wrong_tokens_even_the_right_one_is_refused_for_a_while() -> None:
     clock = FakeClock()
     policy = AdmissionPolicy(LOCKED, clock=clock)
     for number in range(MAX_WRONG):
@@ -176,7 +174,7 @@ def test_who_guesses_is_refused_for_a_while_even_with_the_right_one() -> None:
 
 
 @pytest.mark.parametrize("path", ["/metrics", "/robot/description.urdf", "/%6detrics", "/robot", "/metrics?x=1"])
-def test_what_tells_of_the_robot_needs_a_token(path: str) -> None:
+def test_paths_that_tell_of_the_robot_need_a_token(path: str) -> None:
     status, text = refused(AdmissionPolicy(LOCKED).check(request_for(path, upgrade=False)))
     assert status == 401
     assert "needs a token" in text
@@ -348,13 +346,13 @@ EVERYWHERE = ["0.0.0.0"]
 
 
 @pytest.mark.parametrize("addresses", [["127.0.0.1"], ["127.0.0.1", "::1"], ["127.1.2.3"]])
-def test_what_only_this_machine_reaches_needs_nothing(addresses: list[str], caplog: pytest.LogCaptureFixture) -> None:
+def test_a_loopback_address_needs_no_token(addresses: list[str], caplog: pytest.LogCaptureFixture) -> None:
     check_exposure("localhost", addresses, WITHOUT_TOKENS, insecure=False)
     assert not caplog.records
 
 
 @pytest.mark.parametrize("addresses", [EVERYWHERE, ["::"], ["192.168.0.2"], ["127.0.0.1", "192.168.0.2"], ["fe80::1"]])
-def test_what_others_reach_needs_a_token_or_the_word(addresses: list[str]) -> None:
+def test_a_public_address_needs_a_token_or_the_option_insecure(addresses: list[str]) -> None:
     with pytest.raises(ConfigurationError) as refused:
         check_exposure("robot", addresses, WITHOUT_TOKENS, insecure=False)
     assert "ARMBRIDGE_ACCESS__TOKEN" in str(refused.value)
@@ -367,13 +365,13 @@ def test_with_tokens_it_is_served_without_a_warning(caplog: pytest.LogCaptureFix
     assert not caplog.records
 
 
-def test_what_was_said_to_be_open_is_warned_of_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_insecure_address_is_warned_of_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(2):
         check_exposure("0.0.0.0", EVERYWHERE, WITHOUT_TOKENS, insecure=True)
     assert caplog.text.count("INSECURE: whoever reaches 0.0.0.0 may connect without a token as admin") == 2
 
 
-def test_who_may_move_the_arm_without_a_token_needs_the_word_and_who_may_look_does_not(
+def test_anonymous_operators_need_the_option_insecure_and_anonymous_viewers_do_not(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     token = {"correct-horse-battery": Identity("admin", Role.ADMIN)}
@@ -431,7 +429,7 @@ def test_a_host_is_read_with_its_port(text: str, read: Authority) -> None:
         "a" * 256,
     ],
 )
-def test_what_is_no_host_is_none(text: str) -> None:
+def test_an_invalid_host_is_none(text: str) -> None:
     assert read_authority(text) is None
 
 

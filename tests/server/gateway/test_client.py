@@ -11,8 +11,8 @@ from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.graph.node import Node
 from server.graph.topics import Subscriber
-from tests.helpers.conformance import cases, play
-from tests.helpers.in_process import InProcess
+from tests.conformance.cases import cases, play
+from tests.helpers.gateway import InProcess
 
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])

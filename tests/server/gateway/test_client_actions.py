@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from protocol.limits import Limits
-from tests.helpers.in_process import InProcess
+from tests.helpers.gateway import InProcess
 
 TYPE = "control_msgs/GripperCommand"
 

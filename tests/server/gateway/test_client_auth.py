@@ -12,7 +12,7 @@ from server.access.authentication import MAX_WRONG, AuthThrottle
 from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.gateway.client_auth import MAX_FIRST_BYTES
-from tests.helpers.in_process import InProcess
+from tests.helpers.gateway import InProcess
 
 ADA, SCREEN = "ada-0123456789abcdef", "screen-0123456789abcdef"
 SETTINGS = AccessSettings.model_validate({"admin_tokens": {"ada": ADA}, "view_tokens": {"screen": SCREEN}})
@@ -39,7 +39,7 @@ def identity(world: InProcess, name: str = "x") -> Identity | None:
     return world.client(name).node.identity
 
 
-def test_a_token_says_who_a_client_is(world: InProcess) -> None:
+def test_a_token_identifies_a_client(world: InProcess) -> None:
     world.client("x").node.address = "10.0.0.1:5"
     world.say("x", op="auth", token=SCREEN)
     assert identity(world) == Identity("screen", Role.VIEW)
@@ -52,7 +52,7 @@ def test_so_does_rosauths_proof_of_one(world: InProcess) -> None:
     assert identity(world) == Identity("ada", Role.ADMIN)
 
 
-def test_what_follows_in_the_same_frame_is_carried_out(world: InProcess) -> None:
+def test_operations_after_auth_in_the_same_frame_are_carried_out(world: InProcess) -> None:
     frame = json.dumps({"op": "auth", "token": ADA}) + json.dumps(
         {"op": "subscribe", "topic": "/a", "type": "std_msgs/String"}
     )

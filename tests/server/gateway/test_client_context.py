@@ -56,7 +56,7 @@ def test_an_error_names_its_operation_once(error: Any, text: str) -> None:
     assert told.messages() == [{"op": "status", "level": "error", "msg": text}]
 
 
-def test_what_withdraws_nothing_is_a_warning_and_not_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+def test_withdrawing_nothing_is_a_warning_and_not_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     told = Told("warning")
     told.status.refuse_error("unsubscribe", NothingToDoError("unsubscribe", None, "topic /a"), 7)
     assert told.messages() == [{"op": "status", "level": "warning", "msg": "unsubscribe: topic /a", "id": 7}]
@@ -74,7 +74,7 @@ def test_what_withdraws_nothing_is_a_warning_and_not_in_the_log(caplog: pytest.L
         (Status(msg="hello"), []),
     ],
 )
-def test_what_rosbridge_answers_with_nothing_is_acknowledged_but_for_messages(
+def test_operations_without_a_response_are_acknowledged_but_for_messages(
     operation: Operation, levels: list[str]
 ) -> None:
     told = Told()

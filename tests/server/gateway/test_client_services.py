@@ -4,7 +4,7 @@ import pytest
 
 from protocol.limits import Limits
 from server.graph.node import Node
-from tests.helpers.in_process import InProcess
+from tests.helpers.gateway import InProcess
 
 TYPE = "std_srvs/SetBool"
 
@@ -66,7 +66,7 @@ def test_a_client_may_not_take_the_servers_place(world: InProcess) -> None:
     assert world.heard("c")[0]["values"]["message"] == "mine"
 
 
-def test_what_timed_out_is_forgotten(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_call_that_timed_out_is_forgotten(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
     world.say("c", op="call_service", service="/s", timeout=1)
     world.clock.advance(2.0)
     assert world.heard("c")[0]["result"] is False

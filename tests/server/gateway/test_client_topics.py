@@ -5,7 +5,7 @@ import pytest
 from protocol.errors import FrameError
 from protocol.limits import Limits
 from protocol.session import Session
-from tests.helpers.in_process import InProcess
+from tests.helpers.gateway import InProcess
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def world() -> InProcess:
 
 
 @pytest.mark.parametrize("op", ["subscribe", "advertise"])
-def test_what_is_over_the_limit_leaves_no_trace_in_the_graph(
+def test_an_operation_over_the_limit_leaves_no_trace_in_the_graph(
     world: InProcess, op: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     for topic in ("/a", "/b", "/c"):

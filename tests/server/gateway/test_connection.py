@@ -225,7 +225,7 @@ class TestGuarded:
     def test_all_of_one_address_together_take_little_memory_before_they_show_a_token(self) -> None:
         assert ServerSettings().max_clients_per_address * connection.MAX_UNKNOWN_BYTES <= 128 << 20
 
-    async def test_a_right_token_lets_it_stay_and_send_what_it_likes(
+    async def test_the_right_token_lifts_the_limits_on_time_and_size(
         self, guarded_url: str, graph: Graph, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.5)
@@ -239,14 +239,16 @@ class TestGuarded:
             assert [str(node).startswith("ada (127.0.0.1:") for node in graph.subscribers("/t")] == [True]
 
     @pytest.mark.parametrize("by_header", [True, False])
-    async def test_who_may_only_look_is_not_read_for_a_second(self, guarded_url: str, by_header: bool) -> None:
+    async def test_a_viewer_that_floods_is_not_read_for_a_second(self, guarded_url: str, by_header: bool) -> None:
         header = {"Authorization": f"Bearer {self.SCREEN}"} if by_header else {}
         async with connect(guarded_url, additional_headers=header) as client:
             await client.send(json.dumps({"op": "auth", "token": self.SCREEN}))
             await client.send("x" * (connection.MAX_VIEW_BYTES + 1))
             assert (await self.closed(client))[0] == 1009
 
-    async def test_who_has_shown_a_token_before_need_not_do_so_again(self, guarded_url: str, graph: Graph) -> None:
+    async def test_a_client_with_a_token_in_its_handshake_need_not_authenticate_again(
+        self, guarded_url: str, graph: Graph
+    ) -> None:
         async with connect(guarded_url, additional_headers={"Authorization": f"Bearer {self.TOKEN}"}) as client:
             await client.send(SUBSCRIBE)
             await until_subscribed(graph, 1)
@@ -273,7 +275,7 @@ class Talk:
         return self.said
 
 
-def test_who_has_left_is_still_counted() -> None:
+def test_traffic_of_clients_that_left_is_still_counted() -> None:
     traffic, first, second = Traffic(), Talk(TrafficCounts(1, 10, 2, 20, 3, 4)), Talk(TrafficCounts(5, 50, 6, 60, 7, 8))
     traffic.add(first)
     traffic.add(second)
@@ -283,7 +285,7 @@ def test_who_has_left_is_still_counted() -> None:
     assert (traffic.counts(), traffic.clients, traffic.connections) == (both, 1, 2)
 
 
-def test_what_waits_is_told_of_all_and_of_the_slowest() -> None:
+def test_queued_bytes_are_told_of_all_clients_and_of_the_slowest() -> None:
     traffic = Traffic()
     assert traffic.queued_bytes() == (0, 0)
     for queued_bytes in (5, 70, 6):

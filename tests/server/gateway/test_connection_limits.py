@@ -16,8 +16,7 @@ from server.gateway.admission import (
     ConnectionLimiter,
     ConnectionSlot,
 )
-from server.gateway.listener import Listener
-from tests.helpers.listener import TIMEOUT_S, exchange, listening, request, status
+from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 MANY = 100_000
@@ -53,7 +52,7 @@ def test_one_address_leaves_room_for_others_by_default() -> None:
     assert acquire(limiter, THERE).rejection is None
 
 
-def test_who_is_one_too_many_from_an_address_hears_the_limit_and_others_come_in() -> None:
+def test_one_connection_too_many_from_an_address_is_told_the_limit_and_others_connect() -> None:
     limiter = limits(per_address=2)
     acquire(limiter)
     acquire(limiter)
@@ -64,7 +63,7 @@ def test_who_is_one_too_many_from_an_address_hears_the_limit_and_others_come_in(
     assert acquire(limiter, THERE).rejection is None
 
 
-def test_who_is_one_too_many_in_all_hears_the_limit() -> None:
+def test_one_connection_too_many_in_all_is_told_the_limit() -> None:
     limiter = limits(clients=2)
     acquire(limiter)
     acquire(limiter, THERE)
@@ -74,7 +73,7 @@ def test_who_is_one_too_many_in_all_hears_the_limit() -> None:
     )
 
 
-def test_who_leaves_makes_room_once() -> None:
+def test_a_slot_released_twice_makes_room_once() -> None:
     limiter = limits(clients=1)
     slot = acquire(limiter)
     slot.release()
@@ -84,7 +83,7 @@ def test_who_leaves_makes_room_once() -> None:
     assert acquire(limiter).rejection is not None
 
 
-def test_the_one_who_is_turned_away_takes_nobodys_place() -> None:
+def test_a_refused_connection_takes_no_slot() -> None:
     limiter = limits(clients=1)
     inside = acquire(limiter)
     acquire(limiter).release()
@@ -154,17 +153,7 @@ def test_a_flood_from_an_address_without_a_connection_is_remembered(monkeypatch:
 OTHER = ("127.0.0.2", 0)
 
 
-async def until_empty(listener: Listener) -> None:
-    async with asyncio.timeout(TIMEOUT_S):
-        while limiter_of(listener).open_count:
-            await asyncio.sleep(0.005)
-
-
-def limiter_of(listener: Listener) -> ConnectionLimiter:
-    return listener._limiter
-
-
-async def test_who_is_one_too_many_is_answered_and_comes_in_when_there_is_room() -> None:
+async def test_a_client_beyond_the_limit_is_answered_and_connects_when_there_is_room() -> None:
     async with listening(ServerSettings(port=0, max_clients_per_address=2)) as listener:
         url = f"ws://127.0.0.1:{listener.port}"
         async with connect(url), connect(url):

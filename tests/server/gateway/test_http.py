@@ -127,7 +127,7 @@ async def site(folders: Path) -> AsyncIterator[Site]:
         (f"/robot/{PACKAGE}/assets/b%61se.stl", "model/stl"),
     ],
 )
-async def test_a_file_is_there_as_what_it_is(site: Site, path: str, kind: str) -> None:
+async def test_each_file_has_the_content_type_of_its_kind(site: Site, path: str, kind: str) -> None:
     got, body = await site.ask(path)
     assert (got.status, got.headers["Content-Type"]) == (200, kind)
     assert int(got.headers["Content-Length"]) == len(body) > 0
@@ -147,7 +147,7 @@ async def test_a_route_is_asked_before_the_page_and_for_its_own_path_alone(folde
     assert [each.headers["Content-Type"] == "text/x-path" for each in answers] == [True, True, False, False]
 
 
-async def test_what_stands_behind_the_question_mark_is_not_logged(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+async def test_the_query_of_a_request_is_not_logged(site: Site, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG, "armbridge.gateway")
     await site.ask("/nothing?token=s3cret")
     assert "/nothing: 404" in caplog.text
@@ -168,7 +168,7 @@ async def test_the_page_may_ask_no_other_host_and_be_in_no_other_page(site: Site
         assert got.headers["Connection"] == "close"
 
 
-async def test_what_is_compressed_is_smaller_and_the_same(site: Site) -> None:
+async def test_a_compressed_file_is_smaller_and_has_the_same_content(site: Site) -> None:
     for path, content in (("/assets/vendor.js", SCRIPT), (f"/robot/{PACKAGE}/assets/base.stl", MESH)):
         plain, body = await site.ask(path)
         assert (plain.headers["Content-Encoding"], body) == (None, content)
@@ -179,7 +179,7 @@ async def test_what_is_compressed_is_smaller_and_the_same(site: Site) -> None:
         assert smaller.headers["ETag"] != plain.headers["ETag"]
 
 
-async def test_what_a_browser_has_is_not_sent_again_until_it_changes(site: Site, folders: Path) -> None:
+async def test_a_cached_file_is_not_sent_again_until_it_changes(site: Site, folders: Path) -> None:
     got, _ = await site.ask("/assets/vendor.js")
     has = {"If-None-Match": f'"other", W/{got.headers["ETag"]}'}
     again, nothing = await site.ask("/assets/vendor.js", headers=has)
@@ -392,7 +392,7 @@ FILE = StoredFile(b"content", '"name"', gzipped=True)
         ("gzippy", False),
     ],
 )
-def test_who_takes_gzip_says_so(accepted: str, takes: bool) -> None:
+def test_the_header_accept_encoding_decides_on_gzip(accepted: str, takes: bool) -> None:
     assert accepts_gzip(Headers({"Accept-Encoding": accepted})) is takes
 
 
@@ -426,7 +426,7 @@ def test_a_sentence_has_no_name_to_be_known_by() -> None:
     assert answer.response(Request("/", Headers(), "HEAD")).headers["Content-Length"] == "10"
 
 
-def test_what_holds_at_the_moment_is_not_to_be_kept() -> None:
+def test_data_of_the_moment_is_not_to_be_cached() -> None:
     sent = HttpResponse.of_data(HTTPStatus.SERVICE_UNAVAILABLE, b"{}", "application/json").response(
         Request("/", Headers())
     )
@@ -445,7 +445,7 @@ def test_a_form_is_known_by_its_content() -> None:
 
 
 @pytest.mark.parametrize("octets", [b"short", os.urandom(5000)])
-def test_what_gzip_makes_no_smaller_stays_as_it_is(octets: bytes) -> None:
+def test_a_file_that_gzip_makes_no_smaller_stays_as_it_is(octets: bytes) -> None:
     assert StoredFile.of(octets, gzipped=True) == StoredFile.of(octets, gzipped=False)
 
 
@@ -484,7 +484,7 @@ async def test_a_file_larger_than_all_that_is_kept_is_read_and_not_kept(tmp_path
     assert await cache.read(lambda: path, gzipped=False) is not first
 
 
-async def test_who_finds_and_reads_is_not_the_event_loop_and_one_at_a_time(tmp_path: Path) -> None:
+async def test_files_are_read_by_one_thread_beside_the_event_loop(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(LONG)
     at_work: list[int] = []
@@ -500,7 +500,7 @@ async def test_who_finds_and_reads_is_not_the_event_loop_and_one_at_a_time(tmp_p
     await asyncio.gather(*(cache.read(find, gzipped=True) for _ in range(5)))
 
 
-async def test_what_cannot_be_found_is_told_to_whoever_asks(tmp_path: Path) -> None:
+async def test_a_missing_file_raises_for_its_reader(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         await FileCache().read(lambda: tmp_path / "none", gzipped=False)
 
@@ -531,7 +531,7 @@ def test_nothing_outside_is_a_file_of_the_page(directory: Path, name: str) -> No
         find_page_file(directory, name)
 
 
-def test_what_is_too_large_to_be_one_is_refused_with_the_limit(
+def test_a_page_file_that_is_too_large_is_refused_with_the_limit(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gate, "MAX_PAGE_FILE_BYTES", 3)
@@ -539,11 +539,11 @@ def test_what_is_too_large_to_be_one_is_refused_with_the_limit(
         find_page_file(directory, "")
 
 
-def test_where_nothing_was_built_there_is_no_page(tmp_path: Path) -> None:
+def test_without_a_build_there_is_no_page(tmp_path: Path) -> None:
     assert not page_is_built(tmp_path)
 
 
-def test_whoever_finds_no_page_is_told_how_to_get_it() -> None:
+def test_the_answer_without_a_page_says_how_to_build_it() -> None:
     assert "npm" in gate.HOW_TO_BUILD_PAGE
     assert gate.HOW_TO_BUILD_PAGE in gate.NOT_BUILT
 
@@ -567,7 +567,7 @@ def test_a_file_is_what_its_name_ends_in(name: str, kind: str) -> None:
     assert media_type(name) == kind
 
 
-def test_what_is_compressed_already_is_not_compressed_again() -> None:
+def test_a_compressed_format_is_not_compressed_again() -> None:
     assert compressible("vendor.js")
     assert compressible("base.STL")
     assert not compressible("texture.PNG")

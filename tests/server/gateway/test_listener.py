@@ -44,9 +44,9 @@ from server.gateway.listener import (
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import RosApi
-from tests.helpers.certificates import Pair, make_pair, openssl
-from tests.helpers.conformance import cases, play
-from tests.helpers.listener import TIMEOUT_S, UPGRADE, exchange, listening, request
+from tests.conformance.cases import cases, play
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, until_empty
+from tests.helpers.resources import Pair, make_pair, openssl
 from tests.helpers.server import ROOT
 
 
@@ -157,18 +157,8 @@ def trusting(pair: Pair) -> ssl.SSLContext:
     return ssl.create_default_context(cafile=pair.certificate)
 
 
-async def until_empty(listener: Listener) -> None:
-    async with asyncio.timeout(TIMEOUT_S):
-        while limiter_of(listener).open_count:
-            await asyncio.sleep(0.005)
-
-
-def limiter_of(listener: Listener) -> ConnectionLimiter:
-    return listener._limiter
-
-
 async def is_ended(reader: asyncio.StreamReader) -> bool:
-    """Whether the server ends a connection, in whichever way."""
+    """Return true if the server ends a connection in any way."""
     try:
         async with asyncio.timeout(TIMEOUT_S):
             return await reader.read() == b""
@@ -208,7 +198,7 @@ def test_the_event_loop_of_the_server_carries_both(over_tls: bool, pair: Pair) -
     uvloop.run(serve_and_talk())
 
 
-async def test_who_begins_no_tls_handshake_is_let_go_and_takes_no_place(
+async def test_a_connection_without_a_tls_handshake_is_closed_and_takes_no_slot(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(listener_module, "TLS_HANDSHAKE_TIMEOUT_S", 0.5)
@@ -238,7 +228,7 @@ async def test_a_connection_that_gets_no_answer_ends_at_once_and_is_not_read(
     assert "Error" not in caplog.text
 
 
-async def test_who_speaks_no_tls_is_told_of_in_the_log(encrypted: Listener, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_client_without_tls_is_logged_once(encrypted: Listener, caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(2):
         assert await exchange(encrypted.port, request()) == ""
     assert caplog.text.count("a client speaks ws:// or http://, and here is wss:// and https://") == 1
@@ -260,11 +250,11 @@ async def test_a_new_certificate_is_for_new_connections(pair: Pair, tmp_path: Pa
 
 
 def latest(graph: Graph, topic: str) -> Any:
-    """What somebody who subscribes now gets."""
+    """Return the latched message of a topic."""
     return graph.subscribe(Node("late"), topic, None, Subscriber(lambda _publication: None))[-1].msg
 
 
-def test_who_subscribes_late_learns_who_is_connected() -> None:
+def test_a_late_subscriber_gets_the_list_of_clients() -> None:
     graph = Graph(Registry.load())
     clients = ClientList(graph, wall_clock=lambda: 7.0)
     clients.open()
@@ -400,7 +390,7 @@ async def test_the_limits_that_are_set_are_those_of_a_client() -> None:
     assert told["msg"] == "message of 100001 bytes, the limit is 100000"
 
 
-async def test_who_is_not_let_in_is_counted_by_why(listener: Listener) -> None:
+async def test_refused_connections_are_counted_by_reason(listener: Listener) -> None:
     for origin in ("https://evil.example", "https://evil.example"):
         with pytest.raises(InvalidStatus):
             await connect(f"ws://127.0.0.1:{listener.port}", origin=Origin(origin))

@@ -23,7 +23,7 @@ from server.gateway.listener import Listener
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.listener import TIMEOUT_S, UPGRADE, exchange, listening, request, status
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, listening, request, status
 
 TALKER = Node("talker")
 
@@ -80,7 +80,7 @@ async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
         assert await link.received(1000) == NUMBERS
 
 
-async def test_what_comes_after_the_clients_turn_waits_and_is_not_overtaken(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_frames_after_the_clients_turn_wait_and_are_not_overtaken(monkeypatch: pytest.MonkeyPatch) -> None:
     frame = Frame(Opcode.TEXT, b"{}").serialize(mask=True)
     async with linked() as link:
         await link.subscribe()
@@ -102,7 +102,7 @@ async def test_text_that_is_no_utf8_ends_the_connection_with_its_code() -> None:
 
 
 @pytest.mark.parametrize("burst_s", [-1.0, 0.0001, 60.0])
-async def test_what_leaves_in_one_turn_of_the_loop_arrives_in_order(
+async def test_messages_sent_in_one_turn_of_the_loop_arrive_in_order(
     monkeypatch: pytest.MonkeyPatch, burst_s: float
 ) -> None:
     monkeypatch.setattr(transport, "BURST_S", burst_s)
@@ -184,7 +184,7 @@ async def test_a_large_message_is_not_read_in_small_pieces(monkeypatch: pytest.M
     assert len(pieces) < 8
 
 
-async def test_what_was_not_read_before_a_connection_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_frames_not_read_before_a_connection_ends_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
         link.server.data_received(flood_of(1000))
@@ -194,7 +194,7 @@ async def test_what_was_not_read_before_a_connection_ends_is_given_up(monkeypatc
         assert not link.server._unread
 
 
-async def test_a_connection_forgets_what_was_said_before_it_was_let_in() -> None:
+async def test_a_connection_keeps_nothing_of_its_handshake() -> None:
     async with linked() as link:
         assert link.server.request is not None
         assert not link.server.request.headers
@@ -216,7 +216,9 @@ async def read_to_end(reader: asyncio.StreamReader) -> bytes:
 
 
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: localhost\r\n"], ids=["nothing", "half"])
-async def test_who_does_not_finish_its_request_is_let_go(sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_that_does_not_finish_its_request_is_disconnected(
+    sent: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
@@ -225,7 +227,9 @@ async def test_who_does_not_finish_its_request_is_let_go(sent: bytes, monkeypatc
         writer.close()
 
 
-async def test_who_sends_its_request_letter_by_letter_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_that_sends_its_request_letter_by_letter_is_disconnected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
@@ -237,7 +241,7 @@ async def test_who_sends_its_request_letter_by_letter_is_let_go(monkeypatch: pyt
         writer.close()
 
 
-async def test_who_is_in_stays_in_however_long_ago_it_came(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_connected_client_outlives_the_timeout_of_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     # A handshake takes its time on a busy machine.
     monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", 0.5)
     async with listening() as listener, connect(f"ws://127.0.0.1:{listener.port}") as client:
@@ -347,7 +351,7 @@ async def test_no_header_tells_which_program_serves() -> None:
             assert "Server:" not in await exchange(listener.port, sent)
 
 
-async def test_who_keeps_its_end_open_after_an_answer_is_let_go_without_a_traceback(
+async def test_a_client_that_stays_open_after_an_answer_is_disconnected_without_a_traceback(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", LOWEST_S)

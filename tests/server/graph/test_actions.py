@@ -74,7 +74,7 @@ def test_a_cancel_is_told_once_and_the_provider_says_how_it_ends(sent: Sent) -> 
     assert sent.results[0].status == 5
 
 
-def test_who_asks_late_is_told_of_a_cancel_at_once(sent: Sent) -> None:
+def test_a_late_listener_is_told_of_a_cancel_at_once(sent: Sent) -> None:
     told: list[str] = []
     sent.goal.cancel()
     sent.goal.when_canceled(lambda: told.append("cancel"))

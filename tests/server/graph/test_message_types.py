@@ -32,7 +32,7 @@ def test_unknown_types_are_refused_unless_they_are_relayed() -> None:
 
 
 @pytest.mark.parametrize("name", ["Thing", "a/b/c/d", ""])
-def test_what_is_no_name_of_a_type_is_refused_even_then(name: str) -> None:
+def test_an_invalid_type_name_is_refused_even_when_unknown_types_are_relayed(name: str) -> None:
     with pytest.raises(InterfaceError):
         RELAYING.canonical(name, "msg")
 

@@ -76,7 +76,7 @@ def test_an_offer_is_withdrawn_by_its_own_node_only(table: Table) -> None:
     assert table.all() == []
 
 
-def test_when_an_offer_is_told_of_its_end_it_is_gone_already() -> None:
+def test_an_offer_is_removed_before_it_is_told_of_its_end() -> None:
     seen: list[Provider | None] = []
     table: Providers[Provider] = Providers("service", 2, INTERFACES, lambda offer: seen.append(table.get(offer.name)))
     table.add(Provider(CLIENT, "/s", table.claim(CLIENT, "/s", "std_srvs/SetBool")))

@@ -198,7 +198,7 @@ def test_a_message_that_does_not_fit_is_refused_to_its_sender_and_told_to_local_
     assert [error.path for error in listener.refusals] == ["data"]
 
 
-def test_a_latched_message_is_kept_for_who_comes_later(graph: Graph) -> None:
+def test_a_latched_message_is_kept_for_late_subscribers(graph: Graph) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "old"})
     graph.publish(TALKER, "/t", {"data": "new"})
@@ -215,7 +215,7 @@ def test_it_can_be_told_whether_a_topic_is_latched(graph: Graph) -> None:
     assert not graph.is_latched("/nothing")
 
 
-def test_a_message_that_is_only_latched_reaches_those_who_come_later_alone(graph: Graph) -> None:
+def test_a_message_that_is_only_latched_reaches_late_subscribers_alone(graph: Graph) -> None:
     early, late = Listening(), Listening()
     graph.advertise(TALKER, "/t", "std_msgs/String")
     graph.subscribe(early.node, "/t", None, early.subscriber)
@@ -226,7 +226,7 @@ def test_a_message_that_is_only_latched_reaches_those_who_come_later_alone(graph
     assert [published.msg for published in kept] == [{"data": "everything"}]
 
 
-def test_what_was_latched_is_not_revived_by_another_publisher_that_leaves(graph: Graph, clock: Clock) -> None:
+def test_a_latched_message_is_not_revived_by_another_publisher_that_leaves(graph: Graph, clock: Clock) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "old"})
     listener, other = Listening(), Node("other")
@@ -281,7 +281,7 @@ def test_for_how_long_can_be_set(clock: Clock) -> None:
     assert graph.subscribe(Node("late"), "/t", None, listener.subscriber) == []
 
 
-def test_what_the_server_has_latched_is_not_replaced_by_a_client(graph: Graph) -> None:
+def test_a_latched_message_of_the_server_is_not_replaced_by_a_client(graph: Graph) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "true"})
     client, listener, late = Node("client", remote=True), Listening(), Listening()
@@ -315,7 +315,7 @@ def data_for_newcomer(graph: Graph, topic: str = "/t") -> list[Any]:
     return kept
 
 
-def test_what_has_a_lifespan_reaches_who_subscribes_within_it(graph: Graph, clock: Clock) -> None:
+def test_a_message_with_a_lifespan_reaches_subscribers_within_it(graph: Graph, clock: Clock) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String")
     graph.publish(TALKER, "/t", {"data": "x"}, lifespan_s=1.0)
     assert data_for_newcomer(graph) == ["x"]
@@ -350,7 +350,7 @@ def test_a_topic_of_a_new_type_has_nothing_of_the_old_one(graph: Graph) -> None:
     assert data_for_newcomer(graph) == []
 
 
-def test_what_is_too_large_to_be_latched_is_delivered_and_logged(
+def test_a_message_too_large_to_be_latched_is_delivered_and_logged(
     graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(topics, "MAX_LATCHED_BYTES", 100)
@@ -361,7 +361,7 @@ def test_what_is_too_large_to_be_latched_is_delivered_and_logged(
     assert "/t: too large to be latched" in caplog.text
 
 
-def test_who_takes_part_can_be_looked_up(graph: Graph) -> None:
+def test_publishers_and_subscribers_of_a_topic_can_be_looked_up(graph: Graph) -> None:
     listener = Listening()
     graph.advertise(TALKER, "/t", "std_msgs/String")
     graph.subscribe(listener.node, "/t", None, listener.subscriber)
@@ -383,7 +383,7 @@ def test_unknown_types_are_relayed_as_they_come_where_it_is_allowed(clock: Clock
         graph.advertise(TALKER, "/t", "acme_msgs/Other")
 
 
-def test_who_watches_gets_the_messages_of_every_topic_before_their_subscribers(graph: Graph) -> None:
+def test_a_watcher_gets_the_messages_of_every_topic_before_their_subscribers(graph: Graph) -> None:
     seen: list[tuple[str, bool, int]] = []
     listener = Listening()
     graph.subscribe(listener.node, "/a", "std_msgs/Empty", listener.subscriber)
@@ -394,7 +394,7 @@ def test_who_watches_gets_the_messages_of_every_topic_before_their_subscribers(g
     assert seen == [("/a", False, 0), ("/b", True, 1)]
 
 
-def test_who_watches_no_more_gets_nothing(graph: Graph) -> None:
+def test_a_former_watcher_gets_nothing(graph: Graph) -> None:
     seen: list[PublishedMessage] = []
 
     def watcher(published: PublishedMessage, _latched: bool) -> None:
@@ -417,9 +417,7 @@ class TestTurnedAway:
         graph.subscribe(Node("server"), "/goal", "std_msgs/String", promising)
         return seen
 
-    def test_who_promises_an_answer_gets_the_message_its_sender_and_the_reason(
-        self, graph: Graph, seen: list[Any]
-    ) -> None:
+    def test_a_responder_gets_the_message_its_sender_and_the_reason(self, graph: Graph, seen: list[Any]) -> None:
         graph.turn_away(TALKER, "/goal", {"data": "home"}, "not now")
         assert seen == [({"data": "home"}, TALKER, "not now")]
 
@@ -447,6 +445,6 @@ def test_one_subscriber_alone_is_told(graph: Graph) -> None:
     assert (one.messages, other.messages) == ([{"data": "for you"}], [])
 
 
-def test_who_has_not_subscribed_is_not_told(graph: Graph) -> None:
+def test_a_node_that_has_not_subscribed_is_not_told(graph: Graph) -> None:
     graph.advertise(TALKER, "/a", "std_msgs/String")
     graph.tell(Node("nobody"), "/a", {"data": "for you"})

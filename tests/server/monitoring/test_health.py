@@ -9,7 +9,7 @@ import pytest
 from robot.faults import FaultCode
 from robot.messages import Mode
 from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_health
-from tests.helpers.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
+from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ NOT_READY: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changes", "reason"), NOT_READY.values(), ids=NOT_READY.keys())
-def test_what_keeps_goals_from_being_carried_out_is_a_reason_not_to_be_ready(
+def test_an_obstacle_to_carrying_out_goals_is_a_reason_not_to_be_ready(
     sources: Sources, changes: dict[str, Any], reason: str
 ) -> None:
     health = check_health(replace(sources, **changes))
@@ -86,7 +86,7 @@ WARNINGS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changes", "words"), WARNINGS.values(), ids=WARNINGS.keys())
-def test_what_keeps_nothing_from_working_is_a_warning(sources: Sources, changes: dict[str, Any], words: str) -> None:
+def test_a_harmless_condition_is_a_warning(sources: Sources, changes: dict[str, Any], words: str) -> None:
     health = check_health(replace(sources, **changes))
     assert health.ready
     (warning,) = health.warnings

@@ -13,7 +13,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 from prometheus_client import Histogram
+from prometheus_client.core import Metric
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.parser import text_string_to_metric_families as parse
@@ -54,11 +55,10 @@ from server.monitoring.monitor import (
     zenoh_metrics,
 )
 from server.monitoring.systemd import SystemdNotifier
-from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
-from tests.helpers.metric_samples import samples
-from tests.helpers.server import RunningServer
-from tests.helpers.stepped_loop import SteppedLoop
-from tests.helpers.watched_parts import (
+from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.clock import SteppedLoop
+from tests.helpers.server import RunningServer, ServerOnBus
+from tests.server.monitoring.watched_parts import (
     WatchedArm,
     WatchedPlanners,
     WatchedQueue,
@@ -71,6 +71,11 @@ HISTOGRAMS = ("event_loop_lag", "goal_planning", "goal_motion")
 
 # A scrape holds the event loop up for so long at most [s of processor time].
 SCRAPE_S = 0.005
+
+
+def samples(metrics: Iterable[Metric]) -> dict[tuple[str, ...], float]:
+    """Every sample by its name and the values of its labels."""
+    return {(each.name, *each.labels.values()): each.value for family in metrics for each in family.samples}
 
 
 @pytest.fixture
@@ -111,7 +116,7 @@ def test_every_part_is_in_the_text(sources: Sources) -> None:
     assert found["armbridge_process_threads{process=server}"] >= 1
 
 
-def test_what_is_not_there_yet_has_no_metrics() -> None:
+def test_absent_parts_have_no_metrics() -> None:
     found = exposed(Sources())
     assert found["armbridge_ready"] == 0
     assert not [name for name in found if "servo" in name or "client" in name or "goal" in name]
@@ -213,7 +218,7 @@ def test_goals_are_told_by_source_and_result() -> None:
     assert found["armbridge_goal_motion_seconds_count",] == 0
 
 
-def test_what_waits_is_told() -> None:
+def test_waiting_goals_are_counted() -> None:
     found = samples(queue_metrics(WatchedQueue(2, "goal 7 is worked on")))
     assert found == {("armbridge_goals_waiting",): 2, ("armbridge_goals_in_hand",): 1}
     assert samples(queue_metrics(WatchedQueue(0, "")))["armbridge_goals_in_hand",] == 0
@@ -249,13 +254,13 @@ class Talk:
         return TrafficCounts(1, 2, 3, 4, 5, 6)
 
 
-def test_who_was_not_let_in_is_counted_by_why() -> None:
+def test_refused_connections_are_exposed_by_reason() -> None:
     found = samples(refusal_metrics(lambda: {"origin": 3, "limit": 0}))
     told = {("armbridge_refused_connections_total", "origin"): 3, ("armbridge_refused_connections_total", "limit"): 0}
     assert found == told
 
 
-def test_what_was_lost_between_machines_is_told() -> None:
+def test_messages_lost_between_machines_are_counted() -> None:
     assert samples(zenoh_metrics(WatchedRecorder(dropped=7))) == {("armbridge_zenoh_dropped_messages_total",): 7}
 
 
@@ -361,7 +366,7 @@ def figures_of(pid: int) -> dict[str, float]:
     return {name.removeprefix("armbridge_process_"): value for (name, _), value in found.items()}
 
 
-def test_what_this_process_uses_is_told() -> None:
+def test_the_resources_of_this_process_are_measured() -> None:
     before = figures_of(os.getpid())
     release = threading.Event()
     threads = [threading.Thread(target=release.wait) for _ in range(3)]
@@ -637,7 +642,7 @@ def test_the_status_is_told_when_it_changes() -> None:
 
 
 @pytest.mark.stepped_time
-async def test_what_holds_the_loop_up_shows_as_its_lag(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_blocked_event_loop_shows_as_its_lag(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = asyncio.get_running_loop()
     assert isinstance(loop, SteppedLoop)
     monkeypatch.setattr(monitor_module, "time", SimpleNamespace(monotonic=loop.time))
@@ -657,7 +662,7 @@ async def test_what_holds_the_loop_up_shows_as_its_lag(monkeypatch: pytest.Monke
 # Metrics over HTTP.
 
 
-async def test_who_scrapes_gets_the_metrics_in_the_format_that_is_wanted() -> None:
+async def test_the_accept_header_chooses_the_format_of_the_metrics() -> None:
     answer = Monitor(Sources(), SystemdNotifier()).routes["metrics"]
     plain = await answer(Request("/metrics", Headers()))
     assert plain.headers["Content-Type"].startswith("text/plain; version=")

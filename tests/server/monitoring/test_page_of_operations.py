@@ -1,4 +1,4 @@
-"""What docs/operations.md tells is so."""
+"""Statements of docs/operations.md."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import Sources
 from server.monitoring.monitor import Metrics
 from tests.helpers.server import ROOT
-from tests.helpers.watched_parts import (
+from tests.server.monitoring.watched_parts import (
     WatchedArm,
     WatchedPlanners,
     WatchedQueue,

@@ -26,7 +26,8 @@ from server.monitoring.ros_topics import (
     diagnostic_array,
     offer_level_services,
 )
-from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
+from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.server import ServerOnBus
 
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
 HEALTH = ArmHealth(
@@ -84,7 +85,7 @@ def test_a_slow_simulated_arm_reports_as_seldom_as_its_time_passes() -> None:
     assert statuses(state, replace(HEALTH, real_time_factor=0.5), now_s)[1]["level"] == 3
 
 
-def test_what_is_worse_than_slow_is_told_instead() -> None:
+def test_a_fault_is_told_instead_of_slowness() -> None:
     fault = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex")
     arm, _ = statuses(replace(STATE, mode=Mode.FAULT, fault=fault), replace(HEALTH, real_time_factor=0.42))
     assert (arm["level"], arm["message"].startswith(str(fault))) == (2, True)
@@ -217,9 +218,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("name", "level", "reason"), REFUSED.values(), ids=REFUSED.keys())
-async def test_what_cannot_be_set_is_refused_by_field_and_value(
-    graph: Graph, name: str, level: int, reason: str
-) -> None:
+async def test_a_bad_log_level_is_refused_by_field_and_value(graph: Graph, name: str, level: int, reason: str) -> None:
     good = {"name": "armbridge.gateway", "level": 30}
     bad, other = call(graph, SET_LEVELS, levels=[{"name": name, "level": level}, good])["results"]
     assert not bad["successful"]

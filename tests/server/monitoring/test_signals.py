@@ -16,7 +16,7 @@ from server.monitoring.systemd import on_hangup, toggle_debug
 
 
 class Told:
-    """What a hangup has led to."""
+    """Record of the calls that a hangup leads to."""
 
     def __init__(self) -> None:
         self.calls: list[str] = []

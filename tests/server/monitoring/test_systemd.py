@@ -25,7 +25,7 @@ class Systemd:
         return self.socket.recv(4096).decode().splitlines()
 
     def all_heard(self) -> list[list[str]]:
-        """What has come until now."""
+        """Return the notifications until now."""
         heard = []
         while select.select([self.socket], [], [], 0.0)[0]:
             heard.append(self.heard())
@@ -39,7 +39,7 @@ def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]
         yield found
 
 
-def test_it_is_told_what_systemd_understands(systemd: Systemd) -> None:
+def test_systemd_gets_notifications_in_its_format(systemd: Systemd) -> None:
     notifier = SystemdNotifier(systemd.address)
     notifier.notify_status("starting")
     notifier.notify_ready("ready")
@@ -70,7 +70,7 @@ def test_one_that_does_not_read_holds_nobody_up(systemd: Systemd) -> None:
     notifier.notify_watchdog()
 
 
-def test_what_it_did_not_read_in_time_is_told_again(systemd: Systemd) -> None:
+def test_a_notification_that_was_not_read_is_sent_again(systemd: Systemd) -> None:
     notifier = SystemdNotifier(systemd.address)
     for _ in range(1000):
         notifier.notify_watchdog()

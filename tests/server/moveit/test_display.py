@@ -23,7 +23,8 @@ from server.moveit.display import (
     TransformsTopics,
 )
 from server.moveit.poses import matrix_of
-from tests.helpers.moveit_requests import HOME, ROBOT
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT
 
 MOTION = Trajectory(("elbow_flex",), np.array([0.0, 1.0]), np.array([[0.0], [0.5]]), np.zeros((2, 1)), np.zeros((2, 1)))
 TYPES = {

@@ -13,6 +13,7 @@ from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
+from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
@@ -30,8 +31,8 @@ from server.moveit.goal_topics import (
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, pose_of
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.goal_translator import TRANSLATOR, At
-from tests.helpers.moveit_services import DirectPool
+from tests.helpers.fake_arm import FakeArm
+from tests.helpers.moveit import TRANSLATOR, DirectPool
 
 CLIENT = Node("client")
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
@@ -49,9 +50,9 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.scene = SceneState(ROBOT)
-        self.current = At(HOME)
+        self.arm = FakeArm()
         reports = GoalReports(ROBOT, MoveItParameters(), TRANSLATOR.tip)
-        GoalChecks(self.graph, reports, TRANSLATOR, self.current, DirectPool(), self.scene).open()  # type: ignore[arg-type]
+        GoalChecks(self.graph, reports, TRANSLATOR, CurrentState(self.arm, ROBOT), DirectPool(), self.scene).open()  # type: ignore[arg-type]
 
     async def check(self, **request: Any) -> Response:
 
@@ -97,7 +98,7 @@ async def test_more_goals_than_allowed_are_rejected_with_the_limit(desk: Desk) -
 
 
 async def test_the_check_fails_while_the_arms_position_is_unknown(desk: Desk) -> None:
-    desk.current.present_rad = None
+    desk.arm.lose_positions()
     answer = await desk.check(poses=[point(0.3, 0.0, 0.2)])
     assert not answer.ok
     assert "not known" in answer.values

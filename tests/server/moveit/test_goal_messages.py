@@ -15,7 +15,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.execution.motions import PlannedMotion
 from server.moveit.goal_messages import suggestion
-from tests.helpers.goal_translator import HOME_RAD, ROBOT, TRANSLATOR, translator
+from tests.helpers.fake_arm import HOME, FakeArm
+from tests.helpers.moveit import ROBOT, TRANSLATOR, translator
 
 REGISTRY = Registry.load()
 
@@ -36,8 +37,8 @@ def refusal(translate: Callable[[Any], PlannedMotion], message: dict[str, Any]) 
 
 
 def goal(motion: PlannedMotion, start_rad: Mapping[str, float] | None = None) -> Any:
-    """What is planned when the goal's turn comes."""
-    problem = motion.steps[0](start_rad or HOME_RAD)
+    """Return the problem that is planned when the goal's turn comes."""
+    problem = motion.steps[0](start_rad or HOME)
     assert isinstance(problem, PlanningProblem)
     return problem.goal
 
@@ -97,7 +98,7 @@ def test_a_pose_in_the_planning_frame_asks_for_the_position_of_the_tip(frame: st
 
 def test_a_frame_that_moves_is_resolved_when_the_goals_turn_comes() -> None:
     asked = TRANSLATOR.pose(pose_stamped("gripper_frame_link"))
-    turned_rad = {**HOME_RAD, "shoulder_pan": 1.0}
+    turned_rad = {**HOME, "shoulder_pan": 1.0}
     placed = ForwardPlacements(ROBOT).transforms(turned_rad)["gripper_frame_link"]
     assert goal(asked, turned_rad).position_m == pytest.approx(placed[:3, 3])
 
@@ -110,9 +111,9 @@ def test_a_pose_in_an_unknown_frame_is_rejected_at_once_with_those_that_exist() 
 
 
 def test_while_the_arms_position_is_unknown_frames_are_resolved_at_the_goals_turn() -> None:
-    asked = translator(present_rad=None).pose(pose_stamped("moon", x=0.3))
+    asked = translator(FakeArm(None)).pose(pose_stamped("moon", x=0.3))
     with pytest.raises(RefusedError, match="moon"):
-        asked.steps[0](HOME_RAD)
+        asked.steps[0](HOME)
 
 
 def test_the_whole_pose_is_returned_in_the_root_link() -> None:
@@ -120,7 +121,7 @@ def test_the_whole_pose_is_returned_in_the_root_link() -> None:
         "header": {"frame_id": "base_link"},
         "pose": {"position": {"x": 0.3}, "orientation": {"z": 1.0, "w": 0.0}},
     }
-    pose = TRANSLATOR.pose_in_root(complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0)), HOME_RAD)
+    pose = TRANSLATOR.pose_in_root(complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0)), HOME)
     assert isinstance(pose, Pose)
     assert (pose.position_m, pose.orientation) == ((0.3, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 
@@ -134,7 +135,7 @@ def test_a_coordinate_that_is_not_finite_is_named(axis: str) -> None:
 
 def test_link_tolerance_and_scaling_come_from_the_parameters() -> None:
     chosen = translator(end_effector_link="wrist_link", position_tolerance=0.02, max_velocity_scaling=0.7)
-    problem = chosen.pose(pose_stamped("", x=0.3)).steps[0](HOME_RAD)
+    problem = chosen.pose(pose_stamped("", x=0.3)).steps[0](HOME)
     assert isinstance(problem, PlanningProblem)
     assert problem.goal == PositionGoal("wrist_link", (0.3, 0.0, 0.0), tolerance_m=0.02)
     assert problem.velocity_scaling == 0.7

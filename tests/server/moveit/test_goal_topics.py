@@ -24,8 +24,8 @@ from server.moveit.goal_topics import (
     GoalStatusTopics,
     GoalTopics,
 )
-from tests.helpers.arm_server import values_of
-from tests.helpers.goal_translator import TRANSLATOR
+from tests.helpers.clients import values_of
+from tests.helpers.moveit import TRANSLATOR
 
 REGISTRY = Registry.load()
 CLIENT = Node("client")

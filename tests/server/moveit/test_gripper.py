@@ -16,11 +16,11 @@ from server.errors import RefusedError
 from server.execution.executor import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
 from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, SQUEEZE_PERIOD_S, Gripper, GripperCommand
-from tests.helpers.arm_server import ArmClient, ServerOnBus
-from tests.helpers.played_arm import PlayedArm, settle
+from tests.helpers.clients import ArmClient
+from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
+from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
-SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
 SUCCEEDED, CANCELED = 4, 5
 
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
@@ -147,7 +147,7 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
     await arm.close()
 
 
-class GrippingArm(PlayedArm):
+class GrippingArm(FakeArm):
     """Does at once what it is told, and notes how hard."""
 
     def __init__(self) -> None:
@@ -169,14 +169,11 @@ async def test_an_effort_is_a_share_of_what_the_gripper_may_use() -> None:
     assert arm.shares == pytest.approx([1.0, 0.25, 1.0, 1.0])
 
 
-class SlowArm(PlayedArm):
-    """Moves its gripper for as long as a test lets it, and brakes when a test says so."""
+class SlowArm(StubbornArm):
+    """Moves its gripper for as long as a test lets it, whatever the torque."""
 
     def execute(self, trajectory: Trajectory, **_: Any) -> asyncio.Future[MotionEnded]:  # type: ignore[override]
         return super().execute(trajectory)
-
-    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
-        self.stops.append(motion)
 
 
 ALLOWED_S = 5.0

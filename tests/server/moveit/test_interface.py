@@ -18,11 +18,10 @@ from server.execution.time_limits import TimeLimits
 from server.graph.topics import Graph
 from server.moveit.interface import MoveItInterface
 from server.moveit.parameters import MoveItParameters
-from tests.helpers import seven_joint_arm
-from tests.helpers.arm_server import ArmClient, ServerOnBus, values_of
-from tests.helpers.client import frame_client
-from tests.helpers.played_arm import PlayedArm
-from tests.helpers.server import RunningServer
+from tests.helpers import robots
+from tests.helpers.clients import ArmClient, frame_client, values_of
+from tests.helpers.fake_arm import FakeArm
+from tests.helpers.server import RunningServer, ServerOnBus
 
 CANCELED, SUCCEEDED = 5, 4
 MOVE, MOVE_TYPE = "/move_action", "moveit_msgs/action/MoveGroup"
@@ -136,11 +135,11 @@ def test_settings_reach_their_parts() -> None:
 
 def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItInterface:
     parts = Graph(Registry.load()), robot, settings or Settings(), lambda _name, _value: None
-    return MoveItInterface(*parts, PlayedArm(), PlannerPool(robot))  # type: ignore[arg-type]
+    return MoveItInterface(*parts, FakeArm(), PlannerPool(robot))  # type: ignore[arg-type]
 
 
 def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:
-    with_gripper, without = builtin(), parse(seven_joint_arm.URDF, seven_joint_arm.SRDF)
+    with_gripper, without = builtin(), parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
     stiff = replace(with_gripper.joints["gripper"], type="fixed")
     gripper = interface_of(with_gripper)._gripper
     assert gripper is not None
@@ -187,7 +186,7 @@ async def finished(client: ArmClient, count: int) -> dict[str, Any]:
 
 
 def last_pan_rad(shown: dict[str, Any]) -> float:
-    """Where a displayed path ends."""
+    """Return the end of a displayed path."""
     path = shown["trajectory"][0]["joint_trajectory"]
     return float(path["points"][-1]["positions"][path["joint_names"].index("shoulder_pan")])
 

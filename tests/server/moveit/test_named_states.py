@@ -30,8 +30,8 @@ from server.moveit.named_states import (
     Positions,
     default_path,
 )
-from tests.helpers.goal_translator import keep_nothing
-from tests.helpers.readings import reading
+from tests.helpers.arm_rig import reading
+from tests.helpers.moveit import keep_nothing
 
 ROBOT = model.builtin()
 BENT = {"elbow_flex": 0.4}

@@ -22,7 +22,7 @@ from server.recording.files import (
     is_latched,
 )
 from server.recording.replay import Recording
-from tests.helpers.recorded import REGISTRY, START_NS, entry, record, text
+from tests.server.recordings import REGISTRY, START_NS, entry, record, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.
 
@@ -144,7 +144,7 @@ def test_the_oldest_files_of_the_series_are_given_up(tmp_path: Path) -> None:
     assert names(tmp_path) == ["other.mcap", "run_2.mcap", "run_3.mcap"]
 
 
-def test_what_is_latched_stands_at_the_beginning_of_every_file(tmp_path: Path) -> None:
+def test_latched_messages_stand_at_the_beginning_of_every_file(tmp_path: Path) -> None:
     written = series(tmp_path / "run.mcap")
     written.add(entry("/robot_description", "std_msgs/String", {"data": "<robot/>"}, latched=True))
     fill(written, 3)
@@ -178,7 +178,7 @@ def test_there_are_only_so_many_numbers(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_whether_a_topic_is_latched_is_read_back(latched: bool) -> None:
+def test_the_latching_of_a_topic_is_read_back(latched: bool) -> None:
     assert is_latched(channel_metadata(latched)) is latched
 
 

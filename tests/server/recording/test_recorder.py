@@ -17,7 +17,7 @@ from server.recording import recorder as recorder_module
 from server.recording.files import FileSeries, RecordedMessage
 from server.recording.recorder import QueuedMessage, Recorder, WriterThread
 from server.recording.replay import Recording
-from tests.helpers.recorded import REGISTRY, wait_until
+from tests.server.recordings import REGISTRY, recorded_messages, wait_until
 
 TALKER = Node("talker")
 
@@ -28,7 +28,7 @@ def graph() -> Graph:
 
 
 async def recorded(graph: Graph, path: Path, publish: Callable[[], None]) -> list[RecordedMessage]:
-    """What is in the file after something was published."""
+    """Return the messages in the file after something was published."""
     recorder = Recorder(graph, path)
     publish()
     await recorder.close()
@@ -56,7 +56,7 @@ async def test_times_are_of_the_epoch_and_do_not_jump_with_the_wall_clock(graph:
     graph.publish(TALKER, "/a", {})
     graph.publish(TALKER, "/a", {})
     await recorder.close()
-    entries = [each for chunk in Recording(tmp_path / "run.mcap").chunks() for each in chunk]
+    entries = recorded_messages(tmp_path / "run.mcap")
     assert [each.log_time_ns for each in entries] == [1_000_007, 1_000_009]
 
 
@@ -73,7 +73,7 @@ async def test_a_message_of_an_unknown_type_is_left_out_and_told_once(
     assert told == ["recording: /own is left out, the type my_msgs/msg/Thing is unknown"]
 
 
-async def test_it_tells_whether_it_records_and_what_waits(
+async def test_the_recorder_tells_its_state_and_its_queue(
     graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
@@ -131,17 +131,13 @@ def queued(number: int = 0, size_bytes: int = 20) -> QueuedMessage:
     )
 
 
-def read(path: Path) -> list[RecordedMessage]:
-    return [each for chunk in Recording(path).chunks() for each in chunk]
-
-
-def test_what_is_put_is_in_the_file_in_order(tmp_path: Path) -> None:
+def test_queued_messages_are_in_the_file_in_order(tmp_path: Path) -> None:
     writer = WriterThread(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
     writer.start()
     for number in range(100):
         writer.put(queued(number))
     assert writer.close()
-    entries = read(tmp_path / "run.mcap")
+    entries = recorded_messages(tmp_path / "run.mcap")
     assert [each.log_time_ns for each in entries] == list(range(1000, 1100))
     assert {each.publish_time_ns for each in entries} == {7_000_000_005}
 
@@ -164,7 +160,7 @@ def test_a_disk_that_stands_still_costs_messages_and_not_memory(
     files.go_on.set()
     assert writer.close()
     assert "7 messages were dropped" in caplog.text
-    assert len(read(tmp_path / "run.mcap")) == 4
+    assert len(recorded_messages(tmp_path / "run.mcap")) == 4
 
 
 def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -180,14 +176,14 @@ def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: py
     ]
 
 
-def test_what_was_put_a_moment_ago_can_be_read_while_the_recording_goes_on(
+def test_a_recent_message_can_be_read_while_the_recording_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
     writer = WriterThread(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
     writer.start()
     writer.put(queued())
-    assert wait_until(lambda: len(read(tmp_path / "run.mcap")) == 1)
+    assert wait_until(lambda: len(recorded_messages(tmp_path / "run.mcap")) == 1)
     assert writer.close()
 
 

@@ -18,19 +18,15 @@ from server.graph.topics import Graph, Subscriber
 from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
 from server.recording.replay import Player, RecordedTopic, Recording, ReplayOptions, ReplayServer
-from tests.helpers.client import frame_client
-from tests.helpers.recorded import REGISTRY, START_NS, entry, record, record_killed, text
+from tests.helpers.clients import frame_client
+from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
 CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]
 
 
-def entries(path: Path) -> list[RecordedMessage]:
-    return [each for chunk in Recording(path).chunks() for each in chunk]
-
-
-def test_what_was_recorded_is_read_back(tmp_path: Path) -> None:
+def test_a_recording_is_read_back(tmp_path: Path) -> None:
     written = [text(0), text(1, "/latched")._replace(latched=True)]
-    assert entries(record(tmp_path / "run.mcap", written)) == written
+    assert recorded_messages(record(tmp_path / "run.mcap", written)) == written
 
 
 def test_the_summary_tells_topics_count_and_length(tmp_path: Path) -> None:
@@ -55,7 +51,7 @@ def test_a_file_cut_anywhere_is_read_as_far_as_its_whole_chunks_go(
         cut = tmp_path / "cut.mcap"
         cut.write_bytes(octets[:length])
         try:
-            counts.append(len(entries(cut)))
+            counts.append(len(recorded_messages(cut)))
         except RecordingError:
             counts.append(0)
     assert counts == sorted(counts)
@@ -68,13 +64,13 @@ def test_a_damaged_chunk_ends_the_reading(tmp_path: Path) -> None:
     second = octets.index(b"zstd", octets.index(b"zstd") + 1)
     octets[second + 24] ^= 0xFF
     (tmp_path / "run.mcap").write_bytes(octets)
-    assert len(entries(tmp_path / "run.mcap")) == 2
+    assert len(recorded_messages(tmp_path / "run.mcap")) == 2
 
 
 def test_a_chunk_that_claims_to_be_huge_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = record(tmp_path / "run.mcap", [text(0)._replace(octets=bytes(50_000))])
     monkeypatch.setattr(replay_module, "MAX_RECORD_BYTES", 10_000)
-    assert entries(path) == []
+    assert recorded_messages(path) == []
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -88,7 +84,9 @@ def test_files_of_other_writers_are_read(tmp_path: Path, compression: Compressio
         for number in range(3):
             writer.add_message(channel, START_NS + number, text(number).octets, START_NS)
         writer.finish()
-    assert [each.octets for each in entries(tmp_path / "other.mcap")] == [text(number).octets for number in range(3)]
+    assert [each.octets for each in recorded_messages(tmp_path / "other.mcap")] == [
+        text(number).octets for number in range(3)
+    ]
 
 
 def test_a_file_without_messages_of_ros_2_is_refused(tmp_path: Path) -> None:
@@ -109,7 +107,7 @@ NO_RECORDINGS = {
 
 
 @pytest.mark.parametrize(("octets", "words"), NO_RECORDINGS.values(), ids=NO_RECORDINGS.keys())
-def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path: Path, octets: bytes, words: str) -> None:
+def test_an_invalid_recording_is_refused_with_a_sentence(tmp_path: Path, octets: bytes, words: str) -> None:
     (tmp_path / "run.mcap").write_bytes(octets)
     with pytest.raises(RecordingError, match=rf"run\.mcap: {words}"):
         Recording(tmp_path / "run.mcap").summary()
@@ -129,7 +127,7 @@ LISTENER = Node("listener")
 
 
 class Heard:
-    """What a subscriber got, and when [s]."""
+    """Return the messages of a subscriber and their times [s]."""
 
     def __init__(self, graph: Graph, topic: str = "/t") -> None:
         self.messages: list[Any] = []
@@ -168,7 +166,7 @@ async def test_the_rate_is_kept(tmp_path: Path) -> None:
     assert offsets_s == pytest.approx([0.0, 0.05, 0.15])
 
 
-async def test_what_was_latched_is_latched_again(tmp_path: Path) -> None:
+async def test_a_latched_message_is_latched_again(tmp_path: Path) -> None:
     graph = Graph(REGISTRY)
     await player(tmp_path, graph, [text(7)._replace(latched=True)]).play()
     kept = graph.subscribe(LISTENER, "/t", None, Subscriber(lambda _: None))
@@ -239,7 +237,7 @@ def options(tmp_path: Path) -> ReplayOptions:
 
 
 async def url(caplog: pytest.LogCaptureFixture) -> str:
-    """Where the replay is offered, from its log."""
+    """Return the address of the replay, from its log."""
     async with asyncio.timeout(30.0):
         while not (found := SERVING.search(caplog.text)):
             await asyncio.sleep(0.01)

@@ -1,4 +1,4 @@
-"""What is new is found at once: the tests would wait for nothing else."""
+"""Discovery without delay: the tests would wait for nothing else."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from server.zenoh.bridge import Bridge, Discovery, bridge_of
 from server.zenoh.rmw import Endpoint, Entity, EntityKind, LivelinessTokens
 from server.zenoh.settings import ZenohSettings
 from server.zenoh.topics import OutgoingTopics
-from tests.helpers.certificates import Pair, make_pair, make_signed_pair
+from tests.helpers.resources import Pair, make_pair, make_signed_pair
 from tests.helpers.server import ROOT
 from tests.helpers.zenoh_network import REGISTRY, TIMEOUT_S, RosMachine, Site, free_port, until
 from tests.test_readme import blocks
@@ -95,7 +95,7 @@ async def test_a_bridge_that_has_not_joined_yet_ends() -> None:
     assert running.cancelled()
 
 
-def test_who_has_no_zenoh_is_told_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_zenoh_is_told_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(settings.importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(ConfigurationError, match="pip install"):
         Site(free_port())
@@ -149,7 +149,7 @@ async def test_one_server_shows_the_arms_of_others_to_its_viewers() -> None:
     assert [messages[0].msg["data"] for messages in heard] == ["/arm1", "/arm2"]
 
 
-async def test_who_may_send_goals_may_stop_the_arm() -> None:
+async def test_a_network_that_may_send_goals_may_stop_the_arm() -> None:
     port = free_port()
     async with Site(port, subscribe=("/moveit_goal_named",), offer=("/arm/enable",)) as site:
         for topic in ("/moveit_goal_named", "/moveit_goal_joints", "/stop"):
@@ -163,7 +163,7 @@ async def test_who_may_send_goals_may_stop_the_arm() -> None:
             assert not machine.has_token("%arm%relax")
 
 
-async def test_what_goes_wrong_once_does_not_end_the_sharing(
+async def test_an_error_does_not_end_the_sharing(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     port, refresh, failures = free_port(), OutgoingTopics.refresh, iter([True])
@@ -218,7 +218,7 @@ def all_concern(_entity: Entity) -> bool:
     return True
 
 
-def test_who_comes_is_known_until_it_goes() -> None:
+def test_an_entity_is_known_until_it_goes() -> None:
     others = Discovery(0, "us", all_concern)
     token = LivelinessTokens(0, "them", "").entity(EntityKind.PUBLISHER, CHATTER)
     others.update(token, alive=True)
@@ -233,7 +233,7 @@ def test_the_server_does_not_discover_itself() -> None:
     assert others.entities() == ()
 
 
-def test_who_does_not_matter_is_not_kept() -> None:
+def test_an_entity_of_no_concern_is_not_kept() -> None:
     others = Discovery(0, "us", lambda entity: entity.kind is EntityKind.SERVICE)
     others.update(LivelinessTokens(0, "them", "").entity(EntityKind.PUBLISHER, CHATTER), alive=True)
     assert others.entities() == ()
@@ -262,7 +262,7 @@ def test_nothing_new_is_told_by_the_same_object() -> None:
     assert others.entities() is after
 
 
-def test_whoever_invents_tokens_fills_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invented_liveliness_tokens_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bridge, "MAX_ENTITIES", 3)
     others, tokens = Discovery(0, "us", all_concern), LivelinessTokens(0, "them", "")
     for number in range(10):
@@ -272,7 +272,7 @@ def test_whoever_invents_tokens_fills_no_memory(monkeypatch: pytest.MonkeyPatch)
     assert len(others.entities()) == 3
 
 
-def test_what_is_no_token_changes_nothing() -> None:
+def test_an_invalid_liveliness_token_changes_nothing() -> None:
     others = Discovery(0, "us", all_concern)
     others.update("@ros2_lv/0/nonsense", alive=True)
     others.update("@ros2_lv/0/nonsense", alive=False)

@@ -33,13 +33,13 @@ async def alone() -> Network:
     return Network(thread, loop, Graph(REGISTRY), node, "us", 0, Namespace(""), tokens, 10_000_000)
 
 
-async def test_what_is_wrong_is_told_once(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_repeated_warning_is_logged_once(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(3):
         alone.warn("a")
     assert [record.message for record in caplog.records] == ["zenoh: a"]
 
 
-async def test_whoever_invents_mistakes_fills_no_log(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
+async def test_the_number_of_different_warnings_is_limited(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
     for number in range(network.MAX_WARNINGS + 10):
         alone.warn(str(number))
     assert len(caplog.records) == network.MAX_WARNINGS + 1

@@ -70,7 +70,7 @@ def test_own_tokens_are_read_back(latched: bool) -> None:
         TALKER.replace("::dds_::", "::"),
     ],
 )
-def test_what_is_no_topic_and_no_service_is_passed_over(token: str) -> None:
+def test_tokens_of_neither_topics_nor_services_are_ignored(token: str) -> None:
     assert Entity.parse(token) is None
 
 
@@ -80,7 +80,7 @@ def test_names_of_ros_are_names(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "/", "joint_states", "/a//b", "/a/", "/*", "/a/**", "/a$*", "/1a", "/a b", "/ä"])
-def test_what_means_something_else_in_a_key_is_no_name(name: str) -> None:
+def test_characters_with_a_meaning_in_keys_are_no_part_of_names(name: str) -> None:
     assert not is_name(name)
 
 

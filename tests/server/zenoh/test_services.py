@@ -60,7 +60,7 @@ async def test_a_service_that_fits_no_pattern_cannot_be_called() -> None:
     assert requests == []
 
 
-async def test_whoever_asks_for_all_keys_calls_nothing() -> None:
+async def test_a_query_for_many_keys_calls_no_service() -> None:
     port = free_port()
     async with Site(port, offer=("/arm/*",)) as site:
         requests = offered(site)
@@ -107,7 +107,7 @@ async def test_a_request_that_is_too_large_is_refused() -> None:
     assert reply.err is not None
 
 
-async def test_who_may_only_look_is_told_what_is_missing_but_may_stop_the_arm() -> None:
+async def test_a_viewing_network_is_told_the_missing_role_but_may_stop_the_arm() -> None:
     port = free_port()
     async with Site(port, offer=("/arm/*",), role="view") as site:
         requests = offered(site, "/arm/enable")

@@ -80,7 +80,7 @@ def test_a_job_that_fails_ends_no_other(opened: Opened, caplog: pytest.LogCaptur
     assert [record.levelno for record in caplog.records] == [logging.WARNING, logging.ERROR]
 
 
-def test_what_was_left_before_the_end_is_done(opened: Opened) -> None:
+def test_work_submitted_before_the_end_is_done(opened: Opened) -> None:
     done = threading.Event()
     opened.thread.submit(lambda _session: time.sleep(0.05))
     opened.thread.submit(lambda _session: done.set())
@@ -185,7 +185,7 @@ async def test_a_full_inbox_lets_others_have_their_turn() -> None:
     assert len(taken) <= session_module.ITEMS_AT_A_TIME
 
 
-def test_what_comes_after_the_end_of_the_loop_is_lost_quietly() -> None:
+def test_items_after_the_end_of_the_loop_are_dropped_silently() -> None:
     loop = asyncio.new_event_loop()
     box = ReceiveQueue[int](loop, lambda _item: None)
     loop.close()

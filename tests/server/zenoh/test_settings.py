@@ -75,7 +75,7 @@ def test_a_machine_that_reads_no_responses_is_let_go_soon() -> None:
     assert value(ZenohSettings(mode="peer"), path) == 1_000_000
 
 
-def test_what_is_set_is_what_zenoh_gets() -> None:
+def test_the_settings_become_the_configuration_of_zenoh() -> None:
     connect, listen = ("tcp/127.0.0.1:7447",), ("tcp/127.0.0.1:7448",)
     settings = ZenohSettings(mode="router", connect=connect, listen=listen, scouting_multicast=True)
     assert value(settings, "mode") == "router"
@@ -132,7 +132,7 @@ def test_the_state_of_the_arm_may_be_told_to_everyone() -> None:
 @pytest.mark.parametrize(
     "listening", ['["tcp/0.0.0.0:7449"]', '{ peer: ["tcp/0.0.0.0:7449"] }', '["tls/0.0.0.0:7449"]']
 )
-def test_what_a_file_of_zenoh_opens_counts_as_well(tmp_path: Path, listening: str) -> None:
+def test_an_endpoint_opened_by_a_file_of_zenoh_counts_as_exposed(tmp_path: Path, listening: str) -> None:
     file = tmp_path / "zenoh.json5"
     file.write_text(f"{{ listen: {{ endpoints: {listening} }} }}")
     with pytest.raises(ConfigurationError, match=r"0\.0\.0\.0:7449 lets everyone"):
@@ -145,7 +145,7 @@ def test_machines_that_show_a_certificate_may_send_commands(tmp_path: Path) -> N
     session_config(ZenohSettings(mode="peer", config_file=file, listen=("tls/0.0.0.0:7449",), offer=("/arm/*",)))
 
 
-def test_who_wants_zenoh_without_having_it_is_told_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_zenoh_is_reported_with_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(ConfigurationError, match=r"zenoh\.mode: peer needs .* pip install 'armbridge\[zenoh\]'"):
         check_installed(ZenohSettings(mode="peer"))
@@ -176,7 +176,7 @@ def test_certificates_guard_encrypted_links_alone() -> None:
     assert exposed_endpoint(["tcp/0.0.0.0:7447"], mutual_tls=True) == "tcp/0.0.0.0:7447"
 
 
-def test_who_listens_nowhere_is_open_to_nobody() -> None:
+def test_without_endpoints_nothing_is_exposed() -> None:
     assert exposed_endpoint([], mutual_tls=False) is None
 
 

@@ -47,7 +47,7 @@ async def test_a_namespace_stands_before_the_names_at_the_others() -> None:
             await until(lambda: heard)
 
 
-async def test_who_comes_later_gets_what_is_latched() -> None:
+async def test_a_late_subscriber_on_the_network_gets_the_latched_message() -> None:
     port = free_port()
     async with Site(port, publish=("/description",)) as site:
         site.graph.advertise(site.part, "/description", STRING, latch=True)
@@ -67,7 +67,7 @@ async def test_who_comes_later_gets_what_is_latched() -> None:
             assert heard == [machine.message(STRING, data="an arm")]
 
 
-async def test_what_fits_no_pattern_and_what_has_no_name_of_ros_stays_here() -> None:
+async def test_topics_without_a_matching_pattern_or_a_ros_name_are_not_shared() -> None:
     port = free_port()
     async with Site(port, publish=("/news*", "/*\\*")) as site:
         for name in ("/other", "/news/**", "/news"):
@@ -88,7 +88,7 @@ async def test_a_topic_that_nobody_publishes_any_more_is_taken_back() -> None:
         assert site.graph.subscribers("/news") == []
 
 
-async def test_what_a_client_publishes_on_a_new_topic_is_not_lost() -> None:
+async def test_the_first_message_of_a_client_on_a_new_topic_is_not_lost() -> None:
     port = free_port()
     async with Site(port, publish=("/news",)) as site:
         with RosMachine(port) as machine:
@@ -150,7 +150,7 @@ async def test_a_goal_in_the_namespace_is_for_this_server_and_one_outside_is_not
     assert [goal.msg["data"] for goal in goals] == ["own"]
 
 
-async def test_what_others_publish_can_be_seen_by_clients_until_they_go() -> None:
+async def test_topics_of_other_machines_are_there_for_clients_until_they_go() -> None:
     port = free_port()
     async with Site(port, subscribe=("/camera/*",)) as site:
         with RosMachine(port) as machine:
@@ -177,7 +177,7 @@ async def test_nothing_comes_in_that_fits_no_pattern() -> None:
     assert goals == []
 
 
-async def test_what_came_in_does_not_go_out_again() -> None:
+async def test_received_messages_are_not_sent_back() -> None:
     port = free_port()
     async with Site(port, subscribe=("/chat",), publish=("/chat",)) as site:
         with RosMachine(port) as machine:
@@ -194,7 +194,7 @@ async def test_what_came_in_does_not_go_out_again() -> None:
     assert len(heard) == 2
 
 
-async def test_what_others_publish_is_not_announced_as_this_servers() -> None:
+async def test_topics_of_other_machines_are_not_announced_as_this_servers() -> None:
     port = free_port()
     async with Site(port, subscribe=("/chat",), publish=("/*",)) as site:
         with RosMachine(port) as machine:
@@ -282,7 +282,7 @@ async def test_garbage_costs_a_warning_and_nothing_else(caplog: pytest.LogCaptur
     assert "more than 100 bytes (server.limits.max_message_bytes)" in caplog.text
 
 
-async def test_who_may_only_look_sends_no_goals_and_is_answered(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_viewing_network_sends_no_goals_and_is_answered(caplog: pytest.LogCaptureFixture) -> None:
     port = free_port()
     turned_away: list[str] = []
     async with Site(port, subscribe=GOALS, role="view") as site:

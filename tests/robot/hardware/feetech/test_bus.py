@@ -35,9 +35,9 @@ from robot.hardware.feetech.registers import (
     goal_block,
     parse_telemetry,
 )
-from tests.helpers.scripted_port import ScriptedPort
-from tests.helpers.sequences import run
-from tests.helpers.stepped_emulator import SteppedEmulator
+from tests.helpers.arm_rig import run
+from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.scripted_servos import ScriptedPort
 
 IDS = (1, 2, 3, 4, 5, 6)
 

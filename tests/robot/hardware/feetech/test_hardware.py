@@ -11,7 +11,6 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from robot.calibration import RAD_PER_TICK
-from robot.description.limits import JointBounds
 from robot.emulator.process import PseudoTerminal
 from robot.errors import PortNotFound
 from robot.faults import FaultCode
@@ -32,11 +31,11 @@ from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.survey import CYCLES_BETWEEN
 from robot.hardware.interface import Measured, StatusFlag, run_to_end
 from robot.messages import GuardLimits, Mode, Order
-from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ROBOT, ArmRig
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ArmRig
+from tests.helpers.emulator import SteppedClock, SteppedEmulator
 from tests.helpers.server import read_write_log
-from tests.helpers.stepped_emulator import SteppedClock, SteppedEmulator
 
-SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints)))
+SERVOS = ServoMap(CALIBRATION, BOUNDS)
 
 
 def frame(servo_id: int, ticks: int = 2048, error: int = 0) -> StatusFrame:

@@ -5,13 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.description.limits import JointBounds
 from robot.hardware.feetech.registers import goal_block
 from robot.hardware.feetech.servo_map import SERVO_ACCELERATION, VELOCITY_CAP_TICKS_S, ServoMap
 from robot.messages import GuardLimits
-from tests.helpers.arm_rig import CALIBRATION, ROBOT
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION
 
-BOUNDS = JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints))
 SERVOS = ServoMap(CALIBRATION, BOUNDS)
 
 

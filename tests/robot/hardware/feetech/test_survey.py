@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from robot.description.limits import JointBounds
 from robot.errors import StartupError
 from robot.faults import FaultCode
 from robot.hardware.feetech.bus import Bus
@@ -13,12 +12,11 @@ from robot.hardware.feetech.registers import Control, Register
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.survey import CYCLES_BETWEEN, PHASE_MULTI_TURN, RegisterChecks, ServoFound, survey
 from robot.hardware.feetech.torque import full_torque
-from tests.helpers.arm_rig import CALIBRATION, ROBOT
-from tests.helpers.sequences import run
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
+from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.server import read_write_log
-from tests.helpers.stepped_emulator import SteppedEmulator
 
-SERVOS = ServoMap(CALIBRATION, JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints)))
+SERVOS = ServoMap(CALIBRATION, BOUNDS)
 
 Start = Callable[..., SteppedEmulator]
 

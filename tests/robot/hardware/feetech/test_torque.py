@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from robot.description.limits import JointBounds
 from robot.errors import StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
@@ -24,12 +23,10 @@ from robot.hardware.feetech.torque import (
     switch_off,
 )
 from robot.messages import GuardLimits
-from tests.helpers.arm_rig import CALIBRATION, ROBOT
-from tests.helpers.sequences import run
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
+from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.server import read_write_log
-from tests.helpers.stepped_emulator import SteppedEmulator
 
-BOUNDS = JointBounds.of(ROBOT, tuple(joint.joint for joint in CALIBRATION.joints))
 SERVOS = ServoMap(CALIBRATION, BOUNDS)
 IDS = list(SERVOS.ids)
 LIMITS = TickLimits(SERVOS.ticks_range(BOUNDS), {j.servo_id: (j.range_min, j.range_max) for j in CALIBRATION.joints})

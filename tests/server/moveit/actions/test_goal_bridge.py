@@ -20,10 +20,9 @@ from server.moveit.actions.joint_trajectory_controller import (
     sequence_result,
     submit_goal,
 )
-from tests.helpers.action_desk import ActionDesk
-from tests.helpers.moveit_requests import message
-from tests.helpers.played_arm import settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import settle
+from tests.helpers.motions import smooth_move
+from tests.helpers.moveit import ActionDesk, message
 
 ACTION, TYPE = "/move", "moveit_msgs/action/ExecuteTrajectory"
 

@@ -35,11 +35,9 @@ from server.moveit.actions.joint_trajectory_controller import (
     rejection_code,
     violation,
 )
-from tests.helpers.action_desk import ActionDesk
-from tests.helpers.moveit_requests import HOME, message, outcome
-from tests.helpers.moveit_services import ROBOT
-from tests.helpers.played_arm import JOINTS, PlayedArm, settle
-from tests.helpers.trajectories import smooth_move
+from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
+from tests.helpers.motions import smooth_move
+from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
 
 ACTION = "/arm_controller/follow_joint_trajectory"
 TOPIC = "/arm_controller/joint_trajectory"
@@ -54,8 +52,8 @@ class Desk(ActionDesk):
             self.graph,
             ROBOT,
             ROBOT.groups["arm"],
-            self.played_arm,  # type: ignore[arg-type]
-            self.arm,  # type: ignore[arg-type]
+            self.arm.as_arm,
+            self.current,
             self.queue,
         )
 
@@ -117,7 +115,7 @@ async def test_leaving_the_path_tolerance_ends_the_goal(desk: Desk) -> None:
     tolerance = [{"name": "elbow_flex", "position": 0.05}]
     await desk.send(ACTION, trajectory=TRAJECTORY, path_tolerance=tolerance)
     desk.report(MOVING)
-    arm = desk.played_arm
+    arm = desk.arm
     measured = arm.state
     arm.put(elbow_flex=0.2)
     lagging = type(measured)(**{**vars(arm.state), "position_rad": measured.position_rad})
@@ -155,7 +153,7 @@ INTERFACES = MessageTypes(Registry.load())
 
 def at(position_rad: float, goal_rad: float, clock_s: float = 1.0, stamp_s: float = 1.0) -> ArmState:
     position, goal = np.full(len(JOINTS), position_rad), np.full(len(JOINTS), goal_rad)
-    return replace(PlayedArm().state, stamp_s=stamp_s, clock_s=clock_s, position_rad=position, goal_rad=goal)
+    return replace(FakeArm().state, stamp_s=stamp_s, clock_s=clock_s, position_rad=position, goal_rad=goal)
 
 
 class Followed:
@@ -329,7 +327,7 @@ def test_tolerances_that_cannot_be_kept_are_refused(fields: dict[str, Any], word
 
 
 GROUP = model.builtin().groups["arm"]
-STATE = replace(PlayedArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_rad=np.full(len(JOINTS), 0.2))
+STATE = replace(FakeArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_rad=np.full(len(JOINTS), 0.2))
 
 
 @pytest.mark.parametrize("name", ["state", "controller_state"])
@@ -348,7 +346,7 @@ async def test_subscribers_get_reference_and_feedback_of_the_joints(name: str) -
     assert heard[0]["speed_scaling_factor"] == 1.0
 
 
-STANDING = replace(PlayedArm().state, position_rad=np.full(len(JOINTS), 0.1))
+STANDING = replace(FakeArm().state, position_rad=np.full(len(JOINTS), 0.1))
 WANTED = dict.fromkeys(JOINTS, 0.0)
 
 

@@ -29,10 +29,8 @@ from server.moveit.actions.move_group import (
     read_planning_goal,
     read_planning_options,
 )
-from tests.helpers.action_desk import ActionDesk
-from tests.helpers.moveit_requests import joint, message, outcome
-from tests.helpers.moveit_services import HOME, ROBOT, ServiceRig
-from tests.helpers.played_arm import settle
+from tests.helpers.fake_arm import HOME, settle
+from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, joint, message, outcome
 
 OFFERED = {
     "/move_action": "moveit_msgs/action/MoveGroup",
@@ -47,7 +45,7 @@ OFFERED = {
 @pytest.fixture
 async def desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    MotionActions(made.graph, made.context, made.played_arm, made.queue).open(())  # type: ignore[arg-type]
+    MotionActions(made.graph, made.context, made.arm, made.queue).open(())  # type: ignore[arg-type]
     yield made
     await made.close()
 
@@ -263,7 +261,7 @@ def test_look_around_is_ignored_with_a_warning() -> None:
 @pytest.fixture
 async def execution_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    ExecuteTrajectory(made.graph, ROBOT, made.arm, made.queue)  # type: ignore[arg-type]
+    ExecuteTrajectory(made.graph, ROBOT, made.current, made.queue)
     yield made
     await made.close()
 

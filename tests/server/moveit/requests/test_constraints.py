@@ -24,7 +24,7 @@ from server.moveit.requests.constraints import (
     read_path_constraints,
     read_regions,
 )
-from tests.helpers.moveit_requests import (
+from tests.helpers.moveit import (
     BOX,
     CONE,
     CYLINDER,

@@ -9,7 +9,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.moveit.poses import pose_of
 from server.moveit.requests.context import planning_group
-from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, assert_refused, context, message, near, point
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT, SEVEN, TIP, assert_refused, context, message, near, point
 
 
 def pose(x, y, z):

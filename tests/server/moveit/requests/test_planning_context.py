@@ -19,8 +19,8 @@ from server.moveit.requests.planning_context import (
     state_positions,
 )
 from server.moveit.requests.planning_problems import PILZ
-from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, joint, message, outcome
-from tests.helpers.moveit_services import ServiceRig
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome
 
 ELBOW = ROBOT.joints["elbow_flex"]
 CURRENT = HOME | {"shoulder_pan": 0.3}
@@ -131,14 +131,9 @@ BOX = {"primitives": [{"type": 1, "dimensions": [0.01] * 3}], "primitive_poses":
 HELD = {"link_name": "gripper_link", "object": {"id": "mug", "header": {"frame_id": "gripper_link"}, **BOX}}
 
 
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
-
-
 def test_a_request_without_a_start_begins_where_the_arm_is(rig: ServiceRig) -> None:
-    rig.arm.at_rad = HOME | {"elbow_flex": 0.4}
-    assert rig.context.start(state(), rig.client).start_rad == rig.arm.at_rad
+    rig.arm.put(elbow_flex=0.4)
+    assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.4}
 
 
 def test_an_assumed_state_counts_for_its_client_alone(rig: ServiceRig) -> None:
@@ -154,7 +149,7 @@ def test_a_requests_state_overrides_the_assumed_one(rig: ServiceRig) -> None:
 
 
 def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
-    rig.arm.at_rad = None
+    rig.arm.lose_positions()
     with pytest.raises(RefusedError) as raised:
         rig.context.start(state(), rig.client)
     assert_refused(raised.value.failure, MoveItErrorCode.ROBOT_STATE_STALE)

@@ -28,19 +28,8 @@ from server.moveit.requests.planning_problems import (
     sequence_requests,
     tip_problem,
 )
-from tests.helpers.moveit_requests import (
-    FRAMES,
-    HOME,
-    ROBOT,
-    TIP,
-    assert_refused,
-    ball,
-    constraints,
-    context,
-    joint,
-    message,
-    outcome,
-)
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import FRAMES, ROBOT, TIP, assert_refused, ball, constraints, context, joint, message, outcome
 
 GOAL = {"joint_constraints": [joint("elbow_flex", 0.5)]}
 PARAMETERS = MoveItParameters()

@@ -22,8 +22,9 @@ from server.moveit.requests.trajectories import (
     smallest_group,
     to_message,
 )
-from tests.helpers.examples import examples
-from tests.helpers.moveit_requests import HOME, ROBOT, assert_refused, message, outcome
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT, assert_refused, message, outcome
+from tests.helpers.resources import examples
 
 JOINTS = ("shoulder_pan", "elbow_flex")
 

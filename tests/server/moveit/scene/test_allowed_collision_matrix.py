@@ -15,7 +15,7 @@ from server.moveit.scene.allowed_collision_matrix import (
     disabled_collisions,
     read_allowed_collision_matrix,
 )
-from tests.helpers.planning_scene import ROBOT, message
+from tests.helpers.moveit import ROBOT, message
 
 OF_ROBOT = AllowedCollisionMatrix.of_robot(ROBOT)
 UNCHECKED = disabled_collisions(ROBOT)

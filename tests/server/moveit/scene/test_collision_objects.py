@@ -16,7 +16,7 @@ from server.moveit.scene.collision_objects import (
     read_shape_poses,
     with_object_pose,
 )
-from tests.helpers.planning_scene import box, collision_object, message, pose
+from tests.helpers.moveit import box, collision_object, message, pose
 
 BALL = {"type": 2, "dimensions": [0.1]}
 QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))

@@ -5,7 +5,7 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from server.moveit.poses import matrix_of
 from server.moveit.scene.frames import MAX_NAME_LENGTH, Frames, in_root, seen_from
-from tests.helpers.planning_scene import BENT, FORWARD, ROBOT, box, collision_object, diff, failure, pose, scene_state
+from tests.helpers.moveit import BENT, FORWARD, ROBOT, box, collision_object, diff, failure, pose, scene_state
 
 STATE = scene_state(
     collision_object(

@@ -17,8 +17,8 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.scene import geometry_files as geometry_files_module
 from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within, read_geometry, write_geometry
-from tests.helpers.examples import examples
-from tests.helpers.planning_scene import BENT, box, current_state, diff, message, pose, scene_state
+from tests.helpers.moveit import BENT, box, current_state, diff, message, pose, scene_state
+from tests.helpers.resources import examples
 
 
 class Files:

@@ -45,13 +45,12 @@ from server.moveit.scene.interface import (
     subscribe_to_scene_topics,
 )
 from server.moveit.scene.scene_state import AssumedStates, SceneState
-from tests.helpers.arm_server import ArmClient
+from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
-from tests.helpers.examples import examples
-from tests.helpers.planning_scene import (
+from tests.helpers.fake_arm import JOINTS
+from tests.helpers.moveit import (
     BENT,
     FORWARD,
-    JOINTS,
     ROBOT,
     box,
     collision_object,
@@ -62,6 +61,7 @@ from tests.helpers.planning_scene import (
     pose,
     scene_state,
 )
+from tests.helpers.resources import examples
 
 TOPICS = {
     "/planning_scene": "moveit_msgs/msg/PlanningScene",

@@ -23,7 +23,7 @@ from server.moveit.scene.planning_scene import (
     apply_planning_scene,
     apply_world,
 )
-from tests.helpers.planning_scene import (
+from tests.helpers.moveit import (
     BENT,
     FORWARD,
     ROBOT,

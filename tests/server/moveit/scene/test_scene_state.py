@@ -16,7 +16,7 @@ from planners.scene_checks import MAX_SHAPES
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.moveit.scene.scene_state import AssumedStates, SceneState
-from tests.helpers.planning_scene import (
+from tests.helpers.moveit import (
     BENT,
     ROBOT,
     box,

@@ -24,16 +24,11 @@ from server.moveit.services.cartesian_path import (
     first_jump,
     length_m,
 )
-from tests.helpers.examples import examples
-from tests.helpers.moveit_requests import HOME, ROBOT, TIP, joint, point
-from tests.helpers.moveit_services import ServiceRig
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT, TIP, ServiceRig, joint, point
+from tests.helpers.resources import examples
 
 NEAR, FAR = point(0.33, 0.0, 0.2, w=1.0), point(0.33, 0.6, 0.2, w=1.0)
-
-
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
 
 
 async def path(rig: ServiceRig, *waypoints: Any, max_step: float = 0.01, **fields: Any) -> Any:

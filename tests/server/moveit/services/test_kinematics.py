@@ -12,16 +12,11 @@ from planners.problem import IkQuestion, MoveItErrorCode
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.planning_problems import MAX_LINKS, _goal_of_links
 from server.moveit.services.move_group_services import within_limits
-from tests.helpers.examples import examples
-from tests.helpers.moveit_requests import HOME, ROBOT, SEVEN, TIP, ball, context, joint, message, point, turned
-from tests.helpers.moveit_services import ServiceRig
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT, SEVEN, TIP, ServiceRig, ball, context, joint, message, point, turned
+from tests.helpers.resources import examples
 
 AT = point(0.25, 0.05, 0.2, w=1.0)
-
-
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
 
 
 async def ik(rig: ServiceRig, pose=AT, frame="", **fields: Any) -> Any:

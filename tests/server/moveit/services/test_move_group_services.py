@@ -10,15 +10,10 @@ from planners.problem import PLANNER_IDS, MoveItErrorCode
 from robot.description import model
 from server.moveit.requests.planning_problems import PILZ
 from server.moveit.services.move_group_services import SERVICES, group_urdf
-from tests.helpers.arm_server import ArmClient
+from tests.helpers.clients import ArmClient
+from tests.helpers.fake_arm import HOME
 from tests.helpers.messages import made_up
-from tests.helpers.moveit_requests import HOME, ROBOT, SPHERE, TIP, ball, joint, point, region, turned
-from tests.helpers.moveit_services import REGISTRY, ServiceRig
-
-
-@pytest.fixture
-def rig() -> ServiceRig:
-    return ServiceRig()
+from tests.helpers.moveit import REGISTRY, ROBOT, SPHERE, TIP, ServiceRig, ball, joint, point, region, turned
 
 
 def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
@@ -34,7 +29,7 @@ async def test_an_empty_request_is_answered(rig: ServiceRig, name: str) -> None:
 
 @pytest.mark.parametrize("name", SERVICES)
 async def test_a_request_for_an_arm_that_is_not_read_is_answered(rig: ServiceRig, name: str) -> None:
-    rig.arm.at_rad = None
+    rig.arm.lose_positions()
     ok, values = await rig.outcome(name)
     assert ok, values
 

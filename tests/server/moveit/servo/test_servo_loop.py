@@ -37,8 +37,8 @@ from server.moveit.servo.servo_loop import (
     to_planning_frame,
 )
 from tests.helpers.clock import FakeClock
-from tests.helpers.moveit_requests import outcome
-from tests.helpers.steerable_arm import ROBOT, SteerableArm
+from tests.helpers.fake_arm import ROBOT, FakeArm
+from tests.helpers.moveit import outcome
 
 REGISTRY = Registry.load()
 UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0.5)
@@ -153,7 +153,7 @@ class Rig:
     """A session whose planners move every joint while anything is wanted; each answer takes a period."""
 
     def __init__(self) -> None:
-        self.arm, self.clock = SteerableArm(), FakeClock()
+        self.arm, self.clock = FakeArm(), FakeClock()
         self.questions: list[ServoQuestion] = []
         self.told: list[tuple[ServoStatus, str]] = []
         self.interruptions: list[str] = []

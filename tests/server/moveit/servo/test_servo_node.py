@@ -34,10 +34,10 @@ from server.moveit.servo.servo_node import (
     ServoNode,
     StatusPublisher,
 )
-from tests.helpers.arm_server import ArmClient
+from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
-from tests.helpers.in_process import REGISTRY
-from tests.helpers.steerable_arm import ROBOT, SteerableArm
+from tests.helpers.fake_arm import ROBOT, FakeArm
+from tests.helpers.gateway import REGISTRY
 
 NORTH = {"twist": {"linear": {"x": 0.5}}}
 TYPES = {
@@ -51,7 +51,7 @@ class Rig:
     """A servo node between two clients and an arm."""
 
     def __init__(self) -> None:
-        self.graph, self.arm = Graph(REGISTRY), SteerableArm()
+        self.graph, self.arm = Graph(REGISTRY), FakeArm()
         self.busy = ""
         self.asked: list[ServoQuestion] = []
         self.heard: list[dict[str, Any]] = []

@@ -8,12 +8,10 @@ import socket
 import subprocess
 import sys
 import time
-from pathlib import Path
 
-from tests.helpers.certificates import Pair
-from tests.helpers.server import free_port
+from tests.helpers.resources import Pair
+from tests.helpers.server import ROOT, free_port
 
-ROOT = Path(__file__).parents[2]
 HOST = "127.0.0.1"
 START_TIMEOUT_S = 60.0
 

@@ -11,6 +11,7 @@ from protocol.codecs import cdr
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from server.recording.files import McapFile, RecordedMessage
+from server.recording.replay import Recording
 
 REGISTRY = Registry.load()
 START_NS = 1_700_000_000_000_000_000
@@ -38,6 +39,11 @@ def record(path: Path, entries: Iterable[RecordedMessage]) -> Path:
         file.add(each)
     file.end({})
     return path
+
+
+def recorded_messages(path: Path) -> list[RecordedMessage]:
+    """Return all messages of a recording, as they are in the file."""
+    return [each for chunk in Recording(path).chunks() for each in chunk]
 
 
 def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:

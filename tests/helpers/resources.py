@@ -1,10 +1,25 @@
-"""Certificates for tests, made by openssl."""
+"""Reference data, certificates and numbers of random examples."""
 
 from __future__ import annotations
 
+import math
 import subprocess
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+
+if TYPE_CHECKING:
+    from hypothesis import settings
+
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+
+
+def shared_data() -> Path:
+    """The folder of reference data; skips the test where it is absent."""
+    if not SHARED.is_dir():
+        pytest.skip("the reference data beside the checkout (../shared/data) is absent")
+    return SHARED
 
 
 class Pair(NamedTuple):
@@ -45,3 +60,22 @@ def make_signed_pair(folder: Path, authority: Pair) -> Pair:
 def openssl(*arguments: str) -> None:
     """Call openssl."""
     subprocess.run(["openssl", *arguments], check=True, capture_output=True, timeout=30)
+
+
+# The profile `ci` draws this many examples of a test that names no number.
+EXAMPLES_IN_CI = 100
+
+
+def examples(count: int) -> settings:
+    """Settings of a test that draws ``count`` examples in CI, and in proportion with another profile."""
+    from hypothesis import settings
+
+    return settings(max_examples=in_proportion(count))
+
+
+def in_proportion(count: int) -> int:
+    """Return ``count`` in CI, and its share with another profile, for tests that draw at random by themselves."""
+    from hypothesis import settings
+
+    assert settings.default is not None
+    return math.ceil(count * settings.default.max_examples / EXAMPLES_IN_CI)

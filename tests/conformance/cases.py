@@ -34,7 +34,7 @@ import cbor2
 
 from protocol.codecs import png
 
-FOLDER = Path(__file__).parents[1] / "conformance"
+FOLDER = Path(__file__).parent
 
 ANY = "<any>"
 CONTAINS = ("<... ", " ...>")
@@ -119,7 +119,7 @@ def _frame(step: dict[str, Any]) -> str | bytes:
 
 
 def matches(wanted: Any, got: Any) -> bool:
-    """Whether :func:`assert_matches` passes."""
+    """Return true if :func:`assert_matches` passes."""
     try:
         assert_matches(wanted, got, "")
     except AssertionError:

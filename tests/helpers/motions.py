@@ -1,8 +1,9 @@
-"""Requests to planner processes, for the built-in arm."""
+"""Motions of the built-in arm: trajectories made without a planner, and requests to planner processes."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -24,6 +25,19 @@ from planners.problem import (
 )
 from planners.scene import Pose
 from robot.trajectory import Trajectory
+
+
+def smooth_move(moves: Mapping[str, tuple[float, float]], duration_s: float, rate_hz: float = 100.0) -> Trajectory:
+    """From rest to rest along a straight joint line, by the quintic of least jerk."""
+    time_s = np.linspace(0.0, duration_s, round(duration_s * rate_hz) + 1)
+    u = time_s / duration_s
+    s = 10 * u**3 - 15 * u**4 + 6 * u**5
+    ds = (30 * u**2 - 60 * u**3 + 30 * u**4) / duration_s
+    dds = (60 * u - 180 * u**2 + 120 * u**3) / duration_s**2
+    start = np.array([move[0] for move in moves.values()])
+    way = np.array([move[1] - move[0] for move in moves.values()])
+    return Trajectory(tuple(moves), time_s, start + np.outer(s, way), np.outer(ds, way), np.outer(dds, way))
+
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 START = {**dict.fromkeys(NAMES, 0.0), "gripper": 0.0}

@@ -1,47 +1,71 @@
-"""An arm without a process: it is where it is put, and its motions end when a test says so."""
+"""An arm without a process: it is where it is put, and its motions and streams end when a test says so."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
-from robot.arm import Arm
+from robot.arm import Arm, ArmStream
 from robot.description import model
-from robot.messages import ArmState, Mode, MotionEnded, Outcome
+from robot.messages import ArmState, ChangePace, Mode, MotionEnded, Outcome, Setpoint
 from robot.trajectory import Trajectory
 
 ROBOT = model.builtin()
 JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
+HOME = dict.fromkeys(JOINTS, 0.0)
 
 
-class PlayedArm:
-    """What is asked of `robot.arm.Arm` by those who play motions; its time passes when a test says so."""
+class FakeArm:
+    """`robot.arm.Arm` as the server sees it; it keeps what it is told, and its time passes when a test says so.
+
+    Args:
+        positions_rad: position of each joint, 0 for those not named [rad]; None for an arm that is not read.
+
+    Attributes:
+        state: the latest state; a test may replace it.
+        steered: whether a stream is in progress that :meth:`end_streams` cannot end.
+        started: set unless a test clears it.
+        refusing: whether a trajectory that continues another is refused.
+        played: trajectories, oldest first.
+        continued: times at which trajectories replaced others [s].
+        stops: motions that were to stop; None for any.
+        setpoints: of all streams.
+        changes: of the pace.
+    """
 
     wait = Arm.wait
 
-    def __init__(self) -> None:
-        zeros = np.zeros(len(JOINTS))
-        self.state = ArmState(1.0, Mode.HOLDING, JOINTS, position_rad=zeros, velocity_rad_s=zeros, goal_rad=zeros)
+    def __init__(self, positions_rad: Mapping[str, float] | None = HOME) -> None:
+        self.state = ArmState(1.0, Mode.HOLDING, JOINTS, velocity_rad_s=np.zeros(len(JOINTS)))
+        if positions_rad is not None:
+            self.put(**positions_rad)
         self.state_age_s = 0.0
         self.state_max_age_s = 1.0
         self.steered = False
         self.started = asyncio.Event()
         self.started.set()
-        self.played: list[Trajectory] = []
-        self.stops: list[object] = []
-        self.continued: list[float] = []
         self.refusing = False
+        self.played: list[Trajectory] = []
+        self.continued: list[float] = []
+        self.stops: list[asyncio.Future[MotionEnded] | None] = []
+        self.streams: list[ArmStream] = []
+        self.setpoints: list[Setpoint] = []
+        self.changes: list[ChangePace] = []
         self._motion: asyncio.Future[MotionEnded] | None = None
+
+    @property
+    def as_arm(self) -> Arm:
+        return cast("Arm", self)
+
+    # What the server calls.
 
     @property
     def clock_s(self) -> float:
         return self.state.clock_s
-
-    def pass_time(self, seconds: float) -> None:
-        """Say the next state, so much later on the arm's clock."""
-        self.state = replace(self.state, clock_s=self.state.clock_s + seconds)
 
     def execute(
         self, trajectory: Trajectory, continues: tuple[asyncio.Future[MotionEnded], float] | None = None
@@ -58,10 +82,22 @@ class PlayedArm:
         self.state = replace(self.state, mode=Mode.MOVING)
         return self._motion
 
+    def stream(self, joint_names: tuple[str, ...]) -> ArmStream:
+        ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
+        stream = ArmStream(len(self.streams) + 1, joint_names, ended, self.setpoints.append)
+        self.streams.append(stream)
+        return stream
+
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
         self.stops.append(motion)
+        for stream in self.streams:
+            if motion in (None, stream.ended) and not stream.ended.done():
+                stream.ended.set_result(MotionEnded(0, Outcome.STOPPED, "stopped"))
         if motion is self._motion or motion is None:
             self.end(Outcome.STOPPED, "stopped half-way")
+
+    def change_pace(self, change: ChangePace) -> None:
+        self.changes.append(change)
 
     async def until_started(self, timeout_s: float) -> None:
         await asyncio.wait_for(self.started.wait(), timeout_s)
@@ -69,10 +105,20 @@ class PlayedArm:
     async def end_streams(self, _timeout_s: float) -> bool:
         return not self.steered
 
+    # What a test calls.
+
+    def pass_time(self, seconds: float) -> None:
+        """Say the next state, so much later on the arm's clock."""
+        self.state = replace(self.state, clock_s=self.state.clock_s + seconds)
+
     def put(self, **positions_rad: float) -> None:
-        """Be somewhere else."""
+        """Be somewhere else; joints that are not named are at 0."""
         goal_rad = np.array([positions_rad.get(name, 0.0) for name in JOINTS])
         self.state = replace(self.state, goal_rad=goal_rad, position_rad=goal_rad)
+
+    def lose_positions(self) -> None:
+        """Be an arm whose joints are not read."""
+        self.state = replace(self.state, goal_rad=None, position_rad=None)
 
     def show(self, fraction: float) -> None:
         """Have done a share of the motion in progress."""
@@ -90,6 +136,13 @@ class PlayedArm:
             self.put(**dict(zip(last.joint_names, last.positions_rad[-1].tolist(), strict=True)))
         self.state = replace(self.state, mode=Mode.HOLDING)
         self._motion.set_result(MotionEnded(1, outcome, message))
+
+
+class StubbornArm(FakeArm):
+    """An arm that brakes when a test says so."""
+
+    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
+        self.stops.append(motion)
 
 
 async def settle() -> None:

@@ -1,6 +1,13 @@
-"""An arm unlike the SO-101, as texts: seven joints, so that it reaches full poses in many ways, and simple shapes."""
+"""Robots beside the built-in arm: one with seven joints, and the built-in one with one mesh more."""
 
-URDF = """
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from robot.description import model
+
+SEVEN_JOINT_URDF = """
 <robot name="seven">
   <link name="pedestal"><collision>
     <origin xyz="0 0 0.05"/><geometry><cylinder radius="0.06" length="0.1"/></geometry></collision></link>
@@ -33,7 +40,7 @@ URDF = """
 </robot>
 """
 
-SRDF = """
+SEVEN_JOINT_SRDF = """
 <robot name="seven">
   <group name="arm"><chain base_link="pedestal" tip_link="tool"/></group>
   <group_state name="bent" group="arm">
@@ -46,3 +53,28 @@ SRDF = """
   <disable_collisions link1="fore" link2="hand"/>
 </robot>
 """
+
+
+# Shown beside the arm: one triangle, 5 cm long.
+TRIANGLE = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.05, 0.0))
+
+
+def meshed_arm(folder: Path, mesh: str) -> dict[str, str]:
+    """Write description files that name a mesh in the same folder.
+
+    Returns:
+        The settings of a server that has this arm.
+    """
+    visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
+    joint = '<joint name="held" type="fixed"><parent link="base_link"/><child link="meshed"/></joint>'
+    arm = model.builtin()
+    urdf, srdf = folder / "arm.urdf", folder / "arm.srdf"
+    urdf.write_text(arm.urdf.replace("</robot>", f'<link name="meshed">{visual}</link>{joint}</robot>'))
+    srdf.write_text(arm.srdf)
+    return {"ARMBRIDGE_ARM__URDF": str(urdf), "ARMBRIDGE_ARM__SRDF": str(srdf)}
+
+
+def small_stl() -> bytes:
+    """A mesh of one triangle, in STL's binary form."""
+    numbers = [number for corner in TRIANGLE for number in corner]
+    return bytes(80) + struct.pack("<I12fH", 1, *numbers, 0)

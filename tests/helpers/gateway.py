@@ -1,9 +1,12 @@
-"""Clients on one graph, without sockets."""
+"""The gateway without the rest of the server: clients on one graph, without sockets, and a listener on a free port."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections import deque
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 from protocol.limits import Limits
@@ -14,9 +17,13 @@ from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.permissions import ANYONE, Identity
 from server.access.settings import AccessSettings
+from server.config import ServerSettings
+from server.gateway.admission import ConnectionLimiter
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
+from server.gateway.http import HttpHandler
+from server.gateway.listener import Listener
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
@@ -97,3 +104,63 @@ class InProcess:
         for name, client in self._clients.items():
             while frames := client.session.data_to_send(self.clock()):
                 self._frames[name] += frames
+
+
+TIMEOUT_S = 30.0
+
+# What a client sends to become a WebSocket's, without the lines that tests are about.
+UPGRADE = (
+    "Upgrade: websocket",
+    "Connection: Upgrade",
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+    "Sec-WebSocket-Version: 13",
+)
+
+
+@asynccontextmanager
+async def listening(settings: ServerSettings | None = None, http: HttpHandler | None = None) -> AsyncIterator[Listener]:
+    """A listener that serves."""
+    listener = Listener(Graph(REGISTRY), settings or ServerSettings(port=0), http)
+    await listener.bind()
+    await listener.open()
+    try:
+        yield listener
+    finally:
+        await listener.close()
+
+
+def limiter_of(listener: Listener) -> ConnectionLimiter:
+    return listener._limiter
+
+
+async def until_empty(listener: Listener) -> None:
+    """Wait until no connection is open."""
+    async with asyncio.timeout(TIMEOUT_S):
+        while limiter_of(listener).open_count:
+            await asyncio.sleep(0.005)
+
+
+def request(*lines: str, path: str = "/", host: str | None = "localhost") -> bytes:
+    """A request; ``host`` None leaves its header out."""
+    named = () if host is None else (f"Host: {host}",)
+    return "\r\n".join((f"GET {path} HTTP/1.1", *named, *lines, "", "")).encode("latin-1")
+
+
+async def exchange(port: int, sent: bytes) -> str:
+    """Send, and read until the server ends the connection or has answered; empty for no answer."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        writer.write(sent)
+        async with asyncio.timeout(TIMEOUT_S):
+            head = await reader.readuntil(b"\r\n\r\n")
+            body = b"" if head.startswith(b"HTTP/1.1 101") else await reader.read()
+        return (head + body).decode()
+    except (asyncio.IncompleteReadError, ConnectionError):
+        return ""
+    finally:
+        writer.close()
+
+
+def status(answer: str) -> int:
+    """The number of an answer; 0 for none."""
+    return int(answer.split(" ", 2)[1]) if answer else 0

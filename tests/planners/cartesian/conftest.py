@@ -1,0 +1,10 @@
+from __future__ import annotations
+
+import pytest
+
+from tests.planners.following import Follower
+
+
+@pytest.fixture(scope="module")
+def follower(robot, collision):
+    return Follower(robot, collision)

@@ -81,7 +81,8 @@ class App:
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
-        access = Access(settings.access)
+        # The goal queue is among the parts below; a lease is asked for when clients drive.
+        access = Access(settings.access, busy=lambda: self._moveit.queue.busy)
 
         # The arm and the planners first: the other parts use them, and they do nothing before their start.
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
@@ -93,7 +94,7 @@ class App:
         self._moveit = MoveItInterface(graph, robot, settings, rosapi.parameters.keep, self._arm, self._pool)
         ArmServices(graph, self._arm, self._moveit.stop)
         ArmPace(graph, self._arm)
-        self._control = ControlServices(graph, access.lease, lambda: self._moveit.queue.busy)
+        self._control = ControlServices(graph, access.lease)
         offer_level_services(graph)
         self._rosout = Rosout(graph, asyncio.get_running_loop())
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)

@@ -315,6 +315,7 @@ class Access:
         settings: the section ``access``.
         clock: monotonic time [s].
         wall_clock: seconds since the epoch.
+        busy: returns something true while a goal is worked on.
 
     Attributes:
         settings: as given.
@@ -334,9 +335,10 @@ class Access:
         settings: AccessSettings,
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
+        busy: Callable[[], object] = lambda: False,
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
-        self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock)
+        self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock, busy)
         self.topics = NameFilter("access.topics_glob", settings.topics_glob)
         self.services = NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES)
         self.params = NameFilter("access.params_glob", settings.params_glob)

@@ -40,6 +40,7 @@ class ControlLease:
         policy: ``lease`` for one client at a time, ``shared`` for all at once.
         idle_s: time without a request of the holder after which the arm is free for others [s].
         wall_clock: seconds since the epoch.
+        busy: returns something true while a goal is worked on; meanwhile the holder does not idle.
 
     Attributes:
         policy: as given.
@@ -47,8 +48,15 @@ class ControlLease:
         since_s: start of the holder's control [s since the epoch].
     """
 
-    def __init__(self, policy: Policy, idle_s: float, wall_clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        idle_s: float,
+        wall_clock: Callable[[], float],
+        busy: Callable[[], object] = lambda: False,
+    ) -> None:
         self.policy = policy
+        self._busy = busy
         self.holder: Node | None = None
         self.since_s = 0.0
         self._watchers: list[Callable[[], None]] = []
@@ -113,13 +121,13 @@ class ControlLease:
         if self.holder is node:
             self._set(None)
 
-    def keep(self, now_s: float) -> None:
-        """Keep control for its holder, whose goal is worked on; the holder does not idle meanwhile."""
-        self._heard_s = now_s
-
     def tick(self, now_s: float) -> None:
         """Free the arm when its holder has idled for too long, at a monotonic time [s]."""
-        if self.holder is not None and now_s - self._heard_s >= self._idle_limit_s:
+        if self.holder is None:
+            return
+        if self._busy():
+            self._heard_s = now_s
+        elif now_s - self._heard_s >= self._idle_limit_s:
             self._set(None)
 
     def idle_s(self, now_s: float) -> float:
@@ -162,7 +170,6 @@ class ControlServices:
     Args:
         graph: the graph that they belong to.
         lease: control of the arm.
-        busy: returns something true while a goal is worked on.
         clock: monotonic time [s].
         call_later: calls something after a delay.
     """
@@ -171,13 +178,11 @@ class ControlServices:
         self,
         graph: Graph,
         lease: ControlLease,
-        busy: Callable[[], object],
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
     ) -> None:
         self._graph = graph
         self._lease = lease
-        self._busy = busy
         self._clock = clock
         self._call_later = call_later
         self._node = Node("arm control")
@@ -194,10 +199,7 @@ class ControlServices:
         self._timer.cancel()
 
     def _beat(self) -> None:
-        now_s = self._clock()
-        if self._busy():
-            self._lease.keep(now_s)
-        self._lease.tick(now_s)
+        self._lease.tick(self._clock())
         if self._lease.holder is not None:
             self._publish()
         self._timer = self._call_later(BEAT_S, self._beat)

@@ -49,7 +49,8 @@ class InProcess:
         )
         if rosapi:
             RosApi(self.graph, self.clock)
-        self.access = Access(access or AccessSettings(control="shared"), self.clock, self.clock)
+        self.busy = False
+        self.access = Access(access or AccessSettings(control="shared"), self.clock, self.clock, lambda: self.busy)
         self.closed: dict[str, str] = {}
         self._limits = limits or Limits()
         self._clients: dict[str, Client] = {}

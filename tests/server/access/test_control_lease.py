@@ -16,8 +16,9 @@ from tests.helpers.server import ServerOnBus
 
 class Leased:
     def __init__(self, policy: str = "lease") -> None:
+        self.busy = False
         self.changes: list[str] = []
-        self.lease = ControlLease(policy, 10.0, lambda: 1_000_000.0)  # type: ignore[arg-type]
+        self.lease = ControlLease(policy, 10.0, lambda: 1_000_000.0, lambda: self.busy)  # type: ignore[arg-type]
         self.lease.watch(lambda: self.changes.append(str(self.lease.holder)))
         self.a, self.b = Node("a", remote=True), Node("b", remote=True)
 
@@ -70,9 +71,18 @@ def test_an_idle_holder_loses_control(leased: Leased) -> None:
 
 def test_nobody_idles_while_a_goal_is_worked_on_nor_right_after(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
-    leased.lease.keep(60.0)
+    leased.busy = True
+    leased.lease.tick(60.0)
+    leased.busy = False
     assert leased.lease.drive(leased.b, 69.9) is not None
     assert leased.lease.drive(leased.b, 70.0) is None
+
+
+def test_another_is_refused_while_a_goal_is_worked_on_however_late_the_beat(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.busy = True
+    assert leased.lease.drive(leased.b, 1000.0) is not None
+    assert leased.lease.holder is leased.a
 
 
 def test_the_beat_frees_it_even_if_nobody_asks(leased: Leased) -> None:
@@ -144,10 +154,7 @@ class World(InProcess):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(access=AccessSettings.model_validate(settings))
-        self.busy = False
-        self.control = ControlServices(
-            self.graph, self.access.lease, lambda: self.busy, self.clock, self.clock.call_later
-        )
+        self.control = ControlServices(self.graph, self.access.lease, self.clock, self.clock.call_later)
 
     def call(self, client: str, service: str) -> dict[str, Any]:
         self.say(client, op="call_service", service=service, id="asked")

@@ -103,16 +103,6 @@ class MoveItInterface:
             self._executor, goals.policy, goals.capacity, self._goal_status.publish_progress, self._on_answer
         )
 
-        # Goals of clients that know only topics.
-        states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
-        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.save)
-        self._named_states = NamedStatesServices(graph, robot, states, self._current)
-        translator = GoalTranslator(robot, moveit, states, frames, self._current)
-        self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
-        reports = GoalReports(robot, moveit, translator.tip)
-        self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
-
-        # Goals, requests and commands of MoveIt's clients.
         self._context = PlanningContext(
             robot=robot,
             pool=pool,
@@ -124,6 +114,17 @@ class MoveItInterface:
             parameters=PlannerParameters(moveit),
             display=self._display,
         )
+
+        # Goals of clients that know only topics.
+        states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
+        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.save)
+        self._named_states = NamedStatesServices(graph, robot, states, self._current)
+        translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
+        self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
+        reports = GoalReports(robot, moveit, translator.tip)
+        self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
+
+        # Goals and commands of MoveIt's clients.
         self._actions = MotionActions(graph, self._context, arm, self.queue)
         self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve)
         self._gripper = None

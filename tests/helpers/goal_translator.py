@@ -9,7 +9,8 @@ from typing import Any
 from robot.description import model
 from server.moveit.goal_messages import GoalTranslator
 from server.moveit.named_states import NamedStates, Positions
-from server.moveit.parameters import MoveItParameters
+from server.moveit.parameters import MoveItParameters, PlannerParameters
+from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
 
@@ -35,7 +36,9 @@ def translator(present_rad: Mapping[str, float] | None = HOME_RAD, **parameters:
     """Reads goals of an arm that is somewhere."""
     states = NamedStates(ROBOT, "arm", {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}, keep_nothing)
     frames = Frames(ROBOT, SceneState(ROBOT))
-    return GoalTranslator(ROBOT, MoveItParameters(**parameters), states, frames, At(present_rad))
+    configured = MoveItParameters(**parameters)
+    problems = ProblemBuilder(ROBOT, frames, PlannerParameters(configured))
+    return GoalTranslator(ROBOT, configured, states, frames, At(present_rad), problems)
 
 
 TRANSLATOR = translator()

@@ -84,12 +84,6 @@ def rejection(function: Callable[..., object], *arguments: object) -> PlanningFa
     return raised.value.failure
 
 
-def failure(answer: object) -> PlanningFailure:
-    """An answer that must be a failure."""
-    assert isinstance(answer, PlanningFailure)
-    return answer
-
-
 def current_state(position_rad: float = 0.2) -> CurrentState:
     """An arm whose joints all are at a position."""
     at = np.full(len(JOINTS), position_rad)

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeAlias
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import read_pose
-from server.moveit.requests.error_codes import refused, required
+from server.moveit.requests.error_codes import refused
 from server.moveit.scene.frames import in_root
 
 Message: TypeAlias = Mapping[str, Any]
@@ -23,8 +23,12 @@ FREE_POSE_JOINTS = 6
 class FrameResolver(Protocol):
     """Look-up of frames."""
 
-    def resolve(self, frame_id: str, positions_rad: Mapping[str, float]) -> Pose | PlanningFailure:
-        """Return the pose of a frame in the root link, for positions of the joints [rad]."""
+    def resolve(self, frame_id: str, positions_rad: Mapping[str, float]) -> Pose:
+        """Return the pose of a frame in the root link, for positions of the joints [rad].
+
+        Raises:
+            RefusedError: the frame is unknown.
+        """
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ class RequestContext:
         Raises:
             RefusedError: a number that is not finite, or an unknown frame.
         """
-        frame = required(self.frames.resolve(frame_id, self.start_rad))
+        frame = self.frames.resolve(frame_id, self.start_rad)
         return in_root(frame, read_pose(message, where))
 
 

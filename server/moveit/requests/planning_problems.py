@@ -54,7 +54,7 @@ from server.moveit.requests.constraints import (
     read_path_constraints,
 )
 from server.moveit.requests.context import FrameResolver, Message, RequestContext, planning_group
-from server.moveit.requests.error_codes import invalid, refused, required
+from server.moveit.requests.error_codes import invalid, refused
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 
@@ -116,6 +116,26 @@ class ProblemBuilder:
             start_rad: position of every movable joint, for frames that move with the arm [rad].
         """
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
+
+    def goal(self, goal: Goal, start_rad: Positions) -> PlanningProblem:
+        """Build the problem of a goal that comes with nothing else: all else is as configured.
+
+        Args:
+            goal: the goal.
+            start_rad: position of every movable joint at the start [rad].
+        """
+        parameters = self._parameters.configured
+        return PlanningProblem(
+            group=parameters.group_name,
+            start_rad=start_rad,
+            goal=goal,
+            velocity_scaling=parameters.max_velocity_scaling,
+            acceleration_scaling=parameters.max_acceleration_scaling,
+            allowed_time_s=parameters.allowed_planning_time,
+            attempts=parameters.num_planning_attempts,
+            planner_id=parameters.planner_id,
+            optimization_time_s=parameters.optimization_time,
+        )
 
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
         """Build the problem of a moveit_msgs/MotionPlanRequest.
@@ -335,7 +355,7 @@ def _tip_end(problem: PlanningProblem, context: RequestContext) -> tuple[str, Po
 
 
 def _link_pose(link: str, positions_rad: Mapping[str, float], context: RequestContext) -> Pose:
-    return required(context.frames.resolve(link, positions_rad))
+    return context.frames.resolve(link, positions_rad)
 
 
 def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point:

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.scene import Pose, Scene
 from planners.scene_checks import MAX_LENGTH_M, MAX_SHAPES
 from robot.description.model import RobotModel
 from server.errors import RefusedError
-from server.moveit.requests.error_codes import invalid, refused, required
+from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.scene.allowed_collision_matrix import (
     AllowedCollisionMatrix,
     disabled_collisions,
@@ -151,7 +151,7 @@ class SceneDraft:
         Raises:
             RefusedError: the frame is unknown.
         """
-        return required(find_frame(frame_id, self, self.links))
+        return find_frame(frame_id, self, self.links)
 
     def in_planning_frame(self, collision_object: CollisionObject) -> CollisionObject:
         """Return an object with its pose in the planning frame.
@@ -170,11 +170,12 @@ class SceneDraft:
         Raises:
             RefusedError: the frame is unknown.
         """
-        frame = find_frame(frame_id, self, self.links)
-        if isinstance(frame, PlanningFailure):
-            text = f"the object {name!r}, header.frame_id: {frame.message}"
-            raise refused(frame.code, text, **frame.details, object=name)
-        return in_root(frame, pose)
+        try:
+            return in_root(self.frame(frame_id), pose)
+        except RefusedError as error:
+            failure = error.failure
+            text = f"the object {name!r}, header.frame_id: {failure.message}"
+            raise refused(failure.code, text, **failure.details, object=name) from error
 
     def clear(self, allowed_collisions: AllowedCollisionMatrix) -> None:
         """Remove everything but the attached objects.

@@ -77,7 +77,7 @@ async def compute_fk(context: PlanningContext, request: Message, caller: Node) -
     positions_rad = context.positions_rad(request["robot_state"], caller)
     names = request["fk_link_names"] or list(context.robot.links)
     frame_id = request["header"]["frame_id"] or context.robot.root_link
-    frame = required(context.frames.resolve(frame_id, positions_rad))
+    frame = context.frames.resolve(frame_id, positions_rad)
     transforms = context.forward.transforms(positions_rad)
     header = {"stamp": Stamp(0, 0).as_message(), "frame_id": frame_id}
     poses = []

@@ -30,7 +30,7 @@ from robot.arm import Arm, ArmStream
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.moveit.poses import composed, matrix_of, read_pose
-from server.moveit.requests.error_codes import invalid, required
+from server.moveit.requests.error_codes import invalid
 from server.moveit.servo.parameters import ServoParameters
 
 log = logging.getLogger("armbridge.servo")
@@ -38,8 +38,8 @@ log = logging.getLogger("armbridge.servo")
 Message: TypeAlias = Mapping[str, Any]
 Positions: TypeAlias = Mapping[str, float]
 
-# Returns the pose of a frame in the root link, for positions of the joints [rad].
-Resolve: TypeAlias = Callable[[str, Positions], Pose | PlanningFailure]
+# Returns the pose of a frame in the root link, for positions of the joints [rad]; raises RefusedError.
+Resolve: TypeAlias = Callable[[str, Positions], Pose]
 
 # Has the planners answer a question.
 Ask: TypeAlias = Callable[[ServoQuestion], Awaitable[ServoAnswer | PlanningFailure]]
@@ -143,7 +143,7 @@ def read_pose_target(message: Message, resolve: Resolve, positions_rad: Position
         RefusedError: a pose that is not finite, or an unknown frame.
     """
     pose = read_pose(message["pose"], "pose")
-    return TipTarget(composed(required(resolve(message["header"]["frame_id"], positions_rad)), pose))
+    return TipTarget(composed(resolve(message["header"]["frame_id"], positions_rad), pose))
 
 
 def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Positions) -> ServoCommand:
@@ -159,8 +159,7 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
     """
     if not isinstance(command, TwistCommand):
         return command
-    frame = required(resolve(command.frame_id, positions_rad))
-    rotation = matrix_of(frame)[:3, :3]
+    rotation = matrix_of(resolve(command.frame_id, positions_rad))[:3, :3]
     return TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
 
 

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
@@ -41,9 +40,7 @@ from planners.scene import Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
 from robot.description.model import RobotModel
-from robot.trajectory import Trajectory
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Trajectory, Vector
 
 NOTHING_TO_DO = "nothing to do"
 

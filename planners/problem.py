@@ -11,13 +11,10 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planners.goals import Constraints, Goal
 from planners.scene import Pose
 from planners.servo.question import ServoAnswer, ServoQuestion
-from robot.trajectory import Trajectory
+from robot.trajectory import Trajectory, Vector
 
 
 class MoveItErrorCode(IntEnum):
@@ -315,9 +312,6 @@ class RecheckAnswer:
 
 
 Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure
-
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

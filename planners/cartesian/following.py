@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
 from planners.geometry.kinematics import ForwardKinematics
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Nearer is below what any servo resolves.
 ACCURACY_M = 1e-6

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
@@ -30,9 +29,7 @@ from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_refusals import start_violates
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
 from robot.description.model import RobotModel
-from robot.trajectory import Trajectory
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Trajectory, Vector
 
 # The servo loop runs at 100 Hz.
 SAMPLE_PERIOD_S = 0.01

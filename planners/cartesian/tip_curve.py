@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from planners.cartesian.following import CHORD_M, Followed, TipTracker
 from planners.cartesian.tip_path import TipPath, apart_rad
 from planners.problem import Deviation
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # On a curve of few points the progress still has to rise and fall within this many steps.
 LEAST_GRID_STEPS = 20

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from planners.checks import check_group
 from planners.ik.constraints import ROTATION_ARM_M, rotation
@@ -16,8 +15,7 @@ from planners.ik.goal_checks import check_constraints, invalid_goal
 from planners.problem import Arc, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from robot.description.model import RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Shorter pieces are repeated points: neither direction nor speed can be told of them.
 SHORTEST_M = 1e-7

@@ -28,6 +28,7 @@ from planners.problem import PlanningFailure
 from planners.scene import EMPTY_SCENE, AttachedObject, Point, Scene
 from planners.scene_checks import check_scene
 from robot.description.model import RobotModel
+from robot.trajectory import Vector
 
 
 @dataclass(frozen=True)
@@ -146,8 +147,6 @@ def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.floa
     first, second = pairs.T
     return np.where(link[first] != link[second], thick_m[first] + thick_m[second], 0.0)
 
-
-Vector = NDArray[np.float64]
 
 # Depths of the same contact differ by this much between runs of the penetration algorithm.
 DEPTH_ACCURACY_M = 0.0002

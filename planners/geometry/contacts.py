@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from planners.geometry.nearness import Nearest, Spheres, slope_m_per_rad
 from planners.geometry.shapes import convex, link_name, on_link, outline, urdf_shapes
 from robot.description.model import RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # With coal's default of 1e-6 one pair in 80 000 that overlaps, by up to 48 mm, is called free: the search for a common
 # point gives up too early on shapes of a few centimetres. With this none of 1.6 million was, at no cost.

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
 from planners.geometry.sweep import ANYTHING, Cubics, Threats, first_contact, line_is_free
 from robot.description.model import Group
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Finer than this a search need not look: its motions are certified afterwards.
 CHECK_STEP_M = 0.001

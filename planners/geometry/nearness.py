@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 
 @dataclass(frozen=True)

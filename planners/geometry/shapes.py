@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from planners.errors import ShapeError
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from robot.description.model import RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # A check's time grows with the corners: hulls of the SO-101's meshes have thousands and take five times as long.
 MAX_CORNERS = 250

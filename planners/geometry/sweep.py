@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
+
 Indices = NDArray[np.int64]
 
 # What can be touched in a range, by the numbers that the surroundings give it; ANYTHING where nothing was asked yet.

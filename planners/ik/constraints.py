@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from planners.geometry.kinematics import ForwardKinematics, Placements
 from planners.goals import (
@@ -27,8 +26,7 @@ from planners.goals import (
     Quaternion,
 )
 from planners.problem import Deviation
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # A turn counts as much as the motion of a point this far away: half the length of a small gripper.
 ROTATION_ARM_M = 0.1

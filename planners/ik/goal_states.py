@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.budget import Budget
 from planners.geometry.collision import CollidingPair, CollisionModel
@@ -31,8 +30,7 @@ from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates
 from planners.ik.kinematics import Kinematics
 from planners.problem import Deviation, PlanningFailure
 from robot.description.model import Group, RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # After so many restarts without a new solution, when there is one, more rarely find any.
 FRUITLESS_RESTARTS = 6

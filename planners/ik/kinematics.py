@@ -30,8 +30,7 @@ from planners.ik.constraints import (
     norm,
 )
 from robot.description.model import Group, RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Further ahead than this the arm is not nearly linear, and a target far outside would throw it into its limits.
 MAX_STEP_M = 0.1

@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.problem import RateLimits
-from robot.trajectory import Trajectory
+from robot.trajectory import Trajectory, Vector
 
-Vector = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 
 # Rounding switches up to a tick costs at most three of them a piece, which is nothing beside motions of a second;

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
@@ -41,9 +40,7 @@ from planners.motions.path import (
     without_detours,
 )
 from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits, planner_name
-from robot.trajectory import Trajectory
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Trajectory, Vector
 
 # Parts drawn at once: the time that each would save costs next to nothing in one numpy call, and the one that saves
 # most is tried first.

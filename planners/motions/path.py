@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
@@ -20,8 +19,7 @@ from ompl import util as ou
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.sweep import ANYTHING, NOTHING, Threats, line_is_free
 from planners.motions.curve import Curve
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000

@@ -33,6 +33,7 @@ from planners.servo.question import (
 )
 from planners.servo.velocity_limits import WATCHED_M, Ahead, Regular, Walls, bounded_least_squares, regular, walls
 from robot.description.model import RobotModel
+from robot.trajectory import Vector
 
 # The tip's position has so many directions; an arm with fewer joints cannot be steered by its tip.
 POSITION_DIRECTIONS = 3
@@ -91,8 +92,6 @@ def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[Plann
         if not math.isfinite(value):
             yield invalid_goal(f"a command must be of finite numbers, not {value}")
 
-
-Vector = NDArray[np.float64]
 
 # An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
 GAIN_PER_S = 4.0

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from planners.geometry.nearness import NearPair
 from planners.servo.question import ServoLimits, ServoStatus
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Each step adds or drops one inequality; ten suffice for what an arm meets. What has been found until then is within
 # all of them.

@@ -5,29 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.scene import Pose
 from robot.description.model import RobotModel
+from server.execution.current_state import CurrentState
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import composed, read_pose
-from server.moveit.requests.context import FrameResolver, Message
+from server.moveit.poses import Message, composed, read_pose
 from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.planning_problems import ProblemBuilder
+from server.moveit.scene.frames import Frames
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
 POSE_TOPIC, POSE_TYPE = "/moveit_goal_pose", "geometry_msgs/PoseStamped"
-
-
-class PositionSource(Protocol):
-    """Positions of the arm, as `server.execution.current_state.CurrentState`."""
-
-    def positions_rad(self) -> Positions | None:
-        """Return the position of every movable joint [rad]; None while they are unknown."""
 
 
 class GoalTranslator:
@@ -50,8 +44,8 @@ class GoalTranslator:
         robot: RobotModel,
         parameters: MoveItParameters,
         states: NamedStates,
-        frames: FrameResolver,
-        current: PositionSource,
+        frames: Frames,
+        current: CurrentState,
         problems: ProblemBuilder,
     ) -> None:
         self._parameters = parameters

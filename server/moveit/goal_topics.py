@@ -12,10 +12,11 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from planners.pool import PlannerPool
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose, Scene
 from protocol.errors import MessageError
@@ -25,6 +26,7 @@ from robot.description.model import RobotModel
 from robot.trajectory import rest_to_rest
 from server.arm.topics import key_values
 from server.errors import RefusedError, ServiceError
+from server.execution.current_state import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions
 from server.execution.queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
 from server.graph.node import Node
@@ -37,12 +39,11 @@ from server.moveit.goal_messages import (
     POSE_TOPIC,
     POSE_TYPE,
     GoalTranslator,
-    Message,
-    PositionSource,
     suggestion,
 )
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import matrix_of
+from server.moveit.poses import Message, matrix_of
+from server.moveit.scene.scene_state import SceneState
 
 SERVICE = "/check_goals"
 
@@ -71,21 +72,6 @@ NOT_CHECKED = PlanningFailure(
 UNKNOWN = -1.0
 
 
-class IkPlanner(Protocol):
-    """Planner of configurations, as `planners.pool.PlannerPool`."""
-
-    async def ask(self, request: IkQuestion, scene: Scene, /) -> IkAnswer | PlanningFailure:
-        """Find configurations in a scene."""
-
-
-class CurrentScene(Protocol):
-    """The planning scene, as `server.moveit.scene.scene_state.SceneState`."""
-
-    @property
-    def scene(self) -> Scene:
-        """The present scene."""
-
-
 class GoalChecks:
     """The service ``/check_goals``.
 
@@ -103,9 +89,9 @@ class GoalChecks:
         graph: Graph,
         reports: GoalReports,
         translator: GoalTranslator,
-        current: PositionSource,
-        pool: IkPlanner,
-        scene: CurrentScene,
+        current: CurrentState,
+        pool: PlannerPool,
+        scene: SceneState,
     ) -> None:
         self._graph = graph
         self._reports = reports
@@ -156,7 +142,7 @@ def _problem(
 
 
 async def answers_in_time(
-    problems: list[PlanningProblem | PlanningFailure], pool: IkPlanner, scene: Scene
+    problems: list[PlanningProblem | PlanningFailure], pool: PlannerPool, scene: Scene
 ) -> list[IkAnswer | PlanningFailure]:
     """Answer all goals: each gets a short check, then those without an answer share the rest of the time.
 
@@ -186,7 +172,7 @@ def _undecided(answer: IkAnswer | PlanningFailure) -> bool:
 
 
 async def _find(
-    problem: PlanningProblem | PlanningFailure, allowed_s: float, pool: IkPlanner, scene: Scene
+    problem: PlanningProblem | PlanningFailure, allowed_s: float, pool: PlannerPool, scene: Scene
 ) -> IkAnswer | PlanningFailure:
     if isinstance(problem, PlanningFailure):
         return problem

@@ -68,13 +68,11 @@ class MoveItInterface:
     ) -> None:
         moveit, goals = settings.moveit, settings.goals
         self._graph = graph
-        self._arm = arm
-        self._pool = pool
         self._current = CurrentState(arm, robot)
         self._scene = SceneState(robot)
         frames = Frames(robot, self._scene)
         assumed = AssumedStates(robot)
-        self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, moveit)
+        self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, self._current, moveit)
         self._description = RobotDescription(graph, robot, keep_parameter)
         self._display = DisplayTopics(graph, robot)
         self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
@@ -126,7 +124,7 @@ class MoveItInterface:
 
         # Goals and commands of MoveIt's clients.
         self._actions = MotionActions(graph, self._context, arm, self.queue)
-        self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve)
+        self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve, arm, pool, lambda: self.queue.busy)
         self._gripper = None
         self._gripper_actions = None
         joint = robot.joints.get(GRIPPER_JOINT)
@@ -142,7 +140,6 @@ class MoveItInterface:
         self.queue.start()
         self._description.open()
         self._transforms.open(time.time())
-        self._scene_interface.open(self._current)
         self._confirmation.open()
         self._goal_status.open()
         self._goal_topics.open()
@@ -153,7 +150,6 @@ class MoveItInterface:
         self._display.open()
         offer_services(self._graph, self._context)
         self._actions.open(() if self._gripper_actions is None else (GRIPPER_ACTION, PARALLEL_ACTION))
-        self._servo.open(self._arm, self._pool, lambda: self.queue.busy)
 
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on to the parts that publish or record it."""

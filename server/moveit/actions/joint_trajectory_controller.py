@@ -30,12 +30,11 @@ from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Pro
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import error_code, refused
 from server.moveit.requests.trajectories import external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
-
-Message: TypeAlias = Mapping[str, Any]
 
 # MoveIt's names of states (MoveGroupState in move_group); a goal that waits in the queue has none.
 MOVE_GROUP_STATES = {

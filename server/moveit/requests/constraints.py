@@ -23,7 +23,8 @@ from planners.goals import (
 )
 from planners.scene import Pose
 from robot.description.model import Joint
-from server.moveit.requests.context import Message, RequestContext
+from server.moveit.poses import Message
+from server.moveit.requests.context import RequestContext
 from server.moveit.requests.error_codes import invalid
 
 # Positions this near to each other are one: MoveGroupInterface's default joint tolerance.

@@ -47,14 +47,16 @@ from server.moveit.parameters import (
     MoveItParameters,
     PlannerParameters,
 )
+from server.moveit.poses import Message
 from server.moveit.requests.constraints import (
     LEAST_ORIENTATION_TOLERANCE_RAD,
     LEAST_TOLERANCE_M,
     read_goal,
     read_path_constraints,
 )
-from server.moveit.requests.context import FrameResolver, Message, RequestContext, planning_group
+from server.moveit.requests.context import RequestContext, planning_group
 from server.moveit.requests.error_codes import invalid, refused
+from server.moveit.scene.frames import Frames
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 
@@ -95,7 +97,7 @@ class ProblemBuilder:
         parameters: values for what requests leave out.
     """
 
-    def __init__(self, robot: RobotModel, frames: FrameResolver, parameters: PlannerParameters) -> None:
+    def __init__(self, robot: RobotModel, frames: Frames, parameters: PlannerParameters) -> None:
         self._robot = robot
         self._frames = frames
         self._parameters = parameters

@@ -15,7 +15,7 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory, Positions
-from server.moveit.requests.context import Message
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import refused
 
 # Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.

@@ -20,6 +20,7 @@ from server.errors import RefusedError
 from server.execution.current_state import CurrentState
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
 from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
@@ -27,8 +28,6 @@ from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
 
 log = logging.getLogger("armbridge.scene")
-
-Message = Mapping[str, Any]
 
 SAVE = "/save_geometry_to_file"
 LOAD = "/load_geometry_from_file"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
 from typing import Any
 
 from planners.scene import Pose
@@ -18,7 +17,7 @@ from server.graph.node import Node
 from server.graph.services import Call, answer
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import write_pose
+from server.moveit.poses import Message, write_pose
 from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, REMOVE
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import NO_PADDING_M, NO_SCALE, SceneContents
@@ -26,8 +25,6 @@ from server.moveit.scene.scene_state import AssumedStates, Positions, SceneState
 from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.scene")
-
-Message = Mapping[str, Any]
 
 # Applies a message of a topic, given the position of every movable joint.
 Apply = Callable[[Message, Positions], None]
@@ -357,6 +354,7 @@ class SceneInterface:
         robot: the arm.
         state: the scene.
         assumed: joint states that clients assume.
+        current: positions of the joints.
         parameters: rate of ``/monitored_planning_scene``, and the directory of geometry files.
     """
 
@@ -366,30 +364,16 @@ class SceneInterface:
         robot: RobotModel,
         state: SceneState,
         assumed: AssumedStates,
+        current: CurrentState,
         parameters: MoveItParameters,
     ) -> None:
-        self._graph = graph
-        self._robot = robot
-        self._state = state
-        self._assumed = assumed
-        self._parameters = parameters
-        self._exits = ExitStack()
-
-    def open(self, current: CurrentState) -> None:
-        """Offer the topics and services.
-
-        Args:
-            current: positions of the joints.
-        """
-        graph, robot, state, parameters = self._graph, self._robot, self._state, self._parameters
         node = Node("planning_scene")
         subscribe_to_scene_topics(graph, node, state, current)
-        SceneServices(graph, node, robot, state, self._assumed, current)
+        SceneServices(graph, node, robot, state, assumed, current)
         GeometryFiles(graph, node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
-        publisher = MonitoredScenePublisher(graph, node, robot, state, current, rate_hz)
-        self._exits.callback(publisher.close)
+        self._publisher = MonitoredScenePublisher(graph, node, robot, state, current, rate_hz)
 
     def close(self) -> None:
         """Publish no more."""
-        self._exits.close()
+        self._publisher.close()

@@ -16,6 +16,7 @@ from planners.scene import Pose, Scene
 from planners.scene_checks import MAX_LENGTH_M, MAX_SHAPES
 from robot.description.model import RobotModel
 from server.errors import RefusedError
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.scene.allowed_collision_matrix import (
     AllowedCollisionMatrix,
@@ -38,8 +39,6 @@ from server.moveit.scene.collision_objects import (
     with_object_pose,
 )
 from server.moveit.scene.frames import LinkTransforms, find_frame, in_root, seen_from
-
-Message = Mapping[str, Any]
 
 # MoveIt's name of a scene without one.
 NO_NAME = "(noname)"

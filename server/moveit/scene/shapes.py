@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from planners.scene_checks import MAX_TRIANGLES, shape_fault
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
 
 Corner = tuple[float, float]
@@ -69,8 +69,6 @@ def _area(corners: Sequence[Corner]) -> float:
     following = [*corners[1:], *corners[:1]]
     return sum(x * v - u * y for (x, y), (u, v) in zip(corners, following, strict=True))
 
-
-Message = Mapping[str, Any]
 
 # shape_msgs/SolidPrimitive
 BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5

@@ -26,9 +26,8 @@ from server.graph.node import Node
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
-from server.moveit.poses import pose_of, write_pose
+from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
-from server.moveit.requests.context import Message
 from server.moveit.requests.error_codes import deviation_note, failure_code, refused, required, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (

@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -29,14 +29,13 @@ from planners.servo.question import (
 from robot.arm import Arm, ArmStream
 from robot.trajectory import Vector
 from server.errors import RefusedError
-from server.moveit.poses import composed, matrix_of, read_pose
+from server.execution.motions import Positions
+from server.moveit.poses import Message, composed, matrix_of, read_pose
 from server.moveit.requests.error_codes import invalid
 from server.moveit.servo.parameters import ServoParameters
 
 log = logging.getLogger("armbridge.servo")
 
-Message: TypeAlias = Mapping[str, Any]
-Positions: TypeAlias = Mapping[str, float]
 
 # Returns the pose of a frame in the root link, for positions of the joints [rad]; raises RefusedError.
 Resolve: TypeAlias = Callable[[str, Positions], Pose]

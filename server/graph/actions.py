@@ -88,7 +88,7 @@ class Goal(PendingRequest[Result]):
         self._when_canceled: list[Callable[[], None]] = []
 
     def feedback(self, values: object) -> None:
-        """Tell how the goal goes; what the message leaves out gets its default.
+        """Report progress; fields that the message leaves out get their defaults.
 
         Nothing happens, not even a check of the values, once the goal has ended or if its sender takes no feedback.
 

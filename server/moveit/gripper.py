@@ -307,19 +307,15 @@ class GripperActions:
     """
 
     def __init__(self, graph: Graph, joint: Joint, gripper: Gripper) -> None:
-        self._graph = graph
-        self._node = Node("gripper")
         self._gripper = gripper
         self._actions: dict[str, ActionMessages] = {
             GRIPPER_ACTION: GripperCommandMessages(joint),
             PARALLEL_ACTION: ParallelGripperCommandMessages(joint),
         }
         self._tasks: set[asyncio.Task[None]] = set()
-
-    def open(self) -> None:
-        """Offer the actions."""
+        node = Node("gripper")
         for name, messages in self._actions.items():
-            self._graph.actions.offer(self._node, name, messages.type_name, self._start)
+            graph.actions.offer(node, name, messages.type_name, self._start)
 
     def _start(self, goal: Goal) -> None:
         messages = self._actions[goal.action]

@@ -83,7 +83,7 @@ class MoveItInterface:
         )
         directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, max_files)
-        self._confirmation = Confirmation(graph, wanted=goals.confirm, timeout_s=goals.confirm_timeout_s)
+        self._confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
         self._executor = GoalExecutor(
             arm,
             robot,
@@ -123,17 +123,16 @@ class MoveItInterface:
         self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
 
         # Goals and commands of MoveIt's clients.
-        self._actions = MotionActions(graph, self._context, arm, self.queue)
         self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve, arm, pool, lambda: self.queue.busy)
         self._gripper = None
-        self._gripper_actions = None
         joint = robot.joints.get(GRIPPER_JOINT)
         # The gripper of another arm is not known by its description.
         if joint is not None and joint.movable:
             scalings = moveit.max_velocity_scaling, moveit.max_acceleration_scaling
             torque_limit = settings.arm.guards.gripper_torque_limit
             self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)
-            self._gripper_actions = GripperActions(graph, joint, self._gripper)
+            GripperActions(graph, joint, self._gripper)
+        self._actions = MotionActions(graph, self._context, arm, self.queue)
 
     def start(self) -> None:
         """Take requests; goals wait until arm and planners have started."""
@@ -145,11 +144,9 @@ class MoveItInterface:
         self._goal_topics.open()
         self._named_states.open()
         self._goal_checks.open()
-        if self._gripper_actions is not None:
-            self._gripper_actions.open()
         self._display.open()
         offer_services(self._graph, self._context)
-        self._actions.open(() if self._gripper_actions is None else (GRIPPER_ACTION, PARALLEL_ACTION))
+        self._actions.open(() if self._gripper is None else (GRIPPER_ACTION, PARALLEL_ACTION))
 
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on to the parts that publish or record it."""

@@ -52,8 +52,7 @@ class MoveItParameters(BaseModel):
         position_tolerance: radius within which a position goal is reached [m].
         joint_tolerance: a joint goal that lies beyond a limit by no more than this goes to the limit [rad].
         kinematics_solver_timeout: time for an inverse kinematics whose caller names none [s].
-        publish_planning_scene_hz: rate of ``/monitored_planning_scene``; changes that come faster are told together
-            [Hz].
+        publish_planning_scene_hz: rate of ``/monitored_planning_scene``; faster changes are published together [Hz].
         geometry_directory: where the services that save and load the scene's geometry have their files; None for
             nowhere.
         servo: how the arm is steered.

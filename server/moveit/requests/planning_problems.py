@@ -482,7 +482,7 @@ def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: Requ
     placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
     positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
     if not context.chooses_orientation:
-        context.warnings.append("the orientations of several links are not heeded")
+        context.warnings.append("the orientations of several links are ignored")
         return ConstraintGoal(Constraints(positions=positions))
     turned = tuple(
         OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3) for link, pose in placed

@@ -85,7 +85,7 @@ class LinkTransforms:
         if link == self.root_link:
             return IDENTITY
         if self._positions_rad is None:
-            raise _unknown(link, f"where the link {link!r} is cannot be told: the arm's position is not known")
+            raise _unknown(link, f"the pose of the link {link!r} is not known: the arm's position is not known")
         if self._transforms is None:
             self._transforms = self._forward.transforms(self._positions_rad)
         return pose_of(self._transforms[link])

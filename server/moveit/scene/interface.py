@@ -59,12 +59,7 @@ NO_MATRIX: Message = {
     "default_entry_names": [],
     "default_entry_values": [],
 }
-NO_STATE: Message = {
-    "joint_state": {"header": NO_HEADER, "name": [], "position": [], "velocity": [], "effort": []},
-    "multi_dof_joint_state": {"header": NO_HEADER, "joint_names": [], "transforms": [], "twist": [], "wrench": []},
-    "attached_collision_objects": [],
-    "is_diff": False,
-}
+NO_STATE: Message = state_message({}, "", 0.0)
 NO_OBJECT: Message = {
     "header": NO_HEADER,
     "pose": write_pose(IDENTITY),
@@ -91,20 +86,20 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
         state: its moveit_msgs/RobotState without attached objects.
         components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
     """
-    wanted = components or EVERYTHING
-    settings, links = wanted & SCENE_SETTINGS, wanted & LINK_PADDING_AND_SCALING
+    requested = components or EVERYTHING
+    settings, links = requested & SCENE_SETTINGS, requested & LINK_PADDING_AND_SCALING
     return {
         "name": contents.name if settings else "",
-        "robot_state": _state(contents, state, wanted),
+        "robot_state": _state(contents, state, requested),
         "robot_model_name": robot.name if settings else "",
-        "fixed_frame_transforms": _transforms(contents, robot) if wanted & TRANSFORMS else [],
+        "fixed_frame_transforms": _transforms(contents, robot) if requested & TRANSFORMS else [],
         "allowed_collision_matrix": contents.allowed_collisions.message
-        if wanted & ALLOWED_COLLISION_MATRIX
+        if requested & ALLOWED_COLLISION_MATRIX
         else NO_MATRIX,
         "link_padding": _padding(contents, robot) if links else [],
         "link_scale": _scale(contents, robot) if links else [],
-        "object_colors": _colors(contents) if wanted & OBJECT_COLORS else [],
-        "world": {"collision_objects": _objects(contents, robot, wanted), "octomap": NO_OCTOMAP},
+        "object_colors": _colors(contents) if requested & OBJECT_COLORS else [],
+        "world": {"collision_objects": _objects(contents, robot, requested), "octomap": NO_OCTOMAP},
         "is_diff": False,
     }
 
@@ -128,16 +123,16 @@ def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -
     }
 
 
-def _state(contents: SceneContents, state: Message, wanted: int) -> Message:
-    if wanted & ROBOT_STATE_ATTACHED_OBJECTS:
+def _state(contents: SceneContents, state: Message, requested: int) -> Message:
+    if requested & ROBOT_STATE_ATTACHED_OBJECTS:
         return {**state, "attached_collision_objects": [held.message for held in contents.attached.values()]}
-    return state if wanted & ROBOT_STATE else NO_STATE
+    return state if requested & ROBOT_STATE else NO_STATE
 
 
-def _objects(contents: SceneContents, robot: RobotModel, wanted: int) -> list[Message]:
-    if wanted & WORLD_OBJECT_GEOMETRY:
+def _objects(contents: SceneContents, robot: RobotModel, requested: int) -> list[Message]:
+    if requested & WORLD_OBJECT_GEOMETRY:
         return [each.message for each in contents.objects.values()]
-    if wanted & WORLD_OBJECT_NAMES:
+    if requested & WORLD_OBJECT_NAMES:
         header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
         return [
             {**NO_OBJECT, "header": header, "id": name, "type": each.type} for name, each in contents.objects.items()

@@ -43,6 +43,29 @@ from server.moveit.scene.frames import LinkTransforms, find_frame, in_root, seen
 # MoveIt's name of a scene without one.
 NO_NAME = "(noname)"
 
+OPERATIONS = {ADD: "ADD", REMOVE: "REMOVE", APPEND: "APPEND", MOVE: "MOVE"}
+
+# Colours and frames can be set for objects that do not exist yet, so the limit on shapes does not bound them.
+MAX_COLORS = 2000
+MAX_FIXED_FRAMES = 1000
+
+# Padding and scale of links that no message has named.
+NO_PADDING_M = 0.0
+NO_SCALE = 1.0
+
+# Fields that a moveit_msgs/PlanningScene made by the server itself may leave out.
+EMPTY_DIFF: Message = {
+    "name": "",
+    "robot_model_name": "",
+    "fixed_frame_transforms": (),
+    "robot_state": {"is_diff": True, "attached_collision_objects": ()},
+    "allowed_collision_matrix": {"entry_names": (), "default_entry_names": ()},
+    "link_padding": (),
+    "link_scale": (),
+    "object_colors": (),
+    "world": {"collision_objects": (), "octomap": {"octomap": {"data": ()}}},
+}
+
 
 @dataclass(frozen=True)
 class SceneContents:
@@ -189,9 +212,6 @@ class SceneDraft:
         """Remove the colour and the matrix entries of an object."""
         self.colors.pop(name, None)
         self.allowed_collisions = self.allowed_collisions.without(name)
-
-
-OPERATIONS = {ADD: "ADD", REMOVE: "REMOVE", APPEND: "APPEND", MOVE: "MOVE"}
 
 
 def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> None:
@@ -389,28 +409,6 @@ def _detach(draft: SceneDraft, name: str, link: str, where: str) -> None:
         elif name:
             text = f"{where}.link_name: the object {name!r} is held by {held.link}, not by {link!r}"
             raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, object=name, link=link)
-
-
-# Colours and frames can be set for objects that do not exist yet, so the limit on shapes does not bound them.
-MAX_COLORS = 2000
-MAX_FIXED_FRAMES = 1000
-
-# Padding and scale of links that no message has named.
-NO_PADDING_M = 0.0
-NO_SCALE = 1.0
-
-# Fields that a moveit_msgs/PlanningScene made by the server itself may leave out.
-EMPTY_DIFF: Message = {
-    "name": "",
-    "robot_model_name": "",
-    "fixed_frame_transforms": (),
-    "robot_state": {"is_diff": True, "attached_collision_objects": ()},
-    "allowed_collision_matrix": {"entry_names": (), "default_entry_names": ()},
-    "link_padding": (),
-    "link_scale": (),
-    "object_colors": (),
-    "world": {"collision_objects": (), "octomap": {"octomap": {"data": ()}}},
-}
 
 
 def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: AllowedCollisionMatrix) -> None:

@@ -14,6 +14,14 @@ from server.moveit.requests.error_codes import invalid
 
 Corner = tuple[float, float]
 
+# shape_msgs/SolidPrimitive
+BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5
+NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
+DIMENSIONS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
+
+# Ear clipping takes time by the square of the corners; this many take some milliseconds.
+MAX_PRISM_CORNERS = 100
+
 
 def prism_mesh(polygon: Sequence[Corner], height_m: float) -> Mesh | None:
     """Return the surface of a prism, its middle at z = 0; None for a polygon that crosses itself or has no area.
@@ -68,15 +76,6 @@ def _area(corners: Sequence[Corner]) -> float:
     """Return twice the enclosed area, below 0 for clockwise corners [m^2]."""
     following = [*corners[1:], *corners[:1]]
     return sum(x * v - u * y for (x, y), (u, v) in zip(corners, following, strict=True))
-
-
-# shape_msgs/SolidPrimitive
-BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5
-NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
-DIMENSIONS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
-
-# Ear clipping takes time by the square of the corners; this many take some milliseconds.
-MAX_PRISM_CORNERS = 100
 
 
 def read_primitive(message: Message, where: str) -> Shape:

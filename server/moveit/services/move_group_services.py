@@ -47,6 +47,15 @@ log = logging.getLogger("armbridge.moveit")
 # moveit_msgs/ContactInformation's body types.
 ROBOT_LINK, WORLD_OBJECT, ROBOT_ATTACHED = 0, 1, 2
 
+# Computes the response to a request of a client.
+Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
+
+# Twice the planners' own deadline: a request may wait for another one first.
+TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
+
+# Names that MoveIt's planning plugins have.
+INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
+
 
 async def compute_ik(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
     """Find joint positions for poses of links; returns the response of moveit_msgs/GetPositionIK.
@@ -167,16 +176,6 @@ def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[s
         "contact_body_2": pair["second"],
         "body_type_2": body_type(pair["second"]),
     }
-
-
-# Computes the response to a request of a client.
-Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
-
-# Twice the planners' own deadline: a request may wait for another one first.
-TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
-
-# Names that MoveIt's planning plugins have.
-INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
 
 
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:

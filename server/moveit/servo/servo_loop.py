@@ -198,7 +198,7 @@ class ServoSession:
         ask: the planners.
         resolve: look-up of frames.
         publish_status: called after every step.
-        interrupted: called with the reason when somebody else has stopped the arm.
+        interrupted: called with the reason when the arm is stopped from elsewhere.
         clock: monotonic time [s].
     """
 

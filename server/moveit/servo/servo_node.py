@@ -179,7 +179,7 @@ class CommandGate:
         self._selected = kind
 
     def interrupt(self, reason: str) -> None:
-        """Reject all commands until the stick is released: somebody else has stopped the arm."""
+        """Reject all commands until the stick is released: the arm was stopped from elsewhere."""
         self._interrupted = reason
 
     def reset(self) -> None:

@@ -37,7 +37,7 @@ def convex(points: Vector) -> coal.Convex:
     Args:
         points: shape (n, 3), n >= 1, finite [m].
     """
-    # Asked for the hull of flat points, coal ends the process.
+    # For the hull of flat points coal ends the process.
     if _thickness(points) < FLAT:
         points = (points[:, np.newaxis] + PLATE_M * np.vstack((np.eye(3), -np.eye(3)))).reshape(-1, 3)
     vertices = coal.StdVec_Vec3s()

@@ -66,12 +66,12 @@ def test_allowed_time_is_that_on_the_wall_where_the_kernel_does_not_count_waits_
 def test_a_worker_that_hangs_ends_with_its_server() -> None:
     program = f"""
 import asyncio, os
-from planners import worker_process
+from planners import pool as planner_pool
 from planners.pool import PlannerPool
 from tests.helpers.requests import broken
 from robot.description import model
 async def serve():
-    worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
+    planner_pool.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(model.builtin())
     await pool.start()
     asking = asyncio.create_task(pool.ask(broken({broken_planner.NATIVE_LOOP!r})))

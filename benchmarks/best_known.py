@@ -30,7 +30,7 @@ def note(path: Path) -> None:
     judge = Judge(SHARED, fields)
     for seed in SEEDS:
         for outcome in _outcomes(path, tuple(entries), seed):
-            entry = entries[outcome.asked.id]
+            entry = entries[outcome.file_problem.id]
             (answer,) = plan_command.as_json([outcome], fields["joint_names"])
             if isinstance(outcome.answer, Plan) and not judge.faults(entry, answer):
                 duration_s = round(outcome.answer.trajectory.duration_s, 4)

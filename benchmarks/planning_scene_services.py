@@ -50,8 +50,8 @@ def run() -> None:
 async def _measure() -> None:
     robot, graph, client = model.builtin(), Graph(Registry.load()), Node("client", remote=True)
     arm = _StandingArm(tuple(joint.name for joint in robot.movable_joints))
-    scene = SceneInterface(graph, robot, SceneState(robot), AssumedStates(robot), MoveItParameters())
-    scene.open(CurrentState(arm, robot))
+    current = CurrentState(arm, robot)
+    scene = SceneInterface(graph, robot, SceneState(robot), AssumedStates(robot), current, MoveItParameters())
 
     def call(service: str, request: bytes) -> bytes:
         answers: list[Response] = []

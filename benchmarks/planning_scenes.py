@@ -94,7 +94,7 @@ def run() -> None:
         longer += measure(path, {"optimization_time_s": LONG_OPTIMIZATION_S})
     for one in (*default, *longer):
         if one.faults or not one.outcome.expected:
-            print(f"{one.outcome.asked.id}: {one.outcome.code.name} {'; '.join(one.faults or [])}")
+            print(f"{one.outcome.file_problem.id}: {one.outcome.code.name} {'; '.join(one.faults or [])}")
     print_table(f"Motions in {len(paths)} scenes", ["", "problems", "goal", "measured"], _rows(default, longer))
     if reason:
         print(f"\nMPlib is not measured: {reason}")
@@ -116,7 +116,7 @@ def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
     file = problem_file.read(path, model.builtin())
     options = plan_command.Options([path], every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
     for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
-        entry = entries[outcome.asked.id]
+        entry = entries[outcome.file_problem.id]
         (answer,) = plan_command.as_json([outcome], file.joint_names)
         faults = judge.faults(entry, answer) if judge is not None and "positions" in answer else None
         yield Measured(entry, mesh, outcome, faults)
@@ -128,9 +128,9 @@ _LISTS = ("joint_problems", "position_problems", "infeasible")
 def _rows(default: Sequence[Measured], longer: Sequence[Measured]) -> Iterator[list[str]]:
     judged = [one for one in (*default, *longer) if one.faults is not None]
     yield _share("valid under the official meshes", judged, lambda one: not one.faults, "100 %")
-    feasible = [one for one in default if one.outcome.asked.feasible]
+    feasible = [one for one in default if one.outcome.file_problem.feasible]
     yield _share("feasible, solved within 1 s", feasible, lambda one: one.outcome.expected, ">= 99.5 %")
-    infeasible = [one for one in default if not one.outcome.asked.feasible]
+    infeasible = [one for one in default if not one.outcome.file_problem.feasible]
     yield _share("infeasible, right code", infeasible, lambda one: one.outcome.expected, "100 %")
     yield _cpu("straight line", default, "straight", (50, 99), "2.5 / 6")
     yield _cpu("planned among primitives", default, "planned", (50, 95, 99), "20 / 50 / 100")
@@ -160,7 +160,9 @@ def _durations(name: str, measured: Sequence[Measured], goal: str) -> list[str]:
 
 
 def _print_beside(ours: Sequence[Measured], peers: Mapping[float, Sequence[Answered]]) -> None:
-    joint = {one.outcome.asked.id: one for one in ours if one.outcome.asked.feasible and "goal" in one.fields}
+    joint = {
+        one.outcome.file_problem.id: one for one in ours if one.outcome.file_problem.feasible and "goal" in one.fields
+    }
     rows = [_row_of_ours(list(joint.values()))]
     rows += [_row_of_mplib(rrt_range, answers, joint) for rrt_range, answers in peers.items()]
     header = [

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 
-# A goal is allowed 60 s of planning at most (allowed_planning_time): nobody is kept waiting for more than that again.
+# A goal is allowed 60 s of planning at most (allowed_planning_time): waits for a core extend them by no more than that.
 MAX_STARVED_S = 60.0
 
 
@@ -69,9 +69,9 @@ class Budget:
     """Time left for one problem.
 
     Args:
-        clock: monotonic time [s]; read on construction and at each question.
+        clock: monotonic time [s]; read on construction and at each check.
         allowed_time_s: how long the problem may take [s].
-        should_stop: whether whoever asked has lost interest.
+        should_stop: returns true once the request is cancelled.
     """
 
     def __init__(self, clock: Callable[[], float], allowed_time_s: float, should_stop: Callable[[], bool]) -> None:
@@ -87,7 +87,7 @@ class Budget:
 
     @property
     def stopped(self) -> bool:
-        """True when whoever asked has lost interest."""
+        """True once the request is cancelled."""
         return self._should_stop()
 
     def used_up(self) -> bool:
@@ -95,7 +95,7 @@ class Budget:
         return self.stopped or self.spent_s >= self._allowed_time_s
 
     def failure(self) -> PlanningFailure:
-        """Say why planning stopped; to be called once the budget is used up."""
+        """Return the reason for which planning stopped; to be called once the budget is used up."""
         if self.stopped:
             return PlanningFailure(MoveItErrorCode.PREEMPTED, f"planning was stopped after {self.spent_s:.2f} s")
         return PlanningFailure(

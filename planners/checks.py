@@ -1,6 +1,6 @@
 """Checks before any search: each gives the code that is true of the case, with its figures.
 
-Every check gives a :class:`PlanningFailure`, or None when there is nothing to say against what it looks at.
+Every check returns a :class:`PlanningFailure`, or None.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ START_CONTACT_DEPTH_M = 0.01
 MAX_ATTEMPTS = 1000
 MAX_PLANNING_TIME_S = 3600.0
 
-# A joint that is measured while it moves at its limit may be told a little faster.
+# A joint that is measured while it moves at its limit may be reported a little faster.
 SPEED_TOLERANCE = 1e-6
 
 
 def check_request(robot: RobotModel, problem: PlanningProblem) -> PlanningFailure | None:
-    """Names and numbers of a problem."""
+    """Check names and numbers of a problem."""
     refusal = check_group(robot, problem.group)
     if refusal is not None:
         return refusal
@@ -53,7 +53,7 @@ def check_request(robot: RobotModel, problem: PlanningProblem) -> PlanningFailur
 
 
 def check_ik_question(robot: RobotModel, question: IkQuestion) -> PlanningFailure | None:
-    """Names and numbers of a question for configurations."""
+    """Check names and numbers of a question for configurations."""
     return (
         check_group(robot, question.group)
         or next(_time_flaws(question.allowed_time_s), None)
@@ -63,7 +63,7 @@ def check_ik_question(robot: RobotModel, question: IkQuestion) -> PlanningFailur
 
 
 def check_state_question(robot: RobotModel, question: StateQuestion) -> PlanningFailure | None:
-    """Names and numbers of a question about a state; whether it is within limits is the question itself."""
+    """Check names and numbers of a question about a state; whether it is within limits is the question itself."""
     return (
         check_group(robot, question.group)
         or next(_position_flaws(robot, question.positions_rad), None)
@@ -82,7 +82,7 @@ def check_group(robot: RobotModel, name: str) -> PlanningFailure | None:
 
 
 def check_start(robot: RobotModel, start_rad: Mapping[str, float]) -> PlanningFailure | None:
-    """Positions of all joints at the start."""
+    """Check the positions of all joints at the start."""
     return next(_position_flaws(robot, start_rad), None) or next(
         limit_flaws(robot, start_rad, START_LIMIT_TOLERANCE_RAD, MoveItErrorCode.START_STATE_INVALID), None
     )
@@ -91,7 +91,7 @@ def check_start(robot: RobotModel, start_rad: Mapping[str, float]) -> PlanningFa
 def limit_flaws(
     robot: RobotModel, positions_rad: Mapping[str, float], tolerance_rad: float, code: MoveItErrorCode
 ) -> Iterator[PlanningFailure]:
-    """Joints that stand beyond their limits by more than a tolerance."""
+    """Yield a failure for each joint beyond its limits by more than a tolerance."""
     for joint in robot.movable_joints:
         value = positions_rad[joint.name]
         if not joint.lower - tolerance_rad <= value <= joint.upper + tolerance_rad:
@@ -111,7 +111,7 @@ def check_start_contact(pairs: Sequence[CollidingPair]) -> PlanningFailure | Non
 
 
 def contact_failure(code: MoveItErrorCode, what: str, pairs: Sequence[CollidingPair]) -> PlanningFailure:
-    """A refusal that names what touches."""
+    """Return the failure that names the pairs in contact."""
     return PlanningFailure(code, f"{what}: {describe_pairs(pairs)}", {"pairs": pairs_as_data(pairs)})
 
 

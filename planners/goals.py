@@ -72,9 +72,9 @@ class PoseGoal:
     Attributes:
         pose: in the robot's root link.
         position_tolerance_m: radius of the sphere around the position that counts as there [m].
-        orientation_tolerance_rad: greatest rotation about the link's x, y, z from the asked orientation [rad].
+        orientation_tolerance_rad: greatest rotation about the link's x, y, z from the desired orientation [rad].
         strict: whether an orientation outside its tolerance is a failure; else the position is met and the
-            nearest orientation taken, with its deviation told.
+            nearest orientation taken, with its deviation reported.
     """
 
     link: str

@@ -58,7 +58,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class Cancel:
-    """A request is not wanted any more; if it is still worked on, it is answered PREEMPTED at once."""
+    """Cancellation of a request; if it is still worked on, it is answered PREEMPTED at once."""
 
     number: int
 

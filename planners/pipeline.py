@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
@@ -19,7 +18,7 @@ from planners.geometry.certificate import Contact, certify
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.ik.goal_refusals import start_violates
-from planners.ik.goal_states import Asker, GoalState, GoalStates
+from planners.ik.goal_states import GoalQuery, GoalState, GoalStates
 from planners.motions.motion import MotionTask, find_motion
 from planners.problem import (
     Answer,
@@ -41,11 +40,18 @@ from planners.scene import Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
 from robot.description.model import RobotModel
-from robot.trajectory import Trajectory
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Trajectory, Vector
 
 NOTHING_TO_DO = "nothing to do"
+
+# The first solution is the one nearest to where the robot stands; a service's caller waits for no more.
+SOLUTIONS = 1
+
+# Measured positions of an arm that rests on a limit lie beyond it by noise.
+LIMIT_TOLERANCE_RAD = 1e-3
+
+# The arm's own links are thicker than this, so a check this sparse misses only grazing contacts.
+SPARSE_STEP_M = 0.03
 
 
 def never() -> bool:
@@ -71,10 +77,10 @@ class Planner:
         self._states = GoalStates(robot, self._collision)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
-        """Take over what stands around and what is held, for all that is asked from now on.
+        """Take over the objects around the robot and those attached to it, for all further requests.
 
         Returns:
-            What is wrong with the scene: then the one before stays.
+            The flaw of a scene that cannot be used, which leaves the scene before in place; else None.
         """
         return self._collision.set_scene(scene)
 
@@ -82,8 +88,8 @@ class Planner:
         """Answer any request.
 
         Args:
-            request: what is asked.
-            should_stop: asked all the time; once true the answer is PREEMPTED.
+            request: the request.
+            should_stop: called all the time; once true the answer is PREEMPTED.
         """
         robot, collision = self._robot, self._collision
         match request:
@@ -106,8 +112,8 @@ class Planner:
         """Plan one motion.
 
         Args:
-            problem: what is asked.
-            should_stop: asked all the time; once true the answer is PREEMPTED.
+            problem: the problem.
+            should_stop: called all the time; once true the answer is PREEMPTED.
 
         Returns:
             A plan that starts at the start, reaches the goal, keeps the limits and touches nothing, or why there
@@ -125,7 +131,7 @@ class Planner:
         if refusal is not None:
             return refusal
         group = self._robot.groups[problem.group]
-        goals = self._states.find(problem.goal, Asker(group, start_q, problem.path_constraints, budget))
+        goals = self._states.find(problem.goal, GoalQuery(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
         return self._move(problem, start_q, goals, self._collision.overlaps_m(start_q), budget)
@@ -185,20 +191,13 @@ class Planner:
         )
 
 
-# The first solution is the one nearest to where the robot stands; a service's caller waits for no more.
-WANTED = 1
-
-# Measured positions of an arm that rests on a limit lie beyond it by noise.
-LIMIT_TOLERANCE_RAD = 1e-3
-
-
 def answer_ik(
     question: IkQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel, budget: Budget
 ) -> IkAnswer | PlanningFailure:
     """Find configurations in which a goal holds.
 
     Args:
-        question: what must hold.
+        question: the goal, and the conditions that hold beside it.
         robot: the arm.
         states: finds configurations.
         collision: the joints of a configuration.
@@ -209,16 +208,16 @@ def answer_ik(
         return refusal
     start_q = np.array([question.start_rad[name] for name in collision.joint_names])
     start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
-    asker = Asker(
+    query = GoalQuery(
         robot.groups[question.group],
         start_q,
         question.constraints,
         budget,
-        wanted=WANTED,
+        wanted=SOLUTIONS,
         avoid_collisions=question.avoid_collisions,
-        start_counts=False,
+        accept_start=False,
     )
-    found = states.find(question.goal, asker)
+    found = states.find(question.goal, query)
     if isinstance(found, PlanningFailure):
         return found
     return IkAnswer(
@@ -230,7 +229,7 @@ def answer_ik(
 def answer_state(
     question: StateQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel
 ) -> StateAnswer | PlanningFailure:
-    """Say all that is wrong with a state: limits, contacts, constraints.
+    """List the flaws of a state: limits, contacts, constraints.
 
     Args:
         question: the state.
@@ -255,22 +254,18 @@ def answer_state(
     return StateAnswer(not problems, tuple(problems))
 
 
-# The arm's own links are thicker than this, so a glance this often misses only what is grazed.
-LOOK_STEP_M = 0.03
-
-
 def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionModel) -> RecheckAnswer | PlanningFailure:
     """Check the rest of a motion against the present scene, as plans are checked before they leave.
 
     Contacts that are shallow where the motion is now do not count unless it deepens them, as at the start of a plan.
 
     Args:
-        question: the motion, and how much of it is behind.
+        question: the motion, and the time on it that has passed.
         robot: the arm.
         collision: its collisions with itself and the scene.
 
     Returns:
-        The first contact with its time on the motion, or that there is none; a failure for a question that is none.
+        The first contact with its time on the motion, or that there is none; a failure for an invalid question.
     """
     refusal = _check_question(question, robot)
     if refusal is not None:
@@ -285,21 +280,21 @@ def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionMo
     if checks.check_start_contact(contacts) is not None:
         return RecheckAnswer(_contact(contacts, question.from_s), question.from_s)
     space = JointSpace(collision, robot.groups[question.group], now_q, collision.overlaps_m(now_q))
-    found = _seen(space, rest) or certify(space, rest)
+    found = _sparse_contact(space, rest) or certify(space, rest)
     if found is None:
         return RecheckAnswer(None)
     return RecheckAnswer(_contact(found.pairs, question.from_s + found.time_s), question.from_s + found.time_s)
 
 
-def _seen(space: JointSpace, motion: Trajectory) -> Contact | None:
-    """The first sample that touches something, by a look at some of them in their order.
+def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
+    """Return the first sample in contact, by a sparse check of the samples in their order.
 
-    What is in the way is seen in a quarter of the time that the certificate takes to say where it begins.
+    It finds an obstacle in a quarter of the time that the certificate takes to find where the contact begins.
     """
     travel_m = np.cumsum(np.abs(np.diff(motion.positions_rad, axis=0)) @ space.travel_m_per_rad)
-    looked = np.flatnonzero(np.diff(np.floor(travel_m / LOOK_STEP_M), prepend=0.0)) + 1
+    checked = np.flatnonzero(np.diff(np.floor(travel_m / SPARSE_STEP_M), prepend=0.0)) + 1
     before = 0
-    for index in looked:
+    for index in checked:
         if not _free(space, motion.positions_rad[index]):
             touching = (i for i in range(before + 1, index + 1) if not _free(space, motion.positions_rad[i]))
             first = next(touching)
@@ -310,7 +305,7 @@ def _seen(space: JointSpace, motion: Trajectory) -> Contact | None:
 
 def _free(space: JointSpace, point: Vector) -> bool:
     """Tell whether nothing touches at a point, by the full meshes where only hulls do."""
-    return space.free(point) or (space.look_closer(point) and space.free(point))
+    return space.free(point) or (space.use_meshes_at(point) and space.free(point))
 
 
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:

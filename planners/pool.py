@@ -1,6 +1,4 @@
-"""One planner process, as the pool sees it: what it has been given, and the request in its hands.
-
-Planner processes, as the server sees them: some at work, one a warm spare, each replaced when it ends.
+"""Planner processes, as the server sees them: some at work, one a warm spare, each replaced when it ends.
 
 The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
 it does not listen; the spare is free meanwhile. Every request gets exactly one answer, at the latest a grace period
@@ -64,11 +62,11 @@ CANCEL_TIMEOUT_S = 0.25
 ENDING_TIMEOUT_S = 0.1
 
 # Checks of a state or a motion take milliseconds; they have no allowed time of their own. Waits for a core come on top,
-# but not where an arm moves meanwhile (planners/pool.py).
+# but not where an arm moves meanwhile.
 CHECK_TIME_S = 1.0
 
-# A deadline that has been extended is looked at no sooner again: a wait for a core is counted when it has ended.
-LOOK_S = 0.02
+# A deadline that has been extended is checked no sooner again: a wait for a core is counted when it has ended.
+DEADLINE_CHECK_S = 0.02
 
 # No request holds a worker for longer, whatever it allows itself.
 MAX_ALLOWED_TIME_S = 3600.0
@@ -88,14 +86,33 @@ ANSWER_TO: Mapping[type[Request], type[Answer]] = {
     ServoQuestion: ServoAnswer,
 }
 
+# What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
+OVERTIME_S = 1.0
+
+# Requests that wait for a worker; past these, requests come faster than they can be answered.
+MAX_WAITING = 64
+
+# A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
+MEMORY_LIMIT_BYTES = 1_024_000_000
+
+# A worker imports its libraries in half a second; a loaded machine may take many times that.
+LOAD_TIMEOUT_S = 30.0
+
+# After so many failed starts in a row there is a pause before each further one.
+MAX_FAILED_STARTS = 3
+RESTART_PAUSE_S = 5.0
+
+# Processes that were being ended when the pool closed are gone within milliseconds.
+CLOSE_TIMEOUT_S = 2.0
+
 
 class WorkerProcess:
     """A planner process.
 
     Args:
         robot: the arm to plan for.
-        memory_limit_bytes: what it may use for data.
-        on_loaded: called once with None when it is ready for requests, or with why it never will be.
+        memory_limit_bytes: limit of its data [bytes].
+        on_loaded: called once, with None when it is ready for requests, or with the reason for which it never will be.
         on_exit: called once when the process is gone.
 
     Attributes:
@@ -152,8 +169,8 @@ class WorkerProcess:
     async def ask(self, request: Request, scene: Scene) -> Answer:
         """Send a request, after the scene unless the process has it, and wait for the answer.
 
-        The wait has no end of its own; who gives it up must :meth:`cancel` or :meth:`kill`. A process that dies, or
-        answers what is none, answers CRASH.
+        The wait has no end of its own; the caller that gives it up must :meth:`cancel` or :meth:`kill`. A process that
+        dies, or sends no answer to the request, answers CRASH.
         """
         self._number += 1
         self._answer = asyncio.get_running_loop().create_future()
@@ -230,22 +247,22 @@ async def timeout_at(deadline: Deadline) -> AsyncIterator[None]:
         TimeoutError: the deadline has passed.
     """
     loop = asyncio.get_running_loop()
-    looking: asyncio.TimerHandle
+    timer: asyncio.TimerHandle
     async with asyncio.timeout(None) as timeout:
 
-        def look() -> None:
-            nonlocal looking
+        def check() -> None:
+            nonlocal timer
             left_s = deadline.left_s()
             if left_s > 0.0:
-                looking = loop.call_later(max(left_s, LOOK_S), look)
+                timer = loop.call_later(max(left_s, DEADLINE_CHECK_S), check)
             else:
                 timeout.reschedule(loop.time())
 
-        looking = loop.call_later(deadline.left_s(), look)
+        timer = loop.call_later(deadline.left_s(), check)
         try:
             yield
         finally:
-            looking.cancel()
+            timer.cancel()
 
 
 def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]:
@@ -275,38 +292,18 @@ def allowed_time_s(request: Request) -> float:
             return MAX_ALLOWED_TIME_S
 
 
-# What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
-OVERTIME_S = 1.0
-
-# Requests that wait for a worker; past these a client asks faster than can be answered.
-MAX_WAITING = 64
-
-# A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
-MEMORY_LIMIT_BYTES = 1_024_000_000
-
-# A worker imports its libraries in half a second; a loaded machine may take many times that.
-LOAD_TIMEOUT_S = 30.0
-
-# After so many failed starts in a row there is a pause before each further one.
-MAX_FAILED_STARTS = 3
-RESTART_PAUSE_S = 5.0
-
-# Processes that were being ended when the pool closed are gone within milliseconds.
-CLOSE_TIMEOUT_S = 2.0
-
-
 class PlannerPool:
     """Planner processes for one robot.
 
     Args:
         robot: the arm to plan for.
-        active: how many motions may be planned at the same time. One more process is kept as a warm spare; while it is
-            spare it answers questions, which so never wait for motions.
-        memory_limit_bytes: what each process may use for data.
+        active: number of motions that may be planned at the same time. One more process is kept as a warm spare; while
+            it is spare it answers questions, which so never wait for motions.
+        memory_limit_bytes: limit of each process's data [bytes].
 
     Attributes:
-        load_failure: why there is no worker and probably never will be; None as long as one may come.
-        waiting_count: how many requests wait for their turn.
+        load_failure: reason for which there is no worker and probably never will be; None as long as one may come.
+        waiting_count: number of requests that wait for their turn.
     """
 
     def __init__(self, robot: RobotModel, active: int = 1, memory_limit_bytes: int = MEMORY_LIMIT_BYTES) -> None:
@@ -417,7 +414,7 @@ class PlannerPool:
     async def _work(self, worker: WorkerProcess, request: Request, scene: Scene) -> Answer:
         allowed_s = allowed_time_s(request)
         limit_s = allowed_s + OVERTIME_S
-        # An arm moves while these are asked, and rests when there is no answer: here a busy machine is no excuse.
+        # An arm moves meanwhile, and stops if there is no answer: a busy machine extends no deadline here.
         while_moving = isinstance(request, RecheckQuestion | ServoQuestion)
         try:
             async with asyncio.timeout(limit_s) if while_moving else timeout_at(Deadline(limit_s, worker.run_delay_s)):

@@ -11,13 +11,25 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planners.goals import Constraints, Goal
 from planners.scene import Pose
 from planners.servo.question import ServoAnswer, ServoQuestion
-from robot.trajectory import Trajectory
+from robot.trajectory import Trajectory, Vector
+
+# Searches that can be chosen by name: OMPL's, the default first. Those not here crash (AORRTC), start threads, which
+# a worker that is killed at any time cannot have (PRM and its kin), or draw a fixed number of states before they begin
+# and find nothing when those were too few (FMT, BFMT).
+PLANNER_IDS = (
+    "RRTConnect",
+    "RRT",
+    "RRTstar",
+    "InformedRRTstar",
+    "SORRTstar",
+    "LBKPIECE1",
+    "BKPIECE1",
+    "KPIECE1",
+    "BITstar",
+)
 
 
 class MoveItErrorCode(IntEnum):
@@ -56,22 +68,6 @@ class MoveItErrorCode(IntEnum):
     NO_IK_SOLUTION = -31
 
 
-# Searches that can be asked for by name: OMPL's, the default first. Those not here crash (AORRTC), start threads, which
-# a worker that is killed at any time cannot have (PRM and its kin), or draw a fixed number of states before they begin
-# and find nothing when those were too few (FMT, BFMT).
-PLANNER_IDS = (
-    "RRTConnect",
-    "RRT",
-    "RRTstar",
-    "InformedRRTstar",
-    "SORRTstar",
-    "LBKPIECE1",
-    "BKPIECE1",
-    "KPIECE1",
-    "BITstar",
-)
-
-
 def planner_name(planner_id: str) -> str | None:
     """Resolve a planner's id, also in MoveIt's spelling, to one of :data:`PLANNER_IDS`; None if unknown.
 
@@ -79,6 +75,21 @@ def planner_name(planner_id: str) -> str | None:
     """
     name = planner_id.removeprefix("geometric::").removesuffix("kConfigDefault") or PLANNER_IDS[0]
     return name if name in PLANNER_IDS else None
+
+
+@dataclass(frozen=True)
+class RateLimits:
+    """The most that each joint may do, shape (n,) each.
+
+    Attributes:
+        velocity_rad_s: above 0 [rad/s].
+        acceleration_rad_s2: above 0 [rad/s^2].
+        jerk_rad_s3: above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
+    """
+
+    velocity_rad_s: Vector
+    acceleration_rad_s2: Vector
+    jerk_rad_s3: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -140,9 +151,9 @@ class CartesianProblem:
         start_rad: position of every movable joint of the robot [rad].
         link: the tip.
         segments: lines and arcs, one after the other from where the tip is.
-        keep_orientation: whether the orientations asked for must hold within ``orientation_tolerance_rad``; else
+        keep_orientation: whether the desired orientations must hold within ``orientation_tolerance_rad``; else
             the position is followed and the nearest orientation taken.
-        orientation_tolerance_rad: greatest rotation from the asked orientation [rad].
+        orientation_tolerance_rad: greatest rotation from the desired orientation [rad].
         max_step_m: greatest distance between the points that are solved for [m].
         max_joint_step_rad: greatest step of any joint between them, 0 for none: a greater one is a jump [rad].
         tip_speed_m_s: greatest speed of the tip [m/s], None for as fast as the joints allow.
@@ -194,7 +205,7 @@ class IkQuestion:
 
 @dataclass(frozen=True)
 class StateQuestion:
-    """Is a state free, within limits, and do constraints hold there? Answered by :class:`StateAnswer`."""
+    """Question if a state is free, within limits, and meets constraints; answered by :class:`StateAnswer`."""
 
     group: str
     positions_rad: Mapping[str, float]
@@ -203,7 +214,7 @@ class StateQuestion:
 
 @dataclass(frozen=True)
 class RecheckQuestion:
-    """Is the rest of a motion that runs still free in the present scene? Answered by :class:`RecheckAnswer`.
+    """Question if the rest of a running motion is free in the present scene; answered by :class:`RecheckAnswer`.
 
     Attributes:
         trajectory: the motion.
@@ -268,7 +279,7 @@ class CartesianPlan:
     Attributes:
         trajectory: the timed motion, certified as a plan's.
         fraction: share of the path's length that it covers, 0 to 1.
-        stopped_by: why it is not the whole; None for all of it.
+        stopped_by: reason for which it is not the whole; None for all of it.
         planning_time_s: time spent on it, by the clock of allowed times [s].
         deviation: greatest deviation of the tip from the path on the way.
     """
@@ -315,21 +326,3 @@ class RecheckAnswer:
 
 
 Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure
-
-
-Vector = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class RateLimits:
-    """The most that each joint may do, shape (n,) each.
-
-    Attributes:
-        velocity_rad_s: above 0 [rad/s].
-        acceleration_rad_s2: above 0 [rad/s^2].
-        jerk_rad_s3: above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
-    """
-
-    velocity_rad_s: Vector
-    acceleration_rad_s2: Vector
-    jerk_rad_s3: Vector | None = None

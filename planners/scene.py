@@ -79,7 +79,7 @@ Shape = Box | Sphere | Cylinder | Cone | Plane | Mesh
 
 @dataclass(frozen=True)
 class SceneObject:
-    """A thing of one or several shapes.
+    """An object of one or several shapes.
 
     Attributes:
         name: unlike any link's and any other object's.
@@ -94,10 +94,10 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class AttachedObject:
-    """A thing that moves with a link.
+    """An object that moves with a link.
 
     Attributes:
-        object: the thing, its pose in the link's frame.
+        object: the object, its pose in the link's frame.
         link: the link that holds it.
         touch_links: further links that may touch it.
     """
@@ -113,8 +113,8 @@ class Scene:
 
     Attributes:
         version: a number that no other scene has; workers tell scenes apart by it.
-        objects: what stands around, each checked against every link that can move.
-        attached: what the robot holds.
+        objects: objects around the robot, each checked against every link that can move.
+        attached: attached objects.
         allowed: pair of names (links or objects) -> True: they may touch; False: they are checked though the
             SRDF disables them. Pairs not named follow the SRDF.
         link_padding_m: by how much links are thicker than their shapes [m].

@@ -38,7 +38,7 @@ def check_scene(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
     """
     objects = [*scene.objects, *(held.object for held in scene.attached)]
     return check_whole(scene, links) or next(
-        (refusal for thing in objects for refusal in _object_refusals(thing)), None
+        (refusal for scene_object in objects for refusal in _object_refusals(scene_object)), None
     )
 
 
@@ -51,7 +51,7 @@ def check_whole(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
     """
     objects = [*scene.objects, *(held.object for held in scene.attached)]
     return (
-        _check_names([thing.name for thing in objects], links)
+        _check_names([scene_object.name for scene_object in objects], links)
         or _check_links(scene, links)
         or _check_count(objects)
         or _check_thickness(scene)
@@ -118,10 +118,12 @@ def _check_links(scene: Scene, links: Collection[str]) -> PlanningFailure | None
 
 
 def _check_count(objects: list[SceneObject]) -> PlanningFailure | None:
-    count = sum(len(thing.shapes) for thing in objects)
+    count = sum(len(scene_object.shapes) for scene_object in objects)
     if count > MAX_SHAPES:
         return _refusal(f"the scene has {count} shapes, more than {MAX_SHAPES}", shapes=count, limit=MAX_SHAPES)
-    triangles = sum(len(shape.triangles) for thing in objects for shape, _ in thing.shapes if isinstance(shape, Mesh))
+    triangles = sum(
+        len(shape.triangles) for scene_object in objects for shape, _ in scene_object.shapes if isinstance(shape, Mesh)
+    )
     if triangles > MAX_SCENE_TRIANGLES:
         return _refusal(
             f"the scene's meshes have {triangles} triangles, more than {MAX_SCENE_TRIANGLES}",
@@ -143,17 +145,17 @@ def _check_thickness(scene: Scene) -> PlanningFailure | None:
     return None
 
 
-def _object_refusals(thing: SceneObject) -> Iterator[PlanningFailure]:
+def _object_refusals(scene_object: SceneObject) -> Iterator[PlanningFailure]:
     """Everything that is wrong with one object, one sentence each."""
-    subject = f"the object {thing.name!r}"
-    if not thing.shapes:
-        yield _refusal(f"{subject} has no shape", object=thing.name)
-    said = [pose_fault(thing.pose)]
-    for shape, pose in thing.shapes:
+    subject = f"the object {scene_object.name!r}"
+    if not scene_object.shapes:
+        yield _refusal(f"{subject} has no shape", object=scene_object.name)
+    said = [pose_fault(scene_object.pose)]
+    for shape, pose in scene_object.shapes:
         said += [shape_fault(shape), pose_fault(pose)]
     for fault in said:
         if fault is not None:
-            yield _refusal(f"{subject} {fault}", object=thing.name)
+            yield _refusal(f"{subject} {fault}", object=scene_object.name)
 
 
 def _size_fault(kind: str, sizes_m: tuple[float, ...]) -> str | None:

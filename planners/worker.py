@@ -63,14 +63,14 @@ class Mailbox:
         return self._messages.popleft() if self._messages else None
 
     def withdrawn(self, number: int) -> bool:
-        """Tell whether nobody waits for the answer to a request any more; asked thousands of times a second."""
+        """Tell whether a request is cancelled, or the server gone; called thousands of times a second."""
         if self._readable.poll(0):
             self._messages += self._channel.receive(timeout_s=0.0)
         return self._channel.closed or Cancel(number) in self._messages
 
 
-class Surroundings:
-    """The scene as it comes, and what the planner says to it; a scene that it refuses answers every request."""
+class WorkerScene:
+    """Scene as it arrives in parts, and the planner's refusal of it, which answers every request."""
 
     def __init__(self) -> None:
         self._scene = EMPTY_SCENE
@@ -79,7 +79,7 @@ class Surroundings:
         self._refusal: PlanningFailure | None = None
 
     def begin(self, scene: Scene) -> None:
-        """Start a scene; what came of another is dropped."""
+        """Start a scene; the parts of another are dropped."""
         self._scene, self._objects, self._changed = scene, list(scene.objects), True
 
     def extend(self, objects: tuple[SceneObject, ...]) -> None:
@@ -87,7 +87,7 @@ class Surroundings:
         self._objects += objects
 
     def set_up(self, planner: Planner) -> PlanningFailure | None:
-        """Give the planner the scene unless it has it; why nothing can be planned in it."""
+        """Give the planner the scene unless it has it; return its refusal of the scene, None if there is none."""
         if self._changed:
             scene = dataclasses.replace(self._scene, objects=tuple(self._objects))
             self._refusal = planner.set_scene(scene)
@@ -108,7 +108,7 @@ class Worker:
         self._channel = channel
         self._mailbox = Mailbox(channel)
         self._make_planner = make_planner
-        self._surroundings = Surroundings()
+        self._scene = WorkerScene()
         self._planner: Planner | None = None
         self._memory_limit_bytes = 0
         self._ending = False
@@ -123,9 +123,9 @@ class Worker:
             case LoadRobot():
                 self._load(message)
             case NewScene(scene):
-                self._surroundings.begin(scene)
+                self._scene.begin(scene)
             case MoreObjects(objects):
-                self._surroundings.extend(objects)
+                self._scene.extend(objects)
             case Ask(number, request) if self._planner is not None:
                 answer = self._answer(self._planner, number, request)
                 self._channel.send(Answered(number, answer, self._ending))
@@ -143,11 +143,9 @@ class Worker:
 
     def _answer(self, planner: Planner, number: int, request: Request) -> Answer:
         try:
-            return self._surroundings.set_up(planner) or planner.answer(
-                request, lambda: self._mailbox.withdrawn(number)
-            )
+            return self._scene.set_up(planner) or planner.answer(request, lambda: self._mailbox.withdrawn(number))
         except MemoryError:
-            # What the native libraries hold after that is anyone's guess.
+            # The state of the native libraries is not known after that.
             self._ending = True
             return self._out_of_memory(request)
         except Exception as error:  # a bug in one request must not take the worker and its warm libraries with it

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
 from planners.geometry.kinematics import ForwardKinematics
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Nearer is below what any servo resolves.
 ACCURACY_M = 1e-6
@@ -46,6 +45,29 @@ LIMIT_MARGIN_RAD = 1e-3
 
 # Linear prediction is poor further away.
 LONGEST_STEP_RAD = 0.2
+
+# The tip counts as on the path when this near: a tenth of what the servos resolve at arm's length.
+ON_PATH_M = 2e-5
+
+# Half-way between two points a straight joint line may lead the tip this far off: the curve through all points is
+# then far nearer.
+CHORD_M = 2e-4
+
+# A smooth curve rounds a corner within about a tenth of the steps beside it.
+CORNER_STEP_M = 0.001
+
+# Steps grow with the distance from a corner by this share of it.
+GROWTH = 0.5
+
+# The place where a path ends early is located this closely.
+SHORTEST_STEP_M = 0.0003
+
+# What is left of a path is gone in one step where it is no longer than so many steps.
+LAST_STEP = 1.5
+
+# For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
+# does so over some centimetres.
+TURN_RAD_PER_M = 10.0
 
 
 class TipTracker:
@@ -76,7 +98,7 @@ class TipTracker:
         self._upper_rad = self._limits[1] - LIMIT_MARGIN_RAD
 
     def pose(self, point: Vector) -> pin.SE3:
-        """Pose of the tip in the root link's frame."""
+        """Return the pose of the tip in the root link's frame."""
         self._q[self._columns] = point
         self._kinematics.place(self._q)
         return self._kinematics.placement(self._link).copy()
@@ -157,36 +179,12 @@ def _damped_inverse(matrix: Vector, damping: float) -> Vector:
     return np.asarray(np.linalg.solve(matrix @ matrix.T + damping**2 * np.eye(3), matrix).T)
 
 
-# The tip counts as on the path when this near: a tenth of what the servos resolve at arm's length.
-ON_PATH_M = 2e-5
-
-# Half-way between two points a straight joint line may lead the tip this far off: the curve through all points is
-# then far nearer.
-CHORD_M = 2e-4
-
-# A smooth curve rounds a corner within about a tenth of the steps beside it.
-CORNER_STEP_M = 0.001
-
-# Steps grow with the distance from a corner by this share of it.
-GROWTH = 0.5
-
-# What ends a path is looked for this closely.
-SHORTEST_STEP_M = 0.0003
-
-# What is left of a path is gone in one step where it is no longer than so many steps.
-LAST_STEP = 1.5
-
-# For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
-# does so over some centimetres.
-TURN_RAD_PER_M = 10.0
-
-
 @dataclass(frozen=True)
-class Ended:
+class PathEnd:
     """Reason for which a path cannot be followed further.
 
     Attributes:
-        reason: "reach", "orientation", "jump", "limit", or what the condition on single points says.
+        reason: "reach", "orientation", "jump", "limit", or that of ``PathFollower.check_point``.
         sentence: with the figures.
         details: the same as plain values.
     """
@@ -197,22 +195,22 @@ class Ended:
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedPath:
     """The part of a path that could be followed.
 
     Attributes:
         along_m: shape (m,), lengths of the path from 0 [m].
         points: shape (m, n), the joints there [rad].
-        ended: why it is not the whole; None for all of it.
+        ended: reason for which it is not the whole; None for all of it.
     """
 
     along_m: Vector
     points: Vector
-    ended: Ended | None
+    ended: PathEnd | None
 
 
 @dataclass(frozen=True)
-class Following:
+class PathFollower:
     """Conditions under which a path is followed.
 
     Attributes:
@@ -222,8 +220,8 @@ class Following:
         max_step_m: greatest distance between points [m].
         max_joint_step_rad: greatest step of a joint between points, 0 for none [rad].
         orientation_tolerance_rad: greatest deviation from the path's orientation; infinite to take the nearest [rad].
-        flaw: what is wrong with a point, or None.
-        should_stop: ends it early.
+        check_point: returns the reason to end at a point, None to go on.
+        should_stop: returns true to end it early.
     """
 
     tracker: TipTracker
@@ -232,11 +230,11 @@ class Following:
     max_step_m: float
     max_joint_step_rad: float
     orientation_tolerance_rad: float
-    flaw: Callable[[Vector], Ended | None]
+    check_point: Callable[[Vector], PathEnd | None]
     should_stop: Callable[[], bool]
 
-    def from_point(self, start: Vector) -> Followed:
-        """Follow the path from its start as far as it goes, or until told to stop."""
+    def from_point(self, start: Vector) -> FollowedPath:
+        """Follow the path from its start as far as it goes, or until it is to stop."""
         along_m, points = [0.0], [start]
         step_m, ended = CORNER_STEP_M, None
         while along_m[-1] < self.path.length_m and not self.should_stop():
@@ -252,7 +250,7 @@ class Following:
                 break
             else:
                 step_m = 0.5 * (reach_m - along_m[-1])
-        return Followed(np.array(along_m), np.array(points), ended)
+        return FollowedPath(np.array(along_m), np.array(points), ended)
 
     def _reach_m(self, from_m: float, step_m: float) -> float:
         """Choose the next point's distance along the path: short steps beside corners, and one exactly in each."""
@@ -267,14 +265,14 @@ class Following:
     def _solved(self, point: Vector, from_m: float, reach_m: float) -> Vector:
         return self.tracker.follow(point, self.path.at(reach_m), TURN_RAD_PER_M * (reach_m - from_m))
 
-    def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> Ended | None:
-        """Return the objection to a step from one point to the next."""
-        asked, pose = self.path.at(reach_m), self.tracker.pose(point)
-        turned_rad = apart_rad(asked, pose)
-        if apart_m(asked, pose) > ON_PATH_M:
+    def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> PathEnd | None:
+        """Return the reason against a step from one point to the next, None if there is none."""
+        desired, pose = self.path.at(reach_m), self.tracker.pose(point)
+        turned_rad = apart_rad(desired, pose)
+        if apart_m(desired, pose) > ON_PATH_M:
             end = self.path.at(self.path.length_m)
             nearest = self.tracker.pose(self.tracker.follow(point, end, 0.0))
-            return _out_of_reach(asked, apart_m(end, nearest))
+            return _out_of_reach(desired, apart_m(end, nearest))
         if turned_rad > self.orientation_tolerance_rad:
             return _turned_away(turned_rad, self.orientation_tolerance_rad)
         step = np.abs(point - before)
@@ -282,27 +280,27 @@ class Following:
         halfway = self.tracker.pose(0.5 * (before + point)), self.path.at(0.5 * (from_m + reach_m))
         if 0.0 < self.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
             return _jump(self.joint_names[most], float(step[most]), reach_m - from_m)
-        return self.flaw(point)
+        return self.check_point(point)
 
 
-def leaves_limits(joint: str) -> Ended:
-    """A joint would go beyond a limit to keep to the path."""
-    return Ended("limit", f"joint {joint!r} would leave its limits", {"joint": joint})
+def leaves_limits(joint: str) -> PathEnd:
+    """Return the end of a path on which a joint would leave its limits."""
+    return PathEnd("limit", f"joint {joint!r} would leave its limits", {"joint": joint})
 
 
-def _out_of_reach(asked: pin.SE3, end_m: float) -> Ended:
-    place = ", ".join(f"{value:.4g}" for value in asked.translation)
+def _out_of_reach(desired: pin.SE3, end_m: float) -> PathEnd:
+    place = ", ".join(f"{value:.4g}" for value in desired.translation)
     whole = f"the tip comes no nearer to the end of the path than {100.0 * end_m:.1f} cm"
     sentence = whole if end_m > ON_PATH_M else f"the path leaves the arm's reach at ({place}) m, but not its end"
-    return Ended(
+    return PathEnd(
         "reach",
         sentence,
-        {"position_m": [float(value) for value in asked.translation], "distance_m": end_m},
+        {"position_m": [float(value) for value in desired.translation], "distance_m": end_m},
     )
 
 
-def _turned_away(turned_rad: float, tolerance_rad: float) -> Ended:
-    return Ended(
+def _turned_away(turned_rad: float, tolerance_rad: float) -> PathEnd:
+    return PathEnd(
         "orientation",
         f"the tip would have to turn by {np.degrees(turned_rad):.1f} degrees from the orientation asked for,"
         f" of which {np.degrees(tolerance_rad):.1f} are tolerated",
@@ -310,8 +308,8 @@ def _turned_away(turned_rad: float, tolerance_rad: float) -> Ended:
     )
 
 
-def _jump(joint: str, step_rad: float, step_m: float) -> Ended:
-    return Ended(
+def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
+    return PathEnd(
         "jump",
         f"joint {joint!r} would jump by {step_rad:.3g} rad within {1000.0 * step_m:.2g} mm of the path",
         {"joint": joint, "step_rad": step_rad, "step_m": step_m},

@@ -7,17 +7,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.cartesian.following import CHORD_M, Followed, TipTracker
+from planners.cartesian.following import CHORD_M, FollowedPath, TipTracker
 from planners.cartesian.tip_path import TipPath, apart_rad
 from planners.problem import Deviation
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # On a curve of few points the progress still has to rise and fall within this many steps.
 LEAST_GRID_STEPS = 20
 
 # The limits between grid points are kept to a few per mille with this many between two points of the curve.
 GRID_STEPS_PER_SPAN = 2
+
+# The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
+MEASURED_PER_SPAN = 2
+
+# Joint limits are checked at so many places of each span: a shorter excursion is negligible.
+LIMIT_CHECKS_PER_SPAN = 16
+
+# Beside a corner the curve runs ahead of the path or behind it, by no more than so many measured places.
+MEASURED_AROUND = 2
+
+# Each round of new points halves the spans where the curve is off, and what it is off by more than that.
+REFINEMENTS = 5
 
 
 class SplinePath:
@@ -48,19 +59,6 @@ class SplinePath:
         return self._curve(path_positions, order)
 
 
-# The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
-MEASURED_PER_SPAN = 2
-
-# Joints are looked at in so many places of each span: beyond a limit for a shorter stretch they are by nothing.
-LOOKS_PER_SPAN = 16
-
-# Beside a corner the curve runs ahead of the path or behind it, by no more than so many measured places.
-MEASURED_AROUND = 2
-
-# Each round of new points halves the spans where the curve is off, and what it is off by more than that.
-REFINEMENTS = 5
-
-
 @dataclass(frozen=True)
 class TipCurve:
     """A curve of the joints for a path of the tip.
@@ -71,18 +69,18 @@ class TipCurve:
         deviation: greatest deviation of the tip from the path on it.
     """
 
-    followed: Followed
+    followed: FollowedPath
     curve: SplinePath
     deviation: Deviation
 
 
-def tip_curve(followed: Followed, path: TipPath, tracker: TipTracker) -> TipCurve:
+def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> TipCurve:
     """The curve through at least two followed points, with more of them where it would leave the path or the limits."""
     for _ in range(REFINEMENTS):
         measured = _measured(followed, path, tracker)
         off = np.flatnonzero(measured.off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
-        places = measured.curve(_along_m(followed, LOOKS_PER_SPAN))
-        outside = np.flatnonzero(tracker.outside(places).any(axis=1).reshape(-1, LOOKS_PER_SPAN).any(axis=1))
+        places = measured.curve(_along_m(followed, LIMIT_CHECKS_PER_SPAN))
+        outside = np.flatnonzero(tracker.outside(places).any(axis=1).reshape(-1, LIMIT_CHECKS_PER_SPAN).any(axis=1))
         spans = np.union1d(off, outside)
         if not len(spans):
             break
@@ -101,17 +99,17 @@ class _Measured:
     turned_rad: float
 
 
-def _measured(followed: Followed, path: TipPath, tracker: TipTracker) -> _Measured:
+def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> _Measured:
     curve = SplinePath(followed.along_m, followed.points)
     along_m = _along_m(followed, MEASURED_PER_SPAN)
-    asked = [path.at(length_m) for length_m in along_m]
+    desired = [path.at(length_m) for length_m in along_m]
     poses = [tracker.pose(point) for point in curve(along_m)]
-    turned_rad = max(apart_rad(*pair) for pair in zip(asked, poses, strict=True))
-    places_m, line_m = (np.array([pose.translation for pose in part]) for part in (poses, asked))
+    turned_rad = max(apart_rad(*pair) for pair in zip(desired, poses, strict=True))
+    places_m, line_m = (np.array([pose.translation for pose in part]) for part in (poses, desired))
     return _Measured(curve, _distances_m(places_m, line_m), turned_rad)
 
 
-def _along_m(followed: Followed, per_span: int) -> Vector:
+def _along_m(followed: FollowedPath, per_span: int) -> Vector:
     """Lengths evenly within each span, its end included, shape (spans * per_span,) [m]."""
     spans = len(followed.points) - 1
     at = (np.arange(per_span * spans) + 1.0) / per_span
@@ -132,12 +130,12 @@ def _distances_m(places_m: Vector, line_m: Vector) -> Vector:
     return np.asarray(nearest_m)
 
 
-def _halved(followed: Followed, spans: NDArray[np.int64], path: TipPath, tracker: TipTracker) -> Followed:
+def _halved(followed: FollowedPath, spans: NDArray[np.int64], path: TipPath, tracker: TipTracker) -> FollowedPath:
     """With a point more in the middle of some spans: half-way between their ends, brought back to the path."""
     middle_m = 0.5 * (followed.along_m[spans] + followed.along_m[spans + 1])
     guesses = zip(middle_m, 0.5 * (followed.points[spans] + followed.points[spans + 1]), strict=True)
     points = np.array([tracker.follow(guess, path.at(length_m), 0.0) for length_m, guess in guesses])
-    return Followed(
+    return FollowedPath(
         np.insert(followed.along_m, spans + 1, middle_m),
         np.insert(followed.points, spans + 1, points, axis=0),
         followed.ended,

@@ -1,4 +1,4 @@
-"""Paths of the tip along lines and arcs, and the checks of what a client asks for, each with its true error code."""
+"""Paths of the tip along lines and arcs, and the checks of Cartesian problems, each with its error code."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from planners.checks import check_group
 from planners.ik.constraints import ROTATION_ARM_M, rotation
@@ -16,10 +15,9 @@ from planners.ik.goal_checks import check_constraints, invalid_goal
 from planners.problem import Arc, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from robot.description.model import RobotModel
+from robot.trajectory import Vector
 
-Vector = NDArray[np.float64]
-
-# Shorter pieces are repeated points: neither direction nor speed can be told of them.
+# Shorter pieces are repeated points, which have neither direction nor speed.
 SHORTEST_M = 1e-7
 
 # Directions of neighbouring pieces that differ by less go on smoothly.
@@ -30,6 +28,12 @@ SHORTEST_CHORD_M = 1e-5
 
 # Flatter arcs lose digits, and no arm tells them from lines.
 LARGEST_RADIUS_M = 100.0
+
+# Following takes some 0.3 ms a point, 3 s for so many.
+MOST_POINTS = 10_000
+
+# Quaternions from single precision are off by less; others are mistakes.
+NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -188,15 +192,8 @@ def _is_corner(first: _Piece, second: _Piece) -> bool:
     return lengths == 0.0 or across > SMOOTH_TURN_RAD * lengths or float(before @ after) < 0.0
 
 
-# Following takes some 0.3 ms a point: more would take longer than anyone waits for.
-MOST_POINTS = 10_000
-
-# Quaternions from single precision are off by less; others are mistakes.
-NORM_TOLERANCE = 1e-3
-
-
 def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure | None:
-    """Names and numbers of a problem."""
+    """Check names and numbers of a problem."""
     refusal = check_group(robot, problem.group) or check_constraints(robot, problem.path_constraints)
     if refusal is not None:
         return refusal

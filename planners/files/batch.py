@@ -46,7 +46,7 @@ class Setup:
     """All that the problems of a file share.
 
     Attributes:
-        digest: of robot and scene, by which setups are told apart.
+        digest: of robot and scene, by which setups are distinguished.
         robot: the arm to plan for.
         scene: what stands around.
     """
@@ -80,7 +80,7 @@ def plan_on(
         futures = client.map(
             answer,
             [setups[id(file)] for file, _ in problems],
-            # Packed: Dask would look for its own objects inside.
+            # Packed: Dask would search for its own objects inside.
             [pickle.dumps(problem) for _, problem in problems],
             asked_by=version(),
             pure=False,
@@ -99,7 +99,7 @@ def answer(setup: Setup, problem: bytes, asked_by: str) -> tuple[Plan | Planning
     Args:
         setup: robot and scene.
         problem: a pickled :class:`PlanningProblem`.
-        asked_by: version of the armbridge that asks.
+        asked_by: version of the armbridge that sends the problem.
 
     Returns:
         The answer and the CPU time spent on it [s].
@@ -135,7 +135,7 @@ def _connected(address: str) -> Iterator[Client]:
         raise BatchError(f"--scheduler {address}: must be tcp://HOST:PORT or tls://HOST:PORT")
     from distributed import Client
 
-    # It tells of each failure with pages of tracebacks; what matters is told here.
+    # It logs pages of tracebacks for each failure; BatchError has what matters.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:

@@ -23,7 +23,7 @@ from planners.problem import MoveItErrorCode, Plan, PlanningFailure
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
-# As many rows as can still be looked at in one picture.
+# As many rows as one picture can show.
 MAX_MOTIONS = 20
 
 # Points a curve is drawn with.
@@ -31,6 +31,18 @@ POINTS = 400
 
 # Inches of a row, wide and high.
 ROW_SIZE_IN = (12.0, 2.6)
+
+# Exit codes: every answer is one that its file takes as right; some are not; nothing was planned.
+EXIT_EXPECTED = 0
+EXIT_UNEXPECTED = 3
+EXIT_USAGE = 2
+
+_ROW = "{:<{}} {:>5}  {:<26} {:>8}  {:>12}  {:>12}\n"
+_TITLES = ("code", "", "CPU [ms]", "duration [s]", "length [rad]")
+_NAME_WIDTH = 20
+
+# Back to the begin of the line, and clear it (ECMA-48).
+_CLEAR_LINE = "\r\x1b[K"
 
 
 def check_available() -> None:
@@ -76,19 +88,6 @@ def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
         raise PlottingError(f"{path} cannot be drawn: {error}") from error
 
 
-# Exit codes: every answer is one that its file takes as right; some are not; nothing was planned.
-EXIT_EXPECTED = 0
-EXIT_UNEXPECTED = 3
-EXIT_USAGE = 2
-
-_ROW = "{:<{}} {:>5}  {:<26} {:>8}  {:>12}  {:>12}\n"
-_TITLES = ("code", "", "CPU [ms]", "duration [s]", "length [rad]")
-_NAME_WIDTH = 20
-
-# Back to the begin of the line, and clear it (ECMA-48).
-_CLEAR_LINE = "\r\x1b[K"
-
-
 @dataclass(frozen=True)
 class Options:
     """Options of the command.
@@ -120,13 +119,13 @@ class Task:
         name: its id, after the path of its file when there are several.
         path: of its file.
         file: its file.
-        asked: the problem.
+        file_problem: the problem.
     """
 
     name: str
     path: Path
     file: ProblemFile
-    asked: FileProblem
+    file_problem: FileProblem
 
 
 @dataclass(frozen=True)
@@ -134,12 +133,12 @@ class Outcome:
     """Outcome of one problem.
 
     Attributes:
-        asked: the problem.
+        file_problem: the problem.
         answer: its plan, or why there is none.
         cpu_s: CPU time spent on it [s].
     """
 
-    asked: FileProblem
+    file_problem: FileProblem
     answer: Plan | PlanningFailure
     cpu_s: float
 
@@ -151,16 +150,16 @@ class Outcome:
     @property
     def expected(self) -> bool:
         """True when the file accepts the answer."""
-        return self.code in self.asked.accept_codes
+        return self.code in self.file_problem.accept_codes
 
 
 def run(options: Options, robot: RobotModel, output: TextIO, errors: TextIO) -> int:
-    """Plan, print a table, and write the files asked for; the exit code."""
+    """Plan, print a table, and write the requested files; return the exit code."""
     try:
         if options.plot_path is not None:
             check_available()
         tasks = _tasks(options, robot)
-        # Closed whatever happens, so that a cluster does not go on with what nobody waits for.
+        # Closed in any case, so that a cluster does not go on with problems whose answers are not needed.
         with contextlib.closing(_answers(tasks, options.scheduler)) as answers:
             outcomes = _printed(tasks, answers, output, errors)
         _write(options, tasks, outcomes)
@@ -192,10 +191,10 @@ def plan_all(file: ProblemFile, problems: Sequence[FileProblem]) -> Iterator[Out
     # As in a server's planner process: a goal that failed there fails in the same way here, however busy the machine.
     planner = Planner(file.robot, time.process_time)
     refusal = planner.set_scene(file.scene)
-    for asked in problems:
+    for file_problem in problems:
         started_s = time.process_time()
-        answer = refusal or planner.plan(asked.problem)
-        yield Outcome(asked, answer, time.process_time() - started_s)
+        answer = refusal or planner.plan(file_problem.problem)
+        yield Outcome(file_problem, answer, time.process_time() - started_s)
 
 
 def _tasks(options: Options, robot: RobotModel) -> list[Task]:
@@ -210,23 +209,23 @@ def _tasks(options: Options, robot: RobotModel) -> list[Task]:
         if name not in known:
             raise ProblemFileError(", ".join(map(str, options.paths)), "id", f"there is no problem {name!r}")
     return [
-        Task(asked.id if len(files) == 1 else f"{path}:{asked.id}", path, file, asked)
+        Task(file_problem.id if len(files) == 1 else f"{path}:{file_problem.id}", path, file, file_problem)
         for path, file in zip(options.paths, files, strict=True)
-        for asked in chosen(file, options)
+        for file_problem in chosen(file, options)
     ]
 
 
 def _answers(tasks: Sequence[Task], scheduler: str | None) -> Generator[tuple[int, Outcome]]:
     """Plan tasks here or on a cluster; outcomes come with the tasks' numbers, in the order in which they are known."""
     if scheduler is not None:
-        planned = batch.plan_on(scheduler, [(task.file, task.asked.problem) for task in tasks])
+        planned = batch.plan_on(scheduler, [(task.file, task.file_problem.problem) for task in tasks])
         for number, answer, cpu_s in planned:
-            yield number, Outcome(tasks[number].asked, answer, cpu_s)
+            yield number, Outcome(tasks[number].file_problem, answer, cpu_s)
         return
     number = 0
     for _, group in itertools.groupby(tasks, key=lambda task: id(task.file)):
         together = list(group)
-        for outcome in plan_all(together[0].file, [task.asked for task in together]):
+        for outcome in plan_all(together[0].file, [task.file_problem for task in together]):
             yield number, outcome
             number += 1
 
@@ -291,11 +290,11 @@ def _write(options: Options, tasks: Sequence[Task], outcomes: Sequence[Outcome])
 def _answer_as_json(outcome: Outcome, joint_names: Sequence[str]) -> dict[str, Any]:
     answer = outcome.answer
     if isinstance(answer, PlanningFailure):
-        return {"problem": outcome.asked.id, "error_code": answer.code.value, "message": answer.message}
+        return {"problem": outcome.file_problem.id, "error_code": answer.code.value, "message": answer.message}
     motion = answer.trajectory
     columns = [motion.joint_names.index(name) for name in joint_names if name in motion.joint_names]
     return {
-        "problem": outcome.asked.id,
+        "problem": outcome.file_problem.id,
         "time_from_start": motion.time_s.tolist(),
         "positions": motion.positions_rad[:, columns].tolist(),
         "velocities": motion.velocities_rad_s[:, columns].tolist(),

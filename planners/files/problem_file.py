@@ -39,6 +39,28 @@ _SHAPE_OF: Mapping[str, Callable[..., scene.Shape]] = {
     "plane": lambda x, y, z, offset: scene.Plane((x, y, z), offset),
 }
 
+FORMAT: Literal["so101-plan-bench/1"] = "so101-plan-bench/1"
+
+# The joint that the field ``gripper`` positions: the only one of the SO-101 that is not in its planning group.
+GRIPPER_JOINT = "gripper"
+
+_GOALS: Mapping[str, type[Any]] = {
+    "joints": JointGoal,
+    "position": PositionGoal,
+    "axis": AxisGoal,
+    "pose": PoseGoal,
+    "constraints": ConstraintGoal,
+}
+
+_NOT_OPTIONS = {"group", "start_rad", "goal"}
+_ANY_OF = "any_of"
+
+# As much of a refused value as fits in a line.
+SHOWN_CHARACTERS = 60
+
+_Rate = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_Angle = Annotated[float, Field(allow_inf_nan=False)]
+
 
 class PoseFields(BaseModel):
     """A pose: ``position`` [m], ``orientation`` as a quaternion x, y, z, w."""
@@ -47,7 +69,7 @@ class PoseFields(BaseModel):
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
 
     def pose(self) -> scene.Pose:
-        """The pose meant."""
+        """Return the pose."""
         return scene.Pose(self.position, self.orientation)
 
 
@@ -68,7 +90,7 @@ class ShapeFields(BaseModel):
         return self
 
     def shape(self) -> scene.Shape:
-        """The shape meant, without its pose."""
+        """Return the shape, without its pose."""
         if self.type == "mesh":
             vertices_m = np.array(self.vertices, dtype=np.float64).reshape(-1, 3)
             return scene.Mesh(vertices_m, np.array(self.triangles, dtype=np.int32).reshape(-1, 3))
@@ -76,7 +98,7 @@ class ShapeFields(BaseModel):
 
 
 class ObjectFields(BaseModel):
-    """A thing: of one shape, given beside its ``id``, or of several in ``shapes``."""
+    """An object: of one shape, given beside its ``id``, or of several in ``shapes``."""
 
     id: str
     pose: PoseFields = PoseFields()
@@ -90,13 +112,13 @@ class ObjectFields(BaseModel):
         return {**fields, "shapes": [{name: value for name, value in fields.items() if name != "pose"}]}
 
     def object(self) -> scene.SceneObject:
-        """The thing meant."""
+        """Return the object."""
         shapes = tuple((fields.shape(), fields.pose.pose()) for fields in self.shapes)
         return scene.SceneObject(self.id, shapes, self.pose.pose())
 
 
 class AttachedFields(ObjectFields):
-    """A thing held by ``link``, its pose in the link's frame."""
+    """An object attached to ``link``, its pose in the link's frame."""
 
     link: str
     touch_links: list[str] = []
@@ -112,7 +134,7 @@ class SceneFields(BaseModel):
     link_scale: dict[str, float] = {}
 
     def scene(self, version: int) -> scene.Scene:
-        """The scene meant.
+        """Return the scene.
 
         Args:
             version: a number that no other scene has.
@@ -130,25 +152,28 @@ class SceneFields(BaseModel):
         )
 
 
-def scene_fields(surroundings: scene.Scene) -> dict[str, Any]:
+def scene_fields(described: scene.Scene) -> dict[str, Any]:
     """A scene as fields of a problem file."""
-    held = surroundings.attached
+    held = described.attached
     return {
-        "objects": [_object_fields(thing) for thing in surroundings.objects],
+        "objects": [_object_fields(scene_object) for scene_object in described.objects],
         "attached": [
             {**_object_fields(each.object), "link": each.link, "touch_links": sorted(each.touch_links)} for each in held
         ],
-        "allowed_contacts": [[min(pair), max(pair), allowed] for pair, allowed in surroundings.allowed.items() if pair],
-        "link_padding": dict(surroundings.link_padding_m),
-        "link_scale": dict(surroundings.link_scale),
+        "allowed_contacts": [[min(pair), max(pair), allowed] for pair, allowed in described.allowed.items() if pair],
+        "link_padding": dict(described.link_padding_m),
+        "link_scale": dict(described.link_scale),
     }
 
 
-def _object_fields(thing: scene.SceneObject) -> dict[str, Any]:
-    name = {"id": thing.name, "pose": _pose_fields(thing.pose)}
-    if len(thing.shapes) == 1 and thing.shapes[0][1] == scene.Pose():
-        return {**_shape_fields(thing.shapes[0][0]), **name}
-    return {**name, "shapes": [{**_shape_fields(shape), "pose": _pose_fields(pose)} for shape, pose in thing.shapes]}
+def _object_fields(scene_object: scene.SceneObject) -> dict[str, Any]:
+    name = {"id": scene_object.name, "pose": _pose_fields(scene_object.pose)}
+    if len(scene_object.shapes) == 1 and scene_object.shapes[0][1] == scene.Pose():
+        return {**_shape_fields(scene_object.shapes[0][0]), **name}
+    return {
+        **name,
+        "shapes": [{**_shape_fields(shape), "pose": _pose_fields(pose)} for shape, pose in scene_object.shapes],
+    }
 
 
 def _pose_fields(pose: scene.Pose) -> dict[str, Any]:
@@ -171,30 +196,10 @@ def _shape_fields(shape: scene.Shape) -> dict[str, Any]:
             return {"type": "mesh", "vertices": vertices_m.tolist(), "triangles": triangles.tolist()}
 
 
-FORMAT: Literal["so101-plan-bench/1"] = "so101-plan-bench/1"
-
-# The joint that the field ``gripper`` positions: the only one of the SO-101 that is not in its planning group.
-GRIPPER_JOINT = "gripper"
-
-_GOALS: Mapping[str, type[Any]] = {
-    "joints": JointGoal,
-    "position": PositionGoal,
-    "axis": AxisGoal,
-    "pose": PoseGoal,
-    "constraints": ConstraintGoal,
-}
 _ADAPTERS: Mapping[type[Any], TypeAdapter[Any]] = {
     PlanningProblem: TypeAdapter(PlanningProblem),
     **{kind: TypeAdapter(kind) for kind in _GOALS.values()},
 }
-_NOT_OPTIONS = {"group", "start_rad", "goal"}
-_ANY_OF = "any_of"
-
-# As much of a refused value as fits in a line.
-SHOWN_CHARACTERS = 60
-
-_Rate = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_Angle = Annotated[float, Field(allow_inf_nan=False)]
 
 
 @dataclass(frozen=True)
@@ -356,8 +361,8 @@ class _Reader:
         if self._fields.gripper is not None:
             start_rad[GRIPPER_JOINT] = self._fields.gripper
         start_rad |= dict(zip(self._fields.joint_names, start, strict=True))
-        asked = {"group": self._group, "start_rad": start_rad, "goal": self._goal(where, entry)}
-        problem: PlanningProblem = self._validated(f"{where}.options", PlanningProblem, {**entry.options, **asked})
+        fields = {"group": self._group, "start_rad": start_rad, "goal": self._goal(where, entry)}
+        problem: PlanningProblem = self._validated(f"{where}.options", PlanningProblem, {**entry.options, **fields})
         return problem
 
     def _goal(self, where: str, entry: _Entry) -> Goal:
@@ -412,10 +417,10 @@ def write(path: Path, problem: PlanningProblem, scene: Scene, robot: RobotModel,
 
     Args:
         path: the file, written anew.
-        problem: what was asked.
-        scene: what stood around.
+        problem: the problem.
+        scene: its scene.
         robot: the robot, with the limits that were kept.
-        answer: what was answered; it is noted beside the problem.
+        answer: its answer, noted beside the problem.
 
     Raises:
         OSError: the file cannot be written.
@@ -492,7 +497,7 @@ def _replaced(value: Any, leaf: Callable[[Any], Any]) -> Any:
 
 
 def _refused(path: Path, where: str, error: ValidationError) -> ProblemFileError:
-    """The first thing that is wrong, with the field's place in the file."""
+    """Return the first flaw, with the field's place in the file."""
     first = error.errors(include_url=False)[0]
     field = ".".join(part for part in (where, *map(str, first["loc"])) if part)
     return ProblemFileError(str(path), field, f"{first['msg']}, not {str(first['input'])[:SHOWN_CHARACTERS]}")

@@ -1,1 +1,1 @@
-"""Geometry of the robot and its surroundings: kinematics and collision by pinocchio and coal."""
+"""Geometry of the robot and its scene: kinematics and collision by pinocchio and coal."""

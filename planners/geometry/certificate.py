@@ -38,7 +38,7 @@ def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
     """
     time_s = _first_contact_s(space, trajectory)
     # Hulls are wider than links: where only they touch, what they enclose has the last word. Each turn adds a pair.
-    while time_s is not None and space.look_closer(trajectory.sample(time_s)[0]):
+    while time_s is not None and space.use_meshes_at(trajectory.sample(time_s)[0]):
         time_s = _first_contact_s(space, trajectory)
     return None if time_s is None else Contact(time_s, space.contacts(trajectory.sample(time_s)[0]))
 

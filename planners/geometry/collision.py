@@ -1,4 +1,4 @@
-"""Collision model of the robot, its surroundings and attached objects: checked pairs, contacts and distances."""
+"""Collision model of the robot and its scene: checked pairs, contacts and distances."""
 
 from __future__ import annotations
 
@@ -28,6 +28,16 @@ from planners.problem import PlanningFailure
 from planners.scene import EMPTY_SCENE, AttachedObject, Point, Scene
 from planners.scene_checks import check_scene
 from robot.description.model import RobotModel
+from robot.trajectory import Vector
+
+# Depths of the same contact differ by this much between runs of the penetration algorithm.
+DEPTH_ACCURACY_M = 0.0002
+
+# By so much a hull reaches beyond what it encloses.
+HULL_EXCESS_M = 0.02
+
+NO_CONTACT: Mapping[frozenset[str], float] = {}
+NO_PAIRS: frozenset[frozenset[str]] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -53,8 +63,8 @@ class Body:
     padding_m: float = 0.0
 
 
-def links_of(model: pin.Model, shapes: Sequence[pin.GeometryObject], scene: Scene) -> list[Body]:
-    """The robot's links as a scene wants them.
+def link_bodies(model: pin.Model, shapes: Sequence[pin.GeometryObject], scene: Scene) -> list[Body]:
+    """Return the bodies of the robot's links, padded and scaled as in a scene.
 
     Returns:
         One body for each shape; after them one for each scaled shape: only objects meet links in their other size.
@@ -73,8 +83,8 @@ def links_of(model: pin.Model, shapes: Sequence[pin.GeometryObject], scene: Scen
     return [*bodies, *larger]
 
 
-def held_by(model: pin.Model, attached: AttachedObject, reach_m: float) -> Iterator[Body]:
-    """An object that moves with a link, which it touches.
+def attached_bodies(model: pin.Model, attached: AttachedObject, reach_m: float) -> Iterator[Body]:
+    """Yield the bodies of an attached object, which may touch its link.
 
     Args:
         model: the robot's joints.
@@ -92,17 +102,18 @@ def held_by(model: pin.Model, attached: AttachedObject, reach_m: float) -> Itera
         yield Body(attached.object.name, carried, is_link=False, may_touch=touched)
 
 
-def standing(scene: Scene, reach_m: float) -> Iterator[Body]:
-    """Objects of the scene around the robot."""
-    for thing in scene.objects:
-        pose = placement(thing.pose)
-        for shape, at in thing.shapes:
+def object_bodies(scene: Scene, reach_m: float) -> Iterator[Body]:
+    """Yield the bodies of the objects around the robot."""
+    for scene_object in scene.objects:
+        pose = placement(scene_object.pose)
+        for shape, at in scene_object.shapes:
             place = pose * placement(at)
             geometry, local = solid(shape, reach_m + math.hypot(*place.translation))
-            yield Body(thing.name, pin.GeometryObject(thing.name, 0, 0, place * local, geometry), is_link=False)
+            carried = pin.GeometryObject(scene_object.name, 0, 0, place * local, geometry)
+            yield Body(scene_object.name, carried, is_link=False)
 
 
-class Rules:
+class PairFilter:
     """Pairs of bodies that are checked against each other.
 
     Those that do not move against each other are not, be they links of one joint or the root link and the world.
@@ -117,9 +128,9 @@ class Rules:
         self._unchecked = {names for names in adjacent | robot.disabled_pairs if allowed.get(names, True)}
         self._unchecked |= {names for names, may_touch in allowed.items() if may_touch}
 
-    def pairs(self, movers: Sequence[Body], standing: Sequence[Body]) -> NDArray[np.int64]:
-        """Indices in ``movers`` and then ``standing`` of bodies that are checked, shape (pairs, 2), smaller first."""
-        bodies = [*movers, *standing]
+    def pairs(self, movers: Sequence[Body], resting: Sequence[Body]) -> NDArray[np.int64]:
+        """Return the indices of bodies to check, ``movers`` and then ``resting``, shape (pairs, 2), smaller first."""
+        bodies = [*movers, *resting]
         found = [
             (i, j)
             for i, first in enumerate(movers)
@@ -145,18 +156,6 @@ def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.floa
     link = np.array([body.is_link for body in bodies])
     first, second = pairs.T
     return np.where(link[first] != link[second], thick_m[first] + thick_m[second], 0.0)
-
-
-Vector = NDArray[np.float64]
-
-# Depths of the same contact differ by this much between runs of the penetration algorithm.
-DEPTH_ACCURACY_M = 0.0002
-
-# By so much a hull reaches beyond what it encloses.
-HULL_EXCESS_M = 0.02
-
-NO_CONTACT: Mapping[frozenset[str], float] = {}
-NO_PAIRS: frozenset[frozenset[str]] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -222,10 +221,10 @@ class CollisionModel:
         self._build(EMPTY_SCENE)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
-        """Take over what stands around and what is held; nothing is done for a version that is there already.
+        """Take over a scene; nothing is done for a version that is there already.
 
         Returns:
-            What is wrong with the scene: then the one before stays.
+            The flaw of a scene that cannot be used, which leaves the scene before in place; else None.
         """
         if scene.version == self._version:
             return None
@@ -240,7 +239,7 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
     ) -> bool:
-        """Tell whether things touch that must not.
+        """Tell whether a checked pair touches.
 
         Args:
             q: configuration.
@@ -266,7 +265,7 @@ class CollisionModel:
         margins_m: Vector = joint_travel @ self._approach_m.T
         return margins_m
 
-    def threats(
+    def candidate_pairs(
         self,
         q: Vector,
         margin_m: Vector,
@@ -279,7 +278,7 @@ class CollisionModel:
         Args:
             q: configuration.
             margin_m: of each pair, shape (pairs,) [m].
-            among: indices of the pairs to look at; None for all.
+            among: indices of the pairs to check; None for all.
             allowed: as for :meth:`in_collision`.
             by_mesh: as for :meth:`in_collision`.
         """
@@ -371,17 +370,17 @@ class CollisionModel:
         return positions
 
     def _build(self, scene: Scene) -> None:
-        movers = links_of(self._model, self._shapes, scene)
+        movers = link_bodies(self._model, self._shapes, scene)
         for attached in scene.attached:
-            movers += held_by(self._model, attached, self._farthest_m)
+            movers += attached_bodies(self._model, attached, self._farthest_m)
         added = [body.shape for body in movers[len(self._shapes) :]]
         farthest_m = max([self._farthest_m, *(self._reach.farthest_m(shape) for shape in added)])
-        around = list(standing(scene, farthest_m))
+        around = list(object_bodies(scene, farthest_m))
         resting = np.zeros((len(around), len(self.joint_names)))
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
         self._version, self._scaled, self._bodies = scene.version, frozenset(scene.link_scale), [*movers, *around]
         self._known_parts: dict[int, Parts] = {}
-        self._pairs = Rules(self._robot, scene.allowed).pairs(movers, around)
+        self._pairs = PairFilter(self._robot, scene.allowed).pairs(movers, around)
         self._apart_m = padding(self._bodies, self._pairs)
         self._approach_m = approach(reach_m, self._pairs)
         self.travel_m_per_rad = np.vstack((reach_m, self._frames_reach_m)).max(axis=0)
@@ -440,7 +439,7 @@ class CollisionModel:
 
     def _exact_parts(self, index: int) -> tuple[Parts, pin.SE3]:
         body = self._bodies[index]
-        # Measuring an object takes ten times as long as a look at its pairs.
+        # Measuring an object takes ten times as long as a check of its pairs.
         if index not in self._known_parts:
             self._known_parts[index] = self._exact.of_link(body.name) if body.is_link else parts_of([body.shape])
         return self._known_parts[index], self._broadphase.placement(body.shape.parentJoint)

@@ -14,11 +14,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.nearness import Nearest, Spheres, slope_m_per_rad
+from planners.geometry.nearness import BoundingSpheres, Nearest, slope_m_per_rad
 from planners.geometry.shapes import convex, link_name, on_link, outline, urdf_shapes
 from robot.description.model import RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # With coal's default of 1e-6 one pair in 80 000 that overlaps, by up to 48 mm, is called free: the search for a common
 # point gives up too early on shapes of a few centimetres. With this none of 1.6 million was, at no cost.
@@ -55,18 +54,18 @@ class Broadphase:
         self._pairs, self._apart_m = pairs, apart_m
         self._carriers = [shape.parentJoint for shape in shapes]
         self._shapes = shapes
-        # Made when they are first asked for: a large scene that nobody is steered in needs none.
-        self._spheres: Spheres | None = None
+        # Made at the first use: only servoing needs them, and a large scene has many.
+        self._bounding_spheres: BoundingSpheres | None = None
         self._margins_m = np.zeros((len(shapes), len(shapes)))
         # The tree keeps references to the models, and halves the time of a check even for seven shapes. It takes
-        # margins over when told to only, so there is one for contacts and one for what is near.
+        # margins over on update only, so there is one for contacts and one for what is near.
         self._contact, self._near = self._geometry.createData(), self._geometry.createData()
         # Shapes that never were anywhere have boxes of garbage, which the trees refuse.
         self.place(pin.neutral(model))
         pin.updateGeometryPlacements(model, self._data, self._geometry, self._near)
         self._contact_tree, self._near_tree = self._tree(self._contact), self._tree(self._near)
         self._near_results = list(self._near.collisionResults)
-        # Pairs that are asked about one by one have their margins to themselves.
+        # Pairs that are checked one by one have margins of their own.
         self._single = self._geometry.createData()
         self._single_requests = list(self._single.collisionRequests)
         for request in self._single_requests:
@@ -116,9 +115,9 @@ class Broadphase:
 
     def within(self, margin_m: float) -> NDArray[np.intp]:
         """Indices of the pairs that may be nearer than a margin beyond what they must be apart [m]."""
-        if self._spheres is None:
-            self._spheres = Spheres(self._shapes, self._pairs)
-        return self._spheres.within(self._data, self._apart_m + margin_m)
+        if self._bounding_spheres is None:
+            self._bounding_spheres = BoundingSpheres(self._shapes, self._pairs)
+        return self._bounding_spheres.within(self._data, self._apart_m + margin_m)
 
     def nearest(self, pair: int) -> Nearest:
         """Return the nearest points of a pair's shapes, in the root link's frame."""
@@ -291,7 +290,7 @@ def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) 
         if distance_m < found.distance_m:
             # What the result shows of itself changes with the next pair.
             found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
-    return found.seen_from(at_first)
+    return found.transformed(at_first)
 
 
 class _Boxes:

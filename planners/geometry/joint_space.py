@@ -8,22 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
-from planners.geometry.sweep import ANYTHING, Cubics, Threats, first_contact, line_is_free
+from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, Cubics, first_contact, line_is_free
 from robot.description.model import Group
+from robot.trajectory import Vector
 
-Vector = NDArray[np.float64]
-
-# Finer than this a search need not look: its motions are certified afterwards.
+# A search need not check more finely: its motions are certified afterwards.
 CHECK_STEP_M = 0.001
 
 # An allowed overlap has to shrink by this share of the way from where it was allowed, so that it is left and does not
 # come again further on, where the same depth of parts wider than the links would be a contact of the links themselves.
 LEAVING = 0.05
 
-# Conditions have no margin as contacts have, so they are asked this often, in travel of the fastest point.
+# Conditions have no margin as contacts have, so they are checked this often, in travel of the fastest point.
 CONDITION_STEP_M = 0.01
 
-# Stands for the condition among what threatens a range, beside the indices of pairs.
+# Stands for the condition among the candidate pairs of a range.
 CONDITION = -1
 
 
@@ -37,7 +36,7 @@ class JointSpace:
         allowed: pairs of names that overlap at the start and may do so near it, less and less, and how deep [m].
         holds: a condition on configurations that free ones meet as well.
         also_free: configurations beside the start, such as goals, that are known to touch nothing although hulls may
-            overlap there; with the start they say of which pairs the meshes are asked.
+            overlap there; with the start they determine the pairs that are checked by their meshes.
 
     Attributes:
         lower_rad: shape (n,), lower position limits.
@@ -79,24 +78,26 @@ class JointSpace:
             return False
         return self._holds is None or self._holds(self._q)
 
-    def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
-        """As :class:`planners.geometry.sweep.Surroundings` has it: pairs that may touch, and the condition."""
+    def candidate_pairs(
+        self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
+    ) -> list[CandidatePairs]:
+        """Return pairs that may touch, and the condition; see :class:`planners.geometry.sweep.CollisionChecker`."""
         configurations, travel = np.tile(self._q, (len(points), 1)), np.zeros((len(points), len(self._q)))
         configurations[:, self._columns] = points
         travel[:, self._columns] = joint_travel
         margins_m = self._collision.margins_m(travel)
         away = joint_travel + np.abs(points - self._start)
-        found: list[Threats] = []
+        found: list[CandidatePairs] = []
         for i, q in enumerate(configurations):
             allowed = self._allowed and self._allowed_near(away[i])
             known = among[i]
-            pairs = self._collision.threats(q, margins_m[i], known and _pairs(known), allowed, self._by_mesh)
+            pairs = self._collision.candidate_pairs(q, margins_m[i], known and _pairs(known), allowed, self._by_mesh)
             found.append(pairs if self._holds_around(q, joint_travel[i], among[i]) else (*pairs, CONDITION))
         return found
 
-    def touches_any(self, point: Vector, among: Threats) -> bool:
-        """As :class:`planners.geometry.sweep.Surroundings` has it."""
-        if among is ANYTHING:
+    def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
+        """Tell whether any candidate touches at a point; see :class:`planners.geometry.sweep.CollisionChecker`."""
+        if among is ALL_PAIRS:
             return not self.free(point)
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
@@ -110,7 +111,7 @@ class JointSpace:
         Args:
             start: first point, taken to be free.
             end: last point, checked as well.
-            step_m: nothing more is asked between two free points along which nothing moves further than this [m].
+            step_m: a range between two free points in which nothing moves further than this is not checked further [m].
         """
         return line_is_free(self, start, end, step_m)
 
@@ -126,8 +127,8 @@ class JointSpace:
         lines = Cubics(start + shares * (end - start))
         return self.free(points[-1]) and first_contact(self, lines, step_m, earliest=False) is None
 
-    def look_closer(self, point: Vector) -> bool:
-        """Ask the meshes from now on of pairs of which only the hulls touch at a point; whether there are new ones."""
+    def use_meshes_at(self, point: Vector) -> bool:
+        """Check pairs whose hulls alone touch at a point by their meshes from now on; return true if any is new."""
         self._q[self._columns] = point
         known = self._by_mesh
         self._by_mesh = known | self._collision.tight_pairs(self._q)
@@ -147,9 +148,9 @@ class JointSpace:
             if pair.links not in allowed or overlaps_m.get(pair.links, 0.0) > allowed[pair.links] + DEPTH_ACCURACY_M
         )
 
-    def _holds_around(self, q: Vector, joint_travel: Vector, among: Threats) -> bool:
+    def _holds_around(self, q: Vector, joint_travel: Vector, among: CandidatePairs) -> bool:
         """Tell whether the condition holds where the joints move by so much at most, shape (n,) [rad]."""
-        if self._holds is None or (among is not ANYTHING and CONDITION not in among):
+        if self._holds is None or (among is not ALL_PAIRS and CONDITION not in among):
             return True
         return bool(joint_travel @ self.travel_m_per_rad <= CONDITION_STEP_M) and self._holds(q)
 
@@ -160,9 +161,9 @@ class JointSpace:
         return {names: depth_m for names, depth_m in left_m.items() if depth_m > -DEPTH_ACCURACY_M}
 
 
-def _pairs(threats: tuple[int, ...]) -> tuple[int, ...]:
-    """The pairs among what threatens a range."""
-    return threats[:-1] if threats[-1:] == (CONDITION,) else threats
+def _pairs(candidate_pairs: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the candidate pairs of a range without the condition."""
+    return candidate_pairs[:-1] if candidate_pairs[-1:] == (CONDITION,) else candidate_pairs
 
 
 def _columns(collision: CollisionModel, group: Group) -> slice | NDArray[np.int64]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planners.geometry.shapes import outline
 from robot.description.model import RobotModel
+from robot.trajectory import Vector
 
 
 def kinematic_urdf(robot: RobotModel) -> str:
@@ -37,9 +38,6 @@ def kinematic_urdf(robot: RobotModel) -> str:
         if known.type == "continuous":
             joint.set("type", "revolute")
     return ET.tostring(root, encoding="unicode")
-
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

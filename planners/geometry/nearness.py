@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Nearest:
     point_m: Vector
     normal: Vector
 
-    def seen_from(self, place: pin.SE3) -> Nearest:
+    def transformed(self, place: pin.SE3) -> Nearest:
         """The same in the frame in which ``place`` gives the present one."""
         return Nearest(self.distance_m, place.rotation @ self.point_m + place.translation, place.rotation @ self.normal)
 
@@ -70,7 +70,7 @@ def slope_m_per_rad(model: pin.Model, data: pin.Data, nearest: Nearest, first: i
     return slopes
 
 
-class Spheres:
+class BoundingSpheres:
     """A sphere around each shape, to leave out quickly what is far.
 
     Args:

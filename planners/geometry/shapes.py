@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from planners.errors import ShapeError
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from robot.description.model import RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # A check's time grows with the corners: hulls of the SO-101's meshes have thousands and take five times as long.
 MAX_CORNERS = 250
@@ -38,7 +37,7 @@ def convex(points: Vector) -> coal.Convex:
     Args:
         points: shape (n, 3), n >= 1, finite [m].
     """
-    # Asked for the hull of flat points, coal ends the process.
+    # For the hull of flat points coal ends the process.
     if _thickness(points) < FLAT:
         points = (points[:, np.newaxis] + PLATE_M * np.vstack((np.eye(3), -np.eye(3)))).reshape(-1, 3)
     vertices = coal.StdVec_Vec3s()

@@ -1,8 +1,8 @@
-"""Is a curve free between its points? Bisection with margins as wide as things can move.
+"""Continuous collision check of lines and curves: bisection with margins as wide as the shapes can move.
 
-Where nothing is nearer to anything than the joints can bring it on a piece of the curve, that piece is free as a whole.
-Pieces of which that cannot be said are halved, and a half is asked about what threatened the whole only: a few of many
-pairs. No distance is computed: a check with a margin costs as much as one without, and most pieces are long.
+Where no pair of shapes is nearer than the joints can bring it on a piece of the curve, that piece is free as a whole.
+Other pieces are halved, and a half is checked for the candidate pairs of the whole only: a few of many. No distance is
+computed: a check with a margin costs as much as one without, and most pieces are long.
 """
 
 from __future__ import annotations
@@ -13,29 +13,30 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
+
 Indices = NDArray[np.int64]
 
-# What can be touched in a range, by the numbers that the surroundings give it; ANYTHING where nothing was asked yet.
-Threats = tuple[int, ...] | None
-ANYTHING: None = None
-NOTHING: Threats = ()
+# Pairs that can touch within a range, by the checker's indices; ALL_PAIRS before the first check.
+CandidatePairs = tuple[int, ...] | None
+ALL_PAIRS: None = None
+NO_CANDIDATES: CandidatePairs = ()
 
-# Contacts deeper than half of this are found: the range between two free checks that nothing more is asked about.
+# Contacts deeper than half of this are found: it is the width of ranges that are not halved any more.
 FINEST_STEP_M = 0.0001
 
-# On longer pieces than this something is near nearly always: only their middle is looked at.
+# On longer pieces than this something is near nearly always: only their middle is checked.
 WIDEST_MARGIN_M = 0.1
 
-# Once there is a contact, earlier ones are looked for this finely only: it is said when, and that is a sample's time.
+# After the first contact, earlier ones are searched for this finely only: enough for the time of the contact.
 EARLIEST_STEP_M = 0.01
 
 # Curves this close to a line are one: what they carry moves by less than a thousandth of the finest step.
 STRAIGHT_RAD = 1e-8
 
 
-class Surroundings(Protocol):
-    """Questions about points, shape (n,) [rad], that a sweep needs answered."""
+class CollisionChecker(Protocol):
+    """Collision checks of points, shape (n,) [rad], as a sweep needs them."""
 
     @property
     def travel_m_per_rad(self) -> Vector:
@@ -46,49 +47,53 @@ class Surroundings(Protocol):
         """Tell whether nothing touches at a point."""
         ...
 
-    def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
+    def candidate_pairs(
+        self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
+    ) -> list[CandidatePairs]:
         """Return the pairs that can touch around points, over a range of the joints around each.
 
         Args:
             points: shape (m, n) [rad].
-            joint_travel: how far each joint may be from each point, shape (m, n) [rad].
-            among: for each point what threatens a range with this one in it: nothing else is looked at.
+            joint_travel: greatest distance of each joint from each point, shape (m, n) [rad].
+            among: for each point the candidate pairs of a range that contains this one; no others are checked.
 
         Returns:
             For each point; where it is empty, the range is free.
         """
         ...
 
-    def touches_any(self, point: Vector, among: Threats) -> bool:
-        """Tell whether any of what threatens a range around a point, shape (n,), is touched there."""
+    def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
+        """Tell whether any candidate pair of a range touches at a point of the range, shape (n,)."""
         ...
 
 
-def line_is_free(around: Surroundings, start: Vector, end: Vector, step_m: float) -> bool:
+def line_is_free(checker: CollisionChecker, start: Vector, end: Vector, step_m: float) -> bool:
     """Tell whether nothing touches on a straight line.
 
     Args:
-        around: what there is to touch.
+        checker: checks points.
         start: first point, taken to be free.
         end: last point, checked as well.
         step_m: on pieces along which nothing moves more than this only the ends are checked [m].
     """
-    if not around.free(end):
+    if not checker.free(end):
         return False
     joint_travel = 0.5 * np.abs(end - start)
-    travel_m = float(joint_travel @ around.travel_m_per_rad)
+    travel_m = float(joint_travel @ checker.travel_m_per_rad)
     at, half = np.array([0.5]), 0.5
-    threats: list[Threats] = [ANYTHING]
+    candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
     while len(at) and 2.0 * travel_m > step_m:
         points = start + at[:, np.newaxis] * (end - start)
         if travel_m <= WIDEST_MARGIN_M:
-            threats = around.threats(points, np.tile(joint_travel, (len(at), 1)), threats)
-            unsure = [i for i, threat in enumerate(threats) if threat != NOTHING]
-            at, points, threats = at[unsure], points[unsure], [threats[i] for i in unsure]
-        if any(around.touches_any(point, threat) for point, threat in zip(points, threats, strict=True)):
+            candidate_pairs = checker.candidate_pairs(points, np.tile(joint_travel, (len(at), 1)), candidate_pairs)
+            unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
+            at, points, candidate_pairs = at[unsure], points[unsure], [candidate_pairs[i] for i in unsure]
+        if any(
+            checker.touches_any(point, candidates) for point, candidates in zip(points, candidate_pairs, strict=True)
+        ):
             return False
         half, joint_travel, travel_m = 0.5 * half, 0.5 * joint_travel, 0.5 * travel_m
-        at, threats = np.concatenate((at - half, at + half)), threats + threats
+        at, candidate_pairs = np.concatenate((at - half, at + half)), candidate_pairs + candidate_pairs
     return True
 
 
@@ -192,42 +197,46 @@ class _Parts:
         return _Parts(halves, np.concatenate((start, start + length)), length), np.concatenate((of, of))
 
 
-def first_contact(around: Surroundings, curve: Cubics, step_m: float, *, earliest: bool) -> float | None:
+def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float, *, earliest: bool) -> float | None:
     """Find a contact on a curve, coarse to fine; the ends are taken to be free.
 
     Args:
-        around: what there is to touch.
+        checker: checks points.
         curve: the curve.
         step_m: on pieces along which nothing moves more than this only the ends are checked [m].
-        earliest: whether the first contact on the way is wanted, or any.
+        earliest: true for the first contact on the way, false for any.
 
     Returns:
         In pieces from the start, or None.
     """
     found: float | None = None
     spans = curve.spans()
-    threats: list[Threats] = [ANYTHING]
+    candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
     while len(spans.at):
-        travel_m = spans.joint_travel @ around.travel_m_per_rad
-        threats = _narrowed(around, spans, travel_m, threats)
-        unsure = [i for i, threat in enumerate(threats) if threat != NOTHING]
+        travel_m = spans.joint_travel @ checker.travel_m_per_rad
+        candidate_pairs = _narrowed(checker, spans, travel_m, candidate_pairs)
+        unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
         for i in unsure:
-            if (found is None or spans.at[i] < found) and around.touches_any(spans.points[i], threats[i]):
+            if (found is None or spans.at[i] < found) and checker.touches_any(spans.points[i], candidate_pairs[i]):
                 found = float(spans.at[i])
                 if not earliest:
                     return found
         least_m = step_m if found is None else max(step_m, EARLIEST_STEP_M)
         going_on = (2.0 * travel_m > least_m) & (spans.start < (np.inf if found is None else found))
         spans, parents = spans.halves(np.array([i for i in unsure if going_on[i]], dtype=np.int64))
-        threats = [threats[i] for i in parents]
+        candidate_pairs = [candidate_pairs[i] for i in parents]
     return found
 
 
-def _narrowed(around: Surroundings, spans: Spans, travel_m: Vector, threats: Sequence[Threats]) -> list[Threats]:
-    """Narrow the threats of wide spans to those of each span; the widest are left as they are."""
-    asked = np.flatnonzero(travel_m <= WIDEST_MARGIN_M)
-    left = around.threats(spans.points[asked], spans.joint_travel[asked], [threats[i] for i in asked])
-    narrowed = list(threats)
-    for i, threat in zip(asked, left, strict=True):
-        narrowed[i] = threat
+def _narrowed(
+    checker: CollisionChecker, spans: Spans, travel_m: Vector, candidate_pairs: Sequence[CandidatePairs]
+) -> list[CandidatePairs]:
+    """Narrow the candidate pairs of each span; those of the widest spans stay as they are."""
+    narrow = np.flatnonzero(travel_m <= WIDEST_MARGIN_M)
+    left = checker.candidate_pairs(
+        spans.points[narrow], spans.joint_travel[narrow], [candidate_pairs[i] for i in narrow]
+    )
+    narrowed = list(candidate_pairs)
+    for i, candidates in zip(narrow, left, strict=True):
+        narrowed[i] = candidates
     return narrowed

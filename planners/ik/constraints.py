@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from planners.geometry.kinematics import ForwardKinematics, Placements
 from planners.goals import (
@@ -27,8 +26,7 @@ from planners.goals import (
     Quaternion,
 )
 from planners.problem import Deviation
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # A turn counts as much as the motion of a point this far away: half the length of a small gripper.
 ROTATION_ARM_M = 0.1
@@ -38,6 +36,10 @@ PARALLEL = 1e-9
 
 # Rounding in the placement of a link must not break a condition that was met to its very edge.
 ROUNDING = 1e-9
+
+# Messages without weights carry 0; MoveIt gives such constraints full weight.
+LEAST_WEIGHT = 1e-6
+DEFAULT_WEIGHT = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +218,6 @@ def frame_along(axis: Vector) -> Vector:
     return np.column_stack((np.cross(across, axis), across, axis))
 
 
-# Messages whose weights nobody has set carry 0; MoveIt takes such constraints as seriously as any.
-LEAST_WEIGHT = 1e-6
-DEFAULT_WEIGHT = 1.0
-
-
 @dataclass(frozen=True)
 class Violation:
     """A condition that does not hold: said in words, and as plain values."""
@@ -245,37 +242,37 @@ class Joints:
 
 
 @dataclass(frozen=True)
-class Wish:
-    """A goal in conditions.
+class GoalConditions:
+    """Conditions of a goal.
 
     Attributes:
-        required: what must hold.
-        preferred: what shall hold as nearly as can be.
+        required: conditions that must hold.
+        preferred: conditions that hold as nearly as possible.
     """
 
     required: tuple[Condition, ...]
     preferred: tuple[Condition, ...] = ()
 
-    def also(self, conditions: Sequence[Condition]) -> Wish:
-        """The same with further conditions that must hold."""
-        return Wish((*self.required, *conditions), self.preferred)
+    def also(self, conditions: Sequence[Condition]) -> GoalConditions:
+        """Return the same with further conditions that must hold."""
+        return GoalConditions((*self.required, *conditions), self.preferred)
 
 
-def wish(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, joints: Joints) -> Wish:
+def goal_conditions(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, joints: Joints) -> GoalConditions:
     """Return the conditions of a goal; it must have passed the checks."""
     match goal:
         case PositionGoal():
-            return Wish((_ball(goal.link, goal.position_m, goal.tolerance_m, goal.offset_m),))
+            return GoalConditions((_ball(goal.link, goal.position_m, goal.tolerance_m, goal.offset_m),))
         case AxisGoal():
             axis, direction = _unit(goal.axis), _unit(goal.direction)
             aligned = AxisCondition(goal.link, axis, direction, float(goal.axis_tolerance_rad))
-            return Wish((_ball(goal.link, goal.position_m, goal.tolerance_m), aligned))
+            return GoalConditions((_ball(goal.link, goal.position_m, goal.tolerance_m), aligned))
         case PoseGoal():
             at = _ball(goal.link, goal.pose.position_m, goal.position_tolerance_m)
             turned = tuple(_turned(goal.link, goal.pose.orientation, goal.orientation_tolerance_rad, DEFAULT_WEIGHT))
-            return Wish((at, *turned)) if goal.strict else Wish((at,), turned)
+            return GoalConditions((at, *turned)) if goal.strict else GoalConditions((at,), turned)
         case ConstraintGoal():
-            return Wish(conditions(goal.constraints, joints))
+            return GoalConditions(conditions(goal.constraints, joints))
 
 
 def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Condition, ...]:

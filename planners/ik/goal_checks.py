@@ -29,7 +29,7 @@ LENGTH_TOLERANCE = 1e-3
 # Each alternative takes milliseconds to solve.
 MAX_ALTERNATIVES = 64
 
-# Each constraint is asked of every configuration of a search.
+# Each constraint is checked in every configuration of a search.
 MAX_CONSTRAINTS = 64
 
 
@@ -50,7 +50,7 @@ def check_constraints(robot: RobotModel, constraints: Constraints | None) -> Pla
 
 
 def invalid_goal(message: str, **details: str | float) -> PlanningFailure:
-    """A refusal of what is asked."""
+    """Return the failure of an invalid goal."""
     return PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, details)
 
 

@@ -16,24 +16,24 @@ TaskGoal = PositionGoal | AxisGoal | PoseGoal | ConstraintGoal
 
 
 def goal_in_collision(pairs: Sequence[CollidingPair]) -> PlanningFailure:
-    """The goal can only be had with something touching."""
+    """Return the failure of a goal that holds in contact only."""
     return contact_failure(MoveItErrorCode.GOAL_IN_COLLISION, "in the goal these would touch", pairs)
 
 
 def goal_violates(violations: Sequence[Violation]) -> PlanningFailure:
-    """The goal cannot be had within the constraints."""
+    """Return the failure of a goal that violates the constraints."""
     return _violated(MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS, "the goal violates the constraints", violations)
 
 
 def start_violates(violations: Sequence[Violation]) -> PlanningFailure:
-    """The start is not within the constraints."""
+    """Return the failure of a start that violates the path constraints."""
     return _violated(
         MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, "the start violates the path constraints", violations
     )
 
 
 def none_of(failures: Sequence[PlanningFailure]) -> PlanningFailure:
-    """None of several alternatives can be had: the first refusal speaks for all, the others are in the details."""
+    """Return the failure of several alternatives: the message is that of the first, all are in the details."""
     first = failures[0]
     others = [{"code": int(failure.code), "message": failure.message} for failure in failures]
     message = f"none of {len(failures)} alternatives can be had; the first: {first.message}"
@@ -43,13 +43,13 @@ def none_of(failures: Sequence[PlanningFailure]) -> PlanningFailure:
 def out_of_reach(
     goal: TaskGoal, nearest_m: Sequence[float], nearest: Deviation, violations: Sequence[Violation]
 ) -> PlanningFailure:
-    """No configuration meets the goal.
+    """Return the failure of a goal that no configuration meets.
 
     Args:
         goal: the goal.
-        nearest_m: where the link is in the configuration that comes nearest [m].
+        nearest_m: position of the link in the configuration that comes nearest [m].
         nearest: the deviation there.
-        violations: what does not hold there.
+        violations: conditions that do not hold there.
     """
     if isinstance(goal, ConstraintGoal):
         return _violated(
@@ -77,12 +77,12 @@ def out_of_reach(
 def out_of_time(
     goal: TaskGoal, failure: PlanningFailure, nearest_m: Sequence[float], nearest: Deviation
 ) -> PlanningFailure:
-    """The search was ended before it knew; tell how near it had come.
+    """Return the failure of a search that was ended, with the nearest point so far.
 
     Args:
         goal: the goal.
-        failure: why it was ended.
-        nearest_m: where the link is in the configuration that comes nearest so far [m].
+        failure: reason for which it was ended.
+        nearest_m: position of the link in the configuration that comes nearest so far [m].
         nearest: the deviation there.
     """
     if isinstance(goal, ConstraintGoal):

@@ -1,6 +1,6 @@
-"""Search for goal configurations: many IK descents from sampled starts, and the findings of all of them.
+"""Goal configurations: from a goal to configurations in which it holds, or to the failure that is true of it.
 
-From a goal to configurations in which it holds, or the refusal that is true of it.
+They are found by many IK descents from sampled starts.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.budget import Budget
 from planners.geometry.collision import CollidingPair, CollisionModel
@@ -21,24 +20,23 @@ from planners.ik.constraints import (
     ROTATION_ARM_M,
     Condition,
     ConditionSet,
+    GoalConditions,
     JointCondition,
     Joints,
-    Wish,
     conditions,
-    wish,
+    goal_conditions,
 )
 from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates, none_of, out_of_reach, out_of_time
 from planners.ik.kinematics import Kinematics
 from planners.problem import Deviation, PlanningFailure
 from robot.description.model import Group, RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # After so many restarts without a new solution, when there is one, more rarely find any.
 FRUITLESS_RESTARTS = 6
 
-# A wish that so many restarts one after the other come no nearer to is out of reach; of 1000 poses within reach none
-# needed more.
+# A goal is out of reach when so many restarts in a row come no nearer to it; of 1000 poses within reach none needed
+# more.
 HOPELESS_RESTARTS = 20
 NEARER_M = 0.001
 
@@ -48,20 +46,34 @@ DISTINCT_RAD = 0.1
 # More goals than this hardly shorten the motion.
 MAX_SOLUTIONS = 6
 
-# Of what is preferred, this much more is as good as the best: below what a servo arm shows.
-AS_GOOD_RAD = 0.02
+# Preferences that are missed by this much more than in the best configuration count as equal: a servo arm cannot show
+# the difference.
+PREFERENCE_SLACK_RAD = 0.02
+
+# Configurations drawn once; those nearest to a target start the restarts. Placing them takes 4 ms, once per link.
+SAMPLES = 2000
+SAMPLE_SEED = 7
+
+# Of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30.
+RESTARTS = 30
+
+# Where all of these end in contacts more are made, from samples that touch nothing themselves.
+RESTARTS_AMONG_OBSTACLES = 100
+
+# A joint goal this near already holds: a servo's step is 1.5 mrad.
+ALREADY_THERE_RAD = 1e-6
 
 
 @dataclass(frozen=True)
-class Found:
-    """Configurations that the descents of one question found.
+class SearchResult:
+    """Configurations that the descents of one search found.
 
     Attributes:
         solutions: configurations in which all that is required holds and nothing touches, those that meet the
             preferences best, least time from the seed first.
-        colliding: what touches in the best configuration that meets the wish, when in every such one something does.
+        colliding: contacts in the first configuration in which all that is required holds, if every such one has some.
         nearest_q: the configuration that comes nearest, free of contacts if any is.
-        nearest: its deviation from what is asked.
+        nearest: its deviation from the conditions.
     """
 
     solutions: tuple[Vector, ...]
@@ -78,15 +90,15 @@ class _End:
         q: the configuration.
         tight: whether the robot's hulls touch something there.
         collides: whether more than the hulls does.
-        beyond_m: how far all that is required is from holding.
-        less_liked_m: how far the preferences are.
+        beyond_m: how far all that is required is from holding, 0 if it holds [m].
+        preference_error_m: how far the preferences are from holding [m].
     """
 
     q: Vector
     tight: bool
     collides: bool
     beyond_m: float
-    less_liked_m: float
+    preference_error_m: float
 
     @property
     def solves(self) -> bool:
@@ -94,27 +106,29 @@ class _End:
         return self.beyond_m == 0.0 and not self.collides
 
 
-class Findings:
-    """Findings of the descents of one question so far."""
+class DescentResults:
+    """Results of the descents of one search so far."""
 
-    def __init__(self, forward: ForwardKinematics, collision: CollisionModel | None, wish: Wish) -> None:
+    def __init__(
+        self, forward: ForwardKinematics, collision: CollisionModel | None, goal_conditions: GoalConditions
+    ) -> None:
         self._collision = collision
-        self._required = ConditionSet(forward, wish.required)
-        self._preferred = ConditionSet(forward, wish.preferred)
-        self._both = ConditionSet(forward, (*wish.required, *wish.preferred))
+        self._required = ConditionSet(forward, goal_conditions.required)
+        self._preferred = ConditionSet(forward, goal_conditions.preferred)
+        self._both = ConditionSet(forward, (*goal_conditions.required, *goal_conditions.preferred))
         self._ends: list[_End] = []
-        self._least_beyond_m, self._least_liked_m = math.inf, math.inf
+        self._least_beyond_m, self._least_preference_error_m = math.inf, math.inf
         self.begin()
 
     def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
-        """A row of descents begins, in which so many may be fruitless as long as there is no solution."""
+        """Begin a series of descents, of which so many may be fruitless as long as there is no solution."""
         self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:
         """Tell whether more descents would hardly help."""
         good = [end for end in self._ends if end.solves and not end.tight]
         patience = FRUITLESS_RESTARTS if good else self._patience
-        return sum(end.less_liked_m == 0.0 for end in good) >= wanted or self._fruitless >= patience
+        return sum(end.preference_error_m == 0.0 for end in good) >= wanted or self._fruitless >= patience
 
     @property
     def any_solution(self) -> bool:
@@ -141,23 +155,23 @@ class Findings:
         if end.beyond_m < self._least_beyond_m - NEARER_M:
             self._least_beyond_m, self._fruitless = end.beyond_m, 0
         if end.solves:
-            if end.less_liked_m <= max(0.0, self._least_liked_m - NEARER_M):
+            if end.preference_error_m <= max(0.0, self._least_preference_error_m - NEARER_M):
                 self._fruitless = 0
-            self._least_liked_m = min(self._least_liked_m, end.less_liked_m)
+            self._least_preference_error_m = min(self._least_preference_error_m, end.preference_error_m)
 
-    def result(self, move_time_s: Callable[[Vector], float]) -> Found:
-        """Sum up."""
-        nearest = min(self._ends, key=lambda end: (end.collides, end.beyond_m, end.less_liked_m))
+    def result(self, move_time_s: Callable[[Vector], float]) -> SearchResult:
+        """Return the solutions, or the nearest configuration; ``move_time_s`` is the time of a move to one [s]."""
+        nearest = min(self._ends, key=lambda end: (end.collides, end.beyond_m, end.preference_error_m))
         deviation = self._both.deviation(nearest.q)
         solving = [end for end in self._ends if end.solves]
         if not solving:
             meeting = next((end for end in self._ends if end.beyond_m == 0.0), None)
-            return Found((), self._pairs(meeting), nearest.q, deviation)
+            return SearchResult((), self._pairs(meeting), nearest.q, deviation)
         # Where only parts within the hulls are apart, motions are slow to check and rarely found.
         roomy = [end for end in solving if not end.tight] or solving
-        most_m = min(end.less_liked_m for end in roomy) + ROTATION_ARM_M * AS_GOOD_RAD
-        liked = [end.q for end in roomy if end.less_liked_m <= most_m]
-        return Found(tuple(sorted(liked, key=move_time_s)), (), nearest.q, deviation)
+        most_m = min(end.preference_error_m for end in roomy) + ROTATION_ARM_M * PREFERENCE_SLACK_RAD
+        preferred = [end.q for end in roomy if end.preference_error_m <= most_m]
+        return SearchResult(tuple(sorted(preferred, key=move_time_s)), (), nearest.q, deviation)
 
     def _judged(self, q: Vector) -> _End:
         tight = self._collision is not None and self._collision.in_collision(q)
@@ -166,17 +180,6 @@ class Findings:
 
     def _pairs(self, end: _End | None) -> tuple[CollidingPair, ...]:
         return tuple(self._collision.colliding_pairs(end.q)) if self._collision is not None and end is not None else ()
-
-
-# Configurations drawn once; those nearest to a target start the restarts. Placing them takes 4 ms, once per link.
-SAMPLES = 2000
-SAMPLE_SEED = 7
-
-# Of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30.
-RESTARTS = 30
-
-# Where all of these end in contacts more are made, from samples that touch nothing themselves.
-RESTARTS_AMONG_OBSTACLES = 100
 
 
 class GoalSearch:
@@ -199,42 +202,42 @@ class GoalSearch:
     def find(
         self,
         group: Group,
-        wish: Wish,
+        goal_conditions: GoalConditions,
         seed_q: Vector,
         should_stop: Callable[[], bool],
         *,
         wanted: int = MAX_SOLUTIONS,
         avoid_collisions: bool = True,
-    ) -> Found:
-        """Find configurations in which a wish is met, or as nearly as possible.
+    ) -> SearchResult:
+        """Find configurations in which conditions hold, or as nearly as possible.
 
         Args:
             group: the joints that may move; the others stay as in ``seed_q``.
-            wish: what is asked.
-            seed_q: where the robot stands; the first descent starts there.
+            goal_conditions: the conditions.
+            seed_q: present configuration, shape (n,) [rad]; the first descent starts there.
             should_stop: ends the restarts early.
             wanted: so many solutions are enough.
             avoid_collisions: whether configurations in which something touches are none.
         """
-        findings = Findings(self.forward, self._collision if avoid_collisions else None, wish)
+        results = DescentResults(self.forward, self._collision if avoid_collisions else None, goal_conditions)
 
         def enough() -> bool:
-            return findings.enough(wanted) or should_stop()
+            return results.enough(wanted) or should_stop()
 
-        required = Wish(wish.required)
-        findings.begin()
-        self._descend(findings, group, wish, self._starts(group, wish, seed_q), enough)
-        if wish.preferred and not findings.any_solution:
+        required = GoalConditions(goal_conditions.required)
+        results.begin()
+        self._descend(results, group, goal_conditions, self._starts(group, goal_conditions, seed_q), enough)
+        if goal_conditions.preferred and not results.any_solution:
             # The preferences may lead all descents away from where the rest can be had.
-            findings.begin()
-            self._descend(findings, group, required, self._starts(group, required, seed_q), enough)
-        if findings.only_touching and not should_stop():
-            findings.begin(patience=RESTARTS_AMONG_OBSTACLES)
-            self._descend(findings, group, required, self._free_samples_near(group, required, seed_q), enough)
-        if findings.only_colliding:
+            results.begin()
+            self._descend(results, group, required, self._starts(group, required, seed_q), enough)
+        if results.only_touching and not should_stop():
+            results.begin(patience=RESTARTS_AMONG_OBSTACLES)
+            self._descend(results, group, required, self._free_samples_near(group, required, seed_q), enough)
+        if results.only_colliding:
             # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
-            findings.add(next(self._free_samples_near(group, wish, seed_q), seed_q))
-        return findings.result(lambda q: self.move_time_s(seed_q, q))
+            results.add(next(self._free_samples_near(group, goal_conditions, seed_q), seed_q))
+        return results.result(lambda q: self.move_time_s(seed_q, q))
 
     def projection(
         self, group: Group, conditions: Sequence[Condition], start_q: Vector
@@ -246,7 +249,7 @@ class GoalSearch:
             conditions: the conditions.
             start_q: configuration of all joints; those outside the group stay there.
         """
-        descent = self._kinematics.descent(group, Wish(tuple(conditions)))
+        descent = self._kinematics.descent(group, GoalConditions(tuple(conditions)))
         columns = [self._collision.joint_names.index(name) for name in group.joints]
 
         def project(point: Vector) -> Vector | None:
@@ -262,32 +265,37 @@ class GoalSearch:
         return float(np.max(np.abs(goal_q - start_q) / self._max_velocity))
 
     def _descend(
-        self, findings: Findings, group: Group, wish: Wish, starts: Iterable[Vector], enough: Callable[[], bool]
+        self,
+        results: DescentResults,
+        group: Group,
+        goal_conditions: GoalConditions,
+        starts: Iterable[Vector],
+        enough: Callable[[], bool],
     ) -> None:
-        descent = self._kinematics.descent(group, wish)
+        descent = self._kinematics.descent(group, goal_conditions)
         for q in starts:
-            findings.add(descent(q))
+            results.add(descent(q))
             if enough():
                 break
 
-    def _starts(self, group: Group, wish: Wish, seed_q: Vector) -> Iterator[Vector]:
+    def _starts(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
         """Yield the starts of descents: the robot's configuration, then the samples nearest to the conditions."""
         yield seed_q
-        yield from islice(self._samples_near(group, wish, seed_q), RESTARTS)
+        yield from islice(self._samples_near(group, goal_conditions, seed_q), RESTARTS)
 
-    def _free_samples_near(self, group: Group, wish: Wish, seed_q: Vector) -> Iterator[Vector]:
+    def _free_samples_near(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
         """The nearest samples that touch nothing."""
-        near = self._samples_near(group, wish, seed_q)
+        near = self._samples_near(group, goal_conditions, seed_q)
         return islice((q for q in near if not self._collision.in_collision(q)), RESTARTS_AMONG_OBSTACLES)
 
-    def _samples_near(self, group: Group, wish: Wish, seed_q: Vector) -> Iterator[Vector]:
-        """Samples of the group's joints, those that come nearest to a wish first."""
+    def _samples_near(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
+        """Samples of the group's joints, those that come nearest to the conditions first."""
         moving = [self._collision.joint_names.index(name) for name in group.joints]
-        distances_m = self._distances_m((*wish.required, *wish.preferred))
+        distances_m = self._distances_m((*goal_conditions.required, *goal_conditions.preferred))
         for i in np.argsort(distances_m, kind="stable"):
             q = seed_q.copy()
             q[moving] = self._samples[i][moving]
-            for condition in wish.required:
+            for condition in goal_conditions.required:
                 if isinstance(condition, JointCondition) and condition.column in moving:
                     q[condition.column] = condition.position_rad
             yield q
@@ -304,17 +312,13 @@ class GoalSearch:
         return distances_m
 
 
-# A joint goal this near already holds: a servo's step is 1.5 mrad.
-ALREADY_THERE_RAD = 1e-6
-
-
 @dataclass(frozen=True)
 class GoalState:
     """A configuration in which a goal holds.
 
     Attributes:
         q: the configuration, shape (n,) [rad].
-        deviation: of what is there from what is asked.
+        deviation: from the goal.
         alternative: which of the goals it is, when there are several.
     """
 
@@ -324,17 +328,17 @@ class GoalState:
 
 
 @dataclass(frozen=True)
-class Asker:
-    """The caller that asks for configurations.
+class GoalQuery:
+    """Query for configurations in which a goal holds.
 
     Attributes:
         group: the joints that may move.
-        start_q: where the robot stands.
+        start_q: present configuration, shape (n,) [rad].
         constraints: what must hold in them beside the goal.
         budget: ends the search.
-        wanted: how many are wanted.
+        wanted: number of configurations that are enough.
         avoid_collisions: whether configurations in which something touches are none.
-        start_counts: whether the start is an answer even where something touches, as a motion may begin there.
+        accept_start: whether the start is an answer even where something touches, as a motion may begin there.
     """
 
     group: Group
@@ -343,11 +347,11 @@ class Asker:
     budget: Budget
     wanted: int = MAX_SOLUTIONS
     avoid_collisions: bool = True
-    start_counts: bool = True
+    accept_start: bool = True
 
 
 class GoalStates:
-    """Answers for one robot.
+    """Goal configurations of one robot.
 
     Args:
         robot: the arm.
@@ -361,98 +365,100 @@ class GoalStates:
         self.forward = self._search.forward
 
     def condition_set(self, constraints: Constraints | None) -> ConditionSet:
-        """Constraints as conditions that can be measured."""
+        """Return constraints as conditions that can be measured."""
         return ConditionSet(self.forward, conditions(constraints, self._joints))
 
     def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
-        """As :meth:`GoalSearch.projection`, for constraints."""
+        """Return :meth:`GoalSearch.projection` for constraints."""
         return self._search.projection(group, conditions(constraints, self._joints), start_q)
 
-    def find(self, goal: Goal, asker: Asker) -> Sequence[GoalState] | PlanningFailure:
-        """Configurations in which a goal holds, the soonest reached first; or why there is none.
+    def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
+        """Find configurations in which a goal holds, the soonest reached first; or the reason for which there is none.
 
         Args:
             goal: a checked goal.
-            asker: who asks.
+            query: group, start and bounds of the search.
         """
         if not isinstance(goal, AnyOf):
-            return self._single(goal, asker, 0)
-        answers = [self._single(single, asker, index) for index, single in enumerate(goal.goals)]
+            return self._single(goal, query, 0)
+        answers = [self._single(single, query, index) for index, single in enumerate(goal.goals)]
         failures = [answer for answer in answers if isinstance(answer, PlanningFailure)]
         states = [state for answer in answers if not isinstance(answer, PlanningFailure) for state in answer]
         if not states:
             return failures[0] if len(failures) == 1 else none_of(failures)
-        return sorted(states, key=lambda state: self._search.move_time_s(asker.start_q, state.q))
+        return sorted(states, key=lambda state: self._search.move_time_s(query.start_q, state.q))
 
-    def _single(self, goal: SingleGoal, asker: Asker, index: int) -> Sequence[GoalState] | PlanningFailure:
+    def _single(self, goal: SingleGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
         if isinstance(goal, JointGoal):
-            return self._joint_goal(goal, asker, index)
-        also = conditions(asker.constraints, self._joints)
-        wanted = wish(goal, self._joints)
+            return self._joint_goal(goal, query, index)
+        also = conditions(query.constraints, self._joints)
+        wanted = goal_conditions(goal, self._joints)
         whole = ConditionSet(self.forward, (*wanted.required, *wanted.preferred, *also))
-        if asker.start_counts and whole.holds(asker.start_q):
-            return [GoalState(asker.start_q, whole.deviation(asker.start_q), index)]
-        found = self._find(wanted.also(also), asker)
+        if query.accept_start and whole.holds(query.start_q):
+            return [GoalState(query.start_q, whole.deviation(query.start_q), index)]
+        found = self._find(wanted.also(also), query)
         if found.solutions:
-            asked = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
-            return [GoalState(q, asked.deviation(q), index) for q in found.solutions]
-        return self._refusal(goal, wanted, also, found, asker)
+            goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
+            return [GoalState(q, goal_set.deviation(q), index) for q in found.solutions]
+        return self._refusal(goal, wanted, also, found, query)
 
-    def _joint_goal(self, goal: JointGoal, asker: Asker, index: int) -> Sequence[GoalState] | PlanningFailure:
-        goal_q = asker.start_q.copy()
+    def _joint_goal(self, goal: JointGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
+        goal_q = query.start_q.copy()
         for name, value in goal.positions_rad.items():
             goal_q[self._joints.names.index(name)] = value
         goal_q = np.clip(goal_q, self._joints.lower_rad, self._joints.upper_rad)
-        violations = self.condition_set(asker.constraints).violations(goal_q)
+        violations = self.condition_set(query.constraints).violations(goal_q)
         if violations:
             return goal_violates(violations)
-        if asker.start_counts and np.max(np.abs(goal_q - asker.start_q)) <= ALREADY_THERE_RAD:
-            return [GoalState(asker.start_q, Deviation(), index)]
-        pairs = self._collision.colliding_pairs(goal_q) if asker.avoid_collisions else []
+        if query.accept_start and np.max(np.abs(goal_q - query.start_q)) <= ALREADY_THERE_RAD:
+            return [GoalState(query.start_q, Deviation(), index)]
+        pairs = self._collision.colliding_pairs(goal_q) if query.avoid_collisions else []
         return goal_in_collision(pairs) if pairs else [GoalState(goal_q, Deviation(), index)]
 
-    def _find(self, wanted: Wish, asker: Asker) -> Found:
+    def _find(self, wanted: GoalConditions, query: GoalQuery) -> SearchResult:
         return self._search.find(
-            asker.group,
+            query.group,
             wanted,
-            asker.start_q,
-            asker.budget.used_up,
-            wanted=asker.wanted,
-            avoid_collisions=asker.avoid_collisions,
+            query.start_q,
+            query.budget.used_up,
+            wanted=query.wanted,
+            avoid_collisions=query.avoid_collisions,
         )
 
     def _refusal(
-        self, goal: TaskGoal, wanted: Wish, also: Sequence[Condition], found: Found, asker: Asker
+        self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
     ) -> PlanningFailure:
         """Return the reason for which nothing was found."""
-        if asker.budget.used_up():
+        if query.budget.used_up():
             nearest_m = self._point_m(goal, found.nearest_q)
-            failure = out_of_time(goal, asker.budget.failure(), nearest_m, found.nearest)
-            return self._with_configuration(failure, found.nearest_q, asker.group)
+            failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
+            return self._with_configuration(failure, found.nearest_q, query.group)
         if found.colliding:
             return goal_in_collision(found.colliding)
         if also:
-            alone = self._find(wanted, asker)
+            alone = self._find(wanted, query)
             if alone.solutions:
                 return goal_violates(ConditionSet(self.forward, also).violations(alone.solutions[0]))
             found = alone
-        return self._out_of_reach(goal, wanted, found, asker)
+        return self._out_of_reach(goal, wanted, found, query)
 
-    def _out_of_reach(self, goal: TaskGoal, wanted: Wish, found: Found, asker: Asker) -> PlanningFailure:
+    def _out_of_reach(
+        self, goal: TaskGoal, wanted: GoalConditions, found: SearchResult, query: GoalQuery
+    ) -> PlanningFailure:
         q = found.nearest_q
         if isinstance(goal, PoseGoal | AxisGoal):
             # The point with the nearest orientation there says more than a compromise between both.
             point, *turns = wanted.required
             if turns:
-                found = self._find(Wish((point,), (*turns, *wanted.preferred)), asker)
+                found = self._find(GoalConditions((point,), (*turns, *wanted.preferred)), query)
             q = found.solutions[0] if found.solutions else found.nearest_q
-        asked = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
-        nearest = asked.deviation(q)
-        failure = out_of_reach(goal, self._point_m(goal, q), nearest, asked.violations(q))
-        return self._with_configuration(failure, q, asker.group)
+        goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
+        nearest = goal_set.deviation(q)
+        failure = out_of_reach(goal, self._point_m(goal, q), nearest, goal_set.violations(q))
+        return self._with_configuration(failure, q, query.group)
 
     def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
-        """Tell beside the nearest point, where there is one, the configuration that has it."""
+        """Add the configuration of the nearest point to a failure that has one."""
         if "nearest_m" not in failure.details:
             return failure
         nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}

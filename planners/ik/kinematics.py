@@ -21,27 +21,26 @@ from planners.ik.constraints import (
     AxisCondition,
     Condition,
     ConditionSet,
+    GoalConditions,
     JointCondition,
     LinkCondition,
     PointCondition,
     TurnCondition,
-    Wish,
     frame_along,
     norm,
 )
 from robot.description.model import Group, RobotModel
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Further ahead than this the arm is not nearly linear, and a target far outside would throw it into its limits.
 MAX_STEP_M = 0.1
 MAX_STEP_RAD = 0.7
 
-# A condition that holds would keep its link where it is while another one pulls: it is told with this share of its
+# A condition that holds would keep its link where it is while another one pulls: it has this share of its
 # weight until it is broken.
 RELAXED = 1e-3
 
-# Conditions on points that one question can have; each costs every question a microsecond a step.
+# Conditions on points that one goal can have; each costs every goal a microsecond a step.
 MAX_POINTS = 4
 
 # placo measures a point of a link from a point of its own model only: such targets stand at the end of three slides
@@ -52,9 +51,34 @@ SLIDE_LENGTH_M = 1e3
 
 _Task = placo.RelativePositionTask | placo.OrientationTask | placo.JointsTask
 
+# Weight of standing still against 1 for reaching. Far from the target it must be felt: joints that barely move the tip
+# would otherwise be driven into their limits. Near to it, it would only slow the descent down: so it shrinks with the
+# square of what is missing, after Levenberg and Marquardt.
+STANDING_PER_M2 = 1.0
+LEAST_STANDING = 1e-7
+MOST_STANDING = 1e-3
+
+# Convergence takes 5-10 steps within reach and up to 40 at its edge.
+MAX_STEPS = 60
+
+# A descent that has not come nearer by this share in so many steps has arrived at its nearest point.
+LEAST_GAIN = 0.005
+PATIENCE = 5
+
+# Reached this well the rest is below the servos' 1.5 mrad, however wide the goal's tolerance.
+ACCURACY_M = 1e-4
+
+# What is preferred gets this share of the weight of what is required; a second descent without it makes up for what it
+# has cost.
+PREFERENCE = 0.01
+
+# Of a tolerance, where its middle cannot be had: the rest keeps rounding from the edge.
+INNER_SHARE = 0.9
+MIDDLE = 0.0
+
 
 class _Weight:
-    """The weight of a task of placo, told to it when it changes."""
+    """Weight of a task of placo, which is set there when it changes."""
 
     def __init__(self, task: _Task, name: str, weight: float) -> None:
         self._task, self._name, self._whole = task, name, weight
@@ -62,7 +86,7 @@ class _Weight:
         self._tell()
 
     def relax(self, relaxed: bool) -> None:
-        """Let go of a condition that holds, or take hold of it again."""
+        """Reduce the weight of a condition that holds, or restore it."""
         if relaxed != self._relaxed:
             self._relaxed = relaxed
             self._tell()
@@ -86,10 +110,10 @@ class LinkTask(ABC):
         self._weight = _Weight(task, name, self._scale**2)
 
     def aim(self, placement: pin.SE3, share: float) -> float:
-        """Say where to go next.
+        """Set the next target.
 
         Args:
-            placement: where the link is.
+            placement: the link's pose in the root link.
             share: of the condition's tolerance that is to be reached.
 
         Returns:
@@ -199,7 +223,7 @@ class JointTask:
         self._weight = _Weight(self._task, f"joint {index}", self._scale**2)
 
     def aim(self, value: float, share: float) -> float:
-        """Say where to go next; as :meth:`LinkTask.aim`, from a position of the joint [rad]."""
+        """Set the next target, as :meth:`LinkTask.aim`, from a position of the joint [rad]."""
         beyond = self.condition.beyond_rad(value, share)
         self._task.set_joint(self.condition.joint, value + beyond)
         self._weight.relax(beyond == 0.0)
@@ -250,34 +274,8 @@ def _carriage(point: int, axis: int) -> str:
     return f"planning_carriage_{point}_{axis}"
 
 
-# Weight of standing still against 1 for reaching. Far from the target it must be felt: joints that barely move the tip
-# would otherwise be driven into their limits. Near to it, it would only slow the descent down: so it shrinks with the
-# square of what is missing, after Levenberg and Marquardt.
-STANDING_PER_M2 = 1.0
-LEAST_STANDING = 1e-7
-MOST_STANDING = 1e-3
-
-# Convergence takes 5-10 steps within reach and up to 40 at its edge.
-MAX_STEPS = 60
-
-# A descent that has not come nearer by this share in so many steps has arrived at its nearest point.
-LEAST_GAIN = 0.005
-PATIENCE = 5
-
-# Reached this well the rest is below the servos' 1.5 mrad, however wide the goal's tolerance.
-ACCURACY_M = 1e-4
-
-# What is preferred gets this share of the weight of what is required; a second descent without it makes up for what it
-# has cost.
-PREFERENCE = 0.01
-
-# Of a tolerance, where its middle cannot be had: the rest keeps rounding from the edge.
-INNER_SHARE = 0.9
-MIDDLE = 0.0
-
-
 @dataclass(frozen=True)
-class _Body:
+class _PlacoModel:
     """placo's model of the robot, and where configurations are in it."""
 
     wrapper: placo.RobotWrapper
@@ -300,7 +298,7 @@ class Kinematics:
     def __init__(self, robot: RobotModel, forward: ForwardKinematics, joint_names: Sequence[str]) -> None:
         # placo leaks some 0.16 MB per wrapper, so there is one for life.
         wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, with_targets(robot))
-        self._body = _Body(
+        self._body = _PlacoModel(
             wrapper,
             forward,
             joint_names,
@@ -309,25 +307,25 @@ class Kinematics:
             np.array([robot.joints[name].upper for name in joint_names]),
         )
 
-    def descent(self, group: Group, wish: Wish) -> Descent:
+    def descent(self, group: Group, goal_conditions: GoalConditions) -> Descent:
         """Return a descent that brings configurations to where conditions hold, or as near as possible.
 
         Args:
             group: the joints that may move; the others stay.
-            wish: at most :data:`planners.ik.kinematics.MAX_POINTS` conditions on points.
+            goal_conditions: conditions, at most :data:`planners.ik.kinematics.MAX_POINTS` conditions on points.
         """
-        return Descent(self._body, group, wish)
+        return Descent(self._body, group, goal_conditions)
 
 
 class Descent:
-    """Moves configurations to ones nearby in which a wish is met, or as near as possible; within limits."""
+    """Descent from configurations to ones nearby in which conditions hold, or as nearly as possible; within limits."""
 
-    def __init__(self, body: _Body, group: Group, wish: Wish) -> None:
-        required = [(condition, 1.0) for condition in wish.required]
-        preferred = [(condition, PREFERENCE) for condition in wish.preferred]
+    def __init__(self, body: _PlacoModel, group: Group, goal_conditions: GoalConditions) -> None:
+        required = [(condition, 1.0) for condition in goal_conditions.required]
+        preferred = [(condition, PREFERENCE) for condition in goal_conditions.preferred]
         self._required = _Solver(body, group, required)
         self._both = _Solver(body, group, [*required, *preferred]) if preferred else None
-        self._holds = ConditionSet(body.forward, wish.required).holds
+        self._holds = ConditionSet(body.forward, goal_conditions.required).holds
 
     def __call__(self, q: Vector) -> Vector:
         """Descend from a configuration: to the middle of every tolerance, or else anywhere inside."""
@@ -337,7 +335,7 @@ class Descent:
         return q if self._holds(q) else self._required.descend(q, INNER_SHARE)
 
     def inside(self, q: Vector) -> Vector | None:
-        """The configuration nearby in which all that is required holds, if the descent from here finds one."""
+        """Return a configuration nearby in which all that is required holds; None if the descent finds none."""
         q = self._required.descend(q, INNER_SHARE)
         return q if self._holds(q) else None
 
@@ -345,7 +343,7 @@ class Descent:
 class _Solver:
     """Minimizes what is missing to conditions, each with its share of the weight."""
 
-    def __init__(self, body: _Body, group: Group, shares: Sequence[tuple[Condition, float]]) -> None:
+    def __init__(self, body: _PlacoModel, group: Group, shares: Sequence[tuple[Condition, float]]) -> None:
         self._body = body
         self._solver = body.wrapper.make_solver()
         # Otherwise the base flies to the target.

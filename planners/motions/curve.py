@@ -1,16 +1,15 @@
-"""Curves of the joints over time, each joint accelerating uniformly between knots, and their jerk limits.
+"""Curves of the joints over time: straight lines, ramps between two states of the joints, and limits of the jerk.
 
-Knots lie on a grid of whole ticks, so two of them are never so near each other that differences lose their digits.
+Each joint accelerates uniformly between knots. Knots lie on a grid of whole ticks, so two of them are never so near
+each other that differences lose their digits.
+
+Lines and ramps take the least time, in closed form. A ramp speeds up, cruises and slows down, each joint for itself,
+and all joints take the time of the slowest, after Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories
+using optimal bounded-acceleration shortcuts", 2010. Durations are rounded up to whole ticks, at most three of them.
 
 A curve averaged over a window of time keeps the velocity and acceleration limits of the curve and has no more jerk than
 the change of its acceleration over a window divided by the window: on a straight line from rest to rest this is the
 S-curve of seven phases. Biagiotti and Melchiorri, "FIR filters for online trajectory planning", 2012.
-
-Least-time motions in closed form: straight joint lines, and ramps between two states of the joints.
-
-A ramp speeds up, cruises and slows down, each joint for itself, and all joints take the time of the slowest, after
-Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration shortcuts",
-2010. Durations are rounded up to whole ticks, at most three of them.
 """
 
 from __future__ import annotations
@@ -22,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.problem import RateLimits
-from robot.trajectory import Trajectory
+from robot.trajectory import Trajectory, Vector
 
-Vector = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 
 # Rounding switches up to a tick costs at most three of them a piece, which is nothing beside motions of a second;
@@ -34,8 +32,23 @@ TICK_S = 1e-4
 # The servo loop runs at 100 Hz.
 SAMPLE_TICKS = 100
 
-# Samples of the 100 Hz grid this close to a knot would tell nothing more than the knot.
+# Samples of the 100 Hz grid this close to a knot add nothing to it.
 NEAR_KNOT_TICKS = 10
+
+# Points nearer than this are one point: directions between them are rounding errors.
+SAME_POINT_RAD = 1e-9
+
+# A moving joint that has to be slower than its neighbours may only be able to be much slower, by turning back.
+LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
+
+# Ramps are solved for a little less than the limits and then rounded to ticks, which lends them a little more.
+SHARE_OF_LIMITS = 0.999
+
+# Each of the two ramps of a joint is rounded up by up to a tick.
+ROUNDING_TICKS = 2
+
+# Rates may exceed a limit by this share: rounding errors.
+ROUNDING_SHARE = 1e-9
 
 
 def seconds(ticks: Ticks) -> Vector:
@@ -123,7 +136,7 @@ class Curve:
         return whole
 
 
-def standing(point: Vector, ticks: int) -> Curve:
+def constant_curve(point: Vector, ticks: int) -> Curve:
     """A curve that stays in a point, shape (n,) [rad]."""
     points = np.array([point, point])
     return Curve(np.array([0, ticks]), points, np.zeros_like(points))
@@ -191,13 +204,6 @@ def _area(curve: Curve, ticks: Ticks) -> Vector:
     return area
 
 
-# Points nearer than this are one point: directions between them are rounding errors.
-SAME_POINT_RAD = 1e-9
-
-# A moving joint that has to be slower than its neighbours may only be able to be much slower, by turning back.
-LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
-
-
 def same_point(a: Vector, b: Vector) -> bool:
     """Tell whether two points are one."""
     return bool(np.max(np.abs(a - b)) <= SAME_POINT_RAD)
@@ -240,10 +246,10 @@ def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
     points = _distinct(points)
     curves = [line(start, goal, limits) for start, goal in pairwise(points)]
     if not curves:
-        return standing(points[-1], 1)
+        return constant_curve(points[-1], 1)
     whole = curves[0]
     for point, curve in zip(points[1:-1], curves[1:], strict=True):
-        whole = (whole.then(standing(point, wait_ticks)) if wait_ticks else whole).then(curve)
+        whole = (whole.then(constant_curve(point, wait_ticks)) if wait_ticks else whole).then(curve)
     return whole
 
 
@@ -293,16 +299,6 @@ def _distinct(points: Vector) -> Vector:
     if len(points) > 1 and not same_point(kept[-1], points[-1]):
         kept.append(points[-1])
     return np.array(kept)
-
-
-# Ramps are solved for a little less than the limits and then rounded to ticks, which lends them a little more.
-SHARE_OF_LIMITS = 0.999
-
-# Each of the two ramps of a joint is rounded up by up to a tick.
-ROUNDING_TICKS = 2
-
-# Rates may exceed a limit by this share: rounding errors.
-ROUNDING_SHARE = 1e-9
 
 
 def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLimits) -> Vector:

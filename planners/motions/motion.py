@@ -1,6 +1,7 @@
-"""From a start and goal configurations to one timed motion that is certified as it will be executed.
+"""Search for a motion: from a start and goal configurations to a timed motion, certified as it will be executed.
 
-A path that was found is shortened in time: random parts of it are replaced by least-time ramps where those are free.
+A straight line comes first, then searches by OMPL. A path that was found is shortened in time: random parts of it are
+replaced by least-time ramps where those are free.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
@@ -41,9 +41,7 @@ from planners.motions.path import (
     without_detours,
 )
 from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits, planner_name
-from robot.trajectory import Trajectory
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Trajectory, Vector
 
 # Parts drawn at once: the time that each would save costs next to nothing in one numpy call, and the one that saves
 # most is tried first.
@@ -61,68 +59,13 @@ LEAST_GAIN_TICKS = 40
 # After so many rounds without a gain the curve is about as short as it gets.
 FRUITLESS_ROUNDS = 8
 
-
-def smooth(
-    curve: Curve,
-    limits: RateLimits,
-    free: Callable[[Curve], bool],
-    rng: np.random.Generator,
-    should_stop: Callable[[], bool],
-) -> Curve:
-    """Shorten a curve in time.
-
-    Args:
-        curve: free, and within the limits.
-        limits: what to keep; their jerk is not considered.
-        free: whether a piece may be driven.
-        rng: what draws the parts.
-        should_stop: asked before each try.
-
-    Returns:
-        A curve with the same end states that takes no longer.
-    """
-    fruitless, reach = 0, 1.0
-    while fruitless < FRUITLESS_ROUNDS and not should_stop():
-        shorter = next(_shorter(curve, reach, limits, free, rng), None)
-        fruitless, reach = (fruitless + 1, SHRINK * reach) if shorter is None else (0, min(1.0, reach / SHRINK))
-        curve = shorter or curve
-    return curve
-
-
-def _shorter(
-    curve: Curve, reach: float, limits: RateLimits, free: Callable[[Curve], bool], rng: np.random.Generator
-) -> Iterator[Curve]:
-    """Curves with one part of at most a share ``reach`` of the whole replaced."""
-    for first, last, ticks in _parts(curve, reach, limits, rng):
-        positions, velocities, _ = curve.at(np.array([first, last]))
-        piece = connect(positions[0], velocities[0], positions[1], velocities[1], ticks, limits)
-        if piece is not None and free(piece):
-            yield curve.replaced(first, last, piece)
-
-
-def _parts(curve: Curve, reach: float, limits: RateLimits, rng: np.random.Generator) -> Iterator[tuple[int, int, int]]:
-    """Parts of the curve, first and last tick, that ramps of so many ticks could replace; the best first."""
-    middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
-    lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
-    shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)
-    ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
-    positions, velocities, _ = curve.at(ends.ravel())
-    p0, p1 = positions[:PARTS_A_ROUND], positions[PARTS_A_ROUND:]
-    v0, v1 = velocities[:PARTS_A_ROUND], velocities[PARTS_A_ROUND:]
-    ticks = whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits)))
-    gains = ends[1] - ends[0] - ticks
-    for i in np.argsort(-gains, kind="stable")[:TRIES_A_ROUND]:
-        if gains[i] >= LEAST_GAIN_TICKS:
-            yield int(ends[0, i]), int(ends[1, i]), int(ticks[i])
-
-
 STRAIGHT_LINE = "straight line"
 
-# A glance at a straight line before it is timed: most blocked ones are found out here [m].
-GLANCE_STEP_M = 0.2
+# Sparse check of a straight line before it is timed: most blocked ones are found here [m].
+SPARSE_STEP_M = 0.2
 
-# Trees grow fastest when edges are looked at coarsely, and curves are shortened soonest when they are; where the
-# certificate then finds a contact, everything is looked at more finely [m].
+# Trees grow fastest when edges are checked coarsely, and curves are shortened soonest when they are; where the
+# certificate then finds a contact, everything is checked more finely [m].
 SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
 CURVE_STEPS_M = (0.01, 0.005, 0.0025, 0.001)
 
@@ -141,14 +84,14 @@ class MotionTask:
     Attributes:
         space: the joints that move.
         joint_names: their names.
-        limits: how fast they may.
+        limits: the most that they may do.
         start: shape (n,) [rad].
         start_velocity: shape (n,), within the limits [rad/s].
         goals: free points, the soonest first.
         seed: same task and seed, same motion.
         attempts: of how many searched motions at most the shortest is taken.
         planner_id: which search to use, as planners.problem.planner_name knows it.
-        optimization_time_s: how long to look for shorter motions, in work that takes about so long [s].
+        optimization_time_s: time to search for shorter motions, as an amount of work that takes about so long [s].
         project: brings points to ones nearby where the space's condition holds, or gives None; with it the search is
             one of its own, since others hardly ever draw a point that meets a condition.
     """
@@ -185,8 +128,8 @@ def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
     """Move straight where that is free, else search.
 
     Args:
-        task: what is asked.
-        budget: asked all the time; once it is used up the best motion found by then is the answer.
+        task: the motion to find.
+        budget: checked all the time; once it is used up the best motion found by then is the answer.
 
     Returns:
         Why there is no motion: the budget was used up, or a moving arm cannot stop before it touches something.
@@ -215,7 +158,7 @@ def _straight(task: MotionTask, budget: Budget) -> Motion | None:
         elif same_point(task.start, goal):
             return Motion(_standing(task), STRAIGHT_LINE, index)
         else:
-            free = task.space.line_free(task.start, goal, GLANCE_STEP_M)
+            free = task.space.line_free(task.start, goal, SPARSE_STEP_M)
             curve = line(task.start, goal, task.limits) if free else None
         trajectory = None if curve is None else _certified(task, curve, window)
         if trajectory is not None:
@@ -279,7 +222,7 @@ class _Searching:
         while not self._budget.used_up():
             curves = sorted(self._curves(), key=_duration)
             for curve in curves:
-                # With the time used up the best is still of use, with nobody waiting for it none is.
+                # The best motion is still of use after the deadline, but not once the request is cancelled.
                 trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window)
                 if trajectory is not None:
                     return Motion(trajectory, self._name, self._goal_at_end_of(curve))
@@ -347,3 +290,57 @@ def _search_of(task: MotionTask) -> str:
 
 def _duration(curve: Curve) -> int:
     return curve.duration_ticks
+
+
+def smooth(
+    curve: Curve,
+    limits: RateLimits,
+    free: Callable[[Curve], bool],
+    rng: np.random.Generator,
+    should_stop: Callable[[], bool],
+) -> Curve:
+    """Shorten a curve in time.
+
+    Args:
+        curve: free, and within the limits.
+        limits: what to keep; their jerk is not considered.
+        free: tells if nothing touches on a piece of a curve.
+        rng: draws the parts.
+        should_stop: called before each try.
+
+    Returns:
+        A curve with the same end states that takes no longer.
+    """
+    fruitless, reach = 0, 1.0
+    while fruitless < FRUITLESS_ROUNDS and not should_stop():
+        shorter = next(_shorter(curve, reach, limits, free, rng), None)
+        fruitless, reach = (fruitless + 1, SHRINK * reach) if shorter is None else (0, min(1.0, reach / SHRINK))
+        curve = shorter or curve
+    return curve
+
+
+def _shorter(
+    curve: Curve, reach: float, limits: RateLimits, free: Callable[[Curve], bool], rng: np.random.Generator
+) -> Iterator[Curve]:
+    """Curves with one part of at most a share ``reach`` of the whole replaced."""
+    for first, last, ticks in _parts(curve, reach, limits, rng):
+        positions, velocities, _ = curve.at(np.array([first, last]))
+        piece = connect(positions[0], velocities[0], positions[1], velocities[1], ticks, limits)
+        if piece is not None and free(piece):
+            yield curve.replaced(first, last, piece)
+
+
+def _parts(curve: Curve, reach: float, limits: RateLimits, rng: np.random.Generator) -> Iterator[tuple[int, int, int]]:
+    """Parts of the curve, first and last tick, that ramps of so many ticks could replace; the best first."""
+    middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
+    lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
+    shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)
+    ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
+    positions, velocities, _ = curve.at(ends.ravel())
+    p0, p1 = positions[:PARTS_A_ROUND], positions[PARTS_A_ROUND:]
+    v0, v1 = velocities[:PARTS_A_ROUND], velocities[PARTS_A_ROUND:]
+    ticks = whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits)))
+    gains = ends[1] - ends[0] - ticks
+    for i in np.argsort(-gains, kind="stable")[:TRIES_A_ROUND]:
+        if gains[i] >= LEAST_GAIN_TICKS:
+            yield int(ends[0, i]), int(ends[1, i]), int(ticks[i])

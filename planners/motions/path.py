@@ -12,22 +12,51 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.sweep import ANYTHING, NOTHING, Threats, line_is_free
+from planners.geometry.sweep import ALL_PAIRS, NO_CANDIDATES, CandidatePairs, line_is_free
 from planners.motions.curve import Curve
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000
 
-# On longer pieces than this something is near nearly always: only their middle is looked at.
+# On longer pieces than this something is near nearly always: only their middle is checked.
 WIDEST_MARGIN_M = 0.05
+
+# Longer tree edges mean fewer nodes and fewer checks until a path is there; past this they grow again.
+TREE_EDGE_RAD = 1.7
+
+RRT_CONNECT = "RRTConnect"
+
+# OMPL's searches with edges of a length to choose, by their names; see planners.problem.PLANNER_IDS.
+TREES = {
+    RRT_CONNECT: og.RRTConnect,
+    "RRT": og.RRT,
+    "RRTstar": og.RRTstar,
+    "InformedRRTstar": og.InformedRRTstar,
+    "SORRTstar": og.SORRTstar,
+    "LBKPIECE1": og.LBKPIECE1,
+    "BKPIECE1": og.BKPIECE1,
+    "KPIECE1": og.KPIECE1,
+}
+
+Project = Callable[[Vector], Vector | None]
+
+# Its name in plans.
+PROJECTED_SEARCH = "RRTConnect on constraints"
+
+# Steps this long stay near the condition in between, and most descents back to it take two or three steps.
+STEP_RAD = 0.15
+
+# A step that has been brought back to less than this share of its length leads nowhere new.
+LEAST_PROGRESS = 0.2
+
+# Trees that reach out further at once are caught in corners.
+STEPS_AT_ONCE = 20
 
 
 def checks_in(time_s: float) -> int:
@@ -39,7 +68,7 @@ def checks_in(time_s: float) -> int:
 def coarse_first(pieces: int) -> Vector:
     """Return the fractions at which the pieces of a line end, coarse first, shape (pieces, 1).
 
-    The end comes first, and the others so that they are spread well at any time: what is in the way is found soon.
+    The end comes first, and the others so that they are spread well at any time: obstacles are found soon.
     """
     bits = pieces.bit_length()
     turned = [int(f"{i:0{bits}b}"[::-1], 2) for i in range(pieces)]
@@ -49,14 +78,14 @@ def coarse_first(pieces: int) -> Vector:
 
 
 class CountedSpace:
-    """A joint space that counts the configurations it is asked about.
+    """Joint space that counts its collision checks.
 
     Args:
         space: the joints that move, and what they must not touch.
         should_stop: once true, no line or curve is called free any more: long ones take longer than a cancel may.
 
     Attributes:
-        checks: how many questions were answered so far.
+        checks: number of checks so far.
         travel_m_per_rad: the most that anything moves per motion of each joint, shape (n,).
         lower_rad: shape (n,), lower position limits.
         upper_rad: shape (n,), upper position limits.
@@ -75,12 +104,14 @@ class CountedSpace:
         self.checks += 1
         return self._space.free(point)
 
-    def threats(self, points: Vector, joint_travel: Vector, among: Sequence[Threats]) -> list[Threats]:
-        """As :meth:`JointSpace.threats`."""
+    def candidate_pairs(
+        self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
+    ) -> list[CandidatePairs]:
+        """As :meth:`JointSpace.candidate_pairs`."""
         self.checks += len(points)
-        return self._space.threats(points, joint_travel, among)
+        return self._space.candidate_pairs(points, joint_travel, among)
 
-    def touches_any(self, point: Vector, among: Threats) -> bool:
+    def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
         """As :meth:`JointSpace.touches_any`."""
         self.checks += 1
         return self._space.touches_any(point, among)
@@ -89,12 +120,12 @@ class CountedSpace:
         """As :meth:`JointSpace.line_free`."""
         return not self._should_stop() and line_is_free(self, start, end, step_m)
 
-    def glance(self, start: Vector, end: Vector, step_m: float) -> bool:
-        """Tell whether nothing touches in points of a straight line.
+    def line_free_sparsely(self, start: Vector, end: Vector, step_m: float) -> bool:
+        """Tell whether nothing touches in points of a straight line; contacts between them may be missed.
 
         Args:
             start: first point, taken to be free.
-            end: last point, looked at as well.
+            end: last point, checked as well.
             step_m: nothing moves further than this from one point to the next [m].
         """
         travel_m = float(np.abs(end - start) @ self.travel_m_per_rad)
@@ -106,26 +137,31 @@ class CountedSpace:
 
         Args:
             curve: the curve.
-            step_m: nothing more is asked between two free points between which about so much is moved [m].
+            step_m: travel of the fastest point between two checked points, about [m].
         """
         if not curve.stays_within(self.lower_rad, self.upper_rad):
             return False
         points = self._evenly(curve, step_m)
         half = len(points) // 2
         middles = np.array([half])
-        threats: list[Threats] = [ANYTHING]
+        candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
         while half and len(middles):
             here = points[middles]
             joint_travel = np.maximum(np.abs(points[middles - half] - here), np.abs(points[middles + half] - here))
             if np.max(joint_travel @ self.travel_m_per_rad) <= WIDEST_MARGIN_M:
-                threats = self.threats(here, joint_travel, threats)
-                unsure = [i for i, threat in enumerate(threats) if threat != NOTHING]
-                middles, threats = middles[unsure], [threats[i] for i in unsure]
-            touching = (self.touches_any(points[i], threat) for i, threat in zip(middles, threats, strict=True))
+                candidate_pairs = self.candidate_pairs(here, joint_travel, candidate_pairs)
+                unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
+                middles, candidate_pairs = middles[unsure], [candidate_pairs[i] for i in unsure]
+            touching = (
+                self.touches_any(points[i], candidates) for i, candidates in zip(middles, candidate_pairs, strict=True)
+            )
             if self._should_stop() or any(touching):
                 return False
             half //= 2
-            middles, threats = np.concatenate((middles - half, middles + half)), threats + threats
+            middles, candidate_pairs = (
+                np.concatenate((middles - half, middles + half)),
+                candidate_pairs + candidate_pairs,
+            )
         return True
 
     def _evenly(self, curve: Curve, step_m: float) -> Vector:
@@ -136,23 +172,6 @@ class CountedSpace:
         pieces = 1 << max(0, int(np.ceil(np.log2(max(travel_m[-1], step_m) / step_m))))
         return curve.at(np.interp(np.linspace(0.0, travel_m[-1], pieces + 1), travel_m, ticks))[0]
 
-
-# Longer tree edges mean fewer nodes and fewer checks until a path is there; past this they grow again.
-TREE_EDGE_RAD = 1.7
-
-RRT_CONNECT = "RRTConnect"
-
-# OMPL's searches with edges of a length to choose, by their names; see planners.problem.PLANNER_IDS.
-TREES = {
-    RRT_CONNECT: og.RRTConnect,
-    "RRT": og.RRT,
-    "RRTstar": og.RRTstar,
-    "InformedRRTstar": og.InformedRRTstar,
-    "SORRTstar": og.SORRTstar,
-    "LBKPIECE1": og.LBKPIECE1,
-    "BKPIECE1": og.BKPIECE1,
-    "KPIECE1": og.KPIECE1,
-}
 
 # The libraries' log would go to the worker's stderr; what matters is in the answer.
 ou.setLogLevel(ou.LOG_NONE)
@@ -182,7 +201,7 @@ def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) 
         query: what to search for.
         name: one of planners.problem.PLANNER_IDS.
         seed: same query and seed, same path.
-        should_stop: asked all the time; a search it ends has no path.
+        should_stop: called all the time; a search it ends has no path.
 
     Returns:
         Shape (m, n) from the start to one of the goals, or None.
@@ -212,7 +231,7 @@ def without_detours(space: CountedSpace, path: Vector, step_m: float) -> Vector 
         step_m: the most that any robot point moves from one check to the next [m].
 
     Returns:
-        Shape (k, n) with the same ends, or None: looked at so finely, the path itself is not free.
+        Shape (k, n) with the same ends, or None: checked so finely, the path itself is not free.
     """
     kept = [0]
     while kept[-1] < len(path) - 1:
@@ -235,7 +254,7 @@ class _Edges(ob.MotionValidator):
 
     def checkMotion(self, first: ob.RealVectorStateType, second: ob.RealVectorStateType) -> bool:  # noqa: N802
         start, end = np.array(first[0 : self._size]), np.array(second[0 : self._size])
-        return self._query.space.glance(start, end, self._query.step_m)
+        return self._query.space.line_free_sparsely(start, end, self._query.step_m)
 
 
 def _planner(name: str, information: ob.SpaceInformation) -> ob.Planner:
@@ -280,21 +299,6 @@ def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateT
     return state
 
 
-Project = Callable[[Vector], Vector | None]
-
-# Its name in plans.
-PROJECTED_SEARCH = "RRTConnect on constraints"
-
-# Steps this long stay near the condition in between, and most descents back to it take two or three steps.
-STEP_RAD = 0.15
-
-# A step that has been brought back to less than this share of its length leads nowhere new.
-LEAST_PROGRESS = 0.2
-
-# Trees that reach out further at once are caught in corners.
-STEPS_AT_ONCE = 20
-
-
 def projected_search(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector | None:
     """Find a polyline on which the space's condition holds.
 
@@ -302,7 +306,7 @@ def projected_search(query: Query, project: Project, seed: int, should_stop: Cal
         query: what to search for; the condition holds at its start and goals.
         project: brings a point to one nearby where the condition holds, or gives None.
         seed: same query and seed, same path.
-        should_stop: asked before each step; a search it ends has no path.
+        should_stop: called before each step; a search it ends has no path.
 
     Returns:
         Shape (m, n) from the start to one of the goals, or None.

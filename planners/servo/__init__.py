@@ -1,1 +1,1 @@
-"""From a wish of somebody who steers to velocities of the joints, many times a second."""
+"""Servoing: from commands to velocities of the joints, many times a second."""

@@ -68,7 +68,7 @@ class Anchor:
     """Pose that the tip keeps in the directions that are not commanded, so that it does not drift.
 
     Attributes:
-        pose: where the tip should be.
+        pose: pose of the tip to keep.
         along: unit vector along which it is moved, and so may be anywhere; zero to hold the position.
         about: unit vector about which it is turned, likewise.
     """
@@ -108,12 +108,12 @@ class ServoQuestion:
     Attributes:
         group: the joints that may move.
         link: the tip.
-        positions_rad: where every movable joint is told to be now [rad].
+        positions_rad: commanded position of every movable joint [rad].
         velocity_rad_s: the last answer's; joints not named rest [rad/s].
         period_s: time since that [s].
-        command: what is wanted.
+        command: the command.
         anchor: of the last answer to the same steering; None at its beginning.
-        limits: how it is bounded.
+        limits: limits of the motion.
     """
 
     group: str
@@ -132,9 +132,9 @@ class ServoAnswer:
 
     Attributes:
         velocity_rad_s: of every joint of the group [rad/s].
-        status: what holds it back most.
-        message: in words, with what was given up; empty when all that was wanted is done.
-        share: how much of the speed wanted is had, 0 to 1.
+        status: the gravest reason for a reduced speed.
+        message: the status in words, with the parts of the command that are given up; empty if there are none.
+        share: achieved share of the commanded speed, 0 to 1.
         anchor: for the next question.
     """
 

@@ -31,21 +31,236 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from planners.servo.velocity_limits import WATCHED_M, Ahead, Regular, Walls, bounded_least_squares, regular, walls
+from planners.servo.velocity_limits import (
+    WATCHED_M,
+    PredictedTip,
+    RegularizedMotion,
+    VelocityBounds,
+    bounded_least_squares,
+    regularized,
+    velocity_bounds,
+)
 from robot.description.model import RobotModel
+from robot.trajectory import Vector
 
 # The tip's position has so many directions; an arm with fewer joints cannot be steered by its tip.
 POSITION_DIRECTIONS = 3
 
-# Who asks more rarely does not steer.
+# With a longer period the arm moves too far between two commands.
 MAX_PERIOD_S = 0.1
 
 # A quaternion whose length is further from 1 is none.
 UNIT_TOLERANCE = 1e-3
 
+# An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
+GAIN_PER_S = 4.0
+
+# Further than this from its anchor the tip is not drifting but held off, by a limit or by what is in the way; the
+# anchor then comes along.
+MAX_DRIFT_M = 0.02
+MAX_DRIFT_RAD = 0.35
+
+# While it is held off it is pulled no more than keeps it from sliding away by itself, at 2 cm/s.
+HELD_DRIFT_M = 0.005
+
+# A smaller share of the desired speed counts as halted.
+HALTED = 0.05
+
+# A rotation is reported as given up when it lacks more than this share.
+GIVEN_UP = 0.1
+
+# An orientation is reported as not kept from 3 degrees on.
+NOT_KEPT_RAD = math.radians(3.0)
+
+_SINGULARITIES = {
+    ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY: "the arm nears a singularity: this direction is slowed",
+    ServoStatus.HALT_FOR_SINGULARITY: "the arm is at a singularity: this direction leads nowhere, others are free",
+    ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY: "the arm leaves a singularity",
+}
+
+# Keeps joints from running where it does hardly anything; a hundredth of what an arm's tip moves by [m/rad].
+POSITION_DAMPING = 0.002
+
+# Turns that need more than twenty times their speed of the joints are mostly given up.
+TURN_DAMPING = 0.05
+
+# Weight of keeping the last rotation: without it the rotation flutters between two obstacles.
+STEADINESS = 0.5
+
+# Share of the joints' acceleration that steering uses; the arm, which rounds the corners, needs some of the rest.
+ACCELERATION_SHARE = 0.7
+
+# At a velocity bound the tip could go on by turning about the obstacle. A turn of a radian costs as much as this way,
+# so that the tip stops instead [m/rad].
+PUSHED_TURN_M = 0.15
+
+
+@dataclass(frozen=True)
+class ServoState:
+    """State of the arm for which velocities are computed.
+
+    Attributes:
+        q: every joint, shape (n,) [rad].
+        columns: the joints that may move.
+        jacobian: of the tip for these, shape (6, m).
+        max_velocity: of these, shape (m,) [rad/s].
+        max_change: of their velocities until the next request, shape (m,) [rad/s].
+        velocity_rad_s: their last commanded velocities, shape (m,) [rad/s].
+        tip: pose of the tip in the root link.
+        velocity_bounds: for these.
+    """
+
+    q: Vector
+    columns: NDArray[np.intp]
+    jacobian: Vector
+    max_velocity: Vector
+    max_change: Vector
+    velocity_rad_s: Vector
+    tip: pin.SE3
+    velocity_bounds: VelocityBounds
+
+
+def answer_servo(
+    question: ServoQuestion, robot: RobotModel, collision: CollisionModel, forward: ForwardKinematics
+) -> ServoAnswer | PlanningFailure:
+    """Return the joint velocities for a command.
+
+    Args:
+        question: the command, and the state of the arm.
+        robot: the arm.
+        collision: its collisions with itself and the scene.
+        forward: forward kinematics of the same joints.
+    """
+    refusal = check_servo_question(robot, question)
+    if refusal is not None:
+        return refusal
+    state = _servo_state(question, robot, collision, forward)
+    names = robot.groups[question.group].joints
+    if isinstance(question.command, JointVelocities):
+        return servo_answer(
+            question, names, _ramped(_joint_outcome(question.command, names, state), state), state.velocity_bounds
+        )
+    if isinstance(question.command, TipTwist):
+        desired = twist_motion(question.command, state.tip, question.anchor)
+    else:
+        desired = target_motion(question.command, state.tip, question.limits)
+    return servo_answer(
+        question, names, _ramped(_tip_outcome(question, desired, state, forward), state), state.velocity_bounds
+    )
+
+
+def _servo_state(
+    question: ServoQuestion, robot: RobotModel, collision: CollisionModel, forward: ForwardKinematics
+) -> ServoState:
+    q = np.array([question.positions_rad[name] for name in collision.joint_names])
+    names, limits = robot.groups[question.group].joints, question.limits
+    columns = np.array([collision.joint_names.index(name) for name in names])
+    lower, upper = collision.lower_rad[columns], collision.upper_rad[columns]
+    bounds = velocity_bounds(q[columns], lower, upper, columns, collision.near_pairs(q, WATCHED_M), limits)
+    joints = [robot.joints[name] for name in names]
+    jacobian = forward.jacobian(q, question.link)[:, columns]
+    return ServoState(
+        q,
+        columns,
+        jacobian,
+        limits.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
+        ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints]),
+        np.array([question.velocity_rad_s.get(name, 0.0) for name in names]),
+        forward.placement(question.link).copy(),
+        bounds,
+    )
+
+
+def _joint_outcome(command: JointVelocities, names: tuple[str, ...], state: ServoState) -> Outcome:
+    """Return the outcome of a joint command: only named joints move, also where others could help past a bound."""
+    desired = np.array([command.velocity_rad_s.get(name, 0.0) for name in names])
+    desired = desired * _share_of_speed(desired, state.max_velocity)
+    named = np.flatnonzero(desired)
+    velocity = np.zeros(len(names))
+    if not named.size:
+        return Outcome(velocity, np.array([], dtype=np.intp), desired, velocity)
+    found, active = bounded_least_squares(
+        np.eye(len(named)),
+        desired[named],
+        POSITION_DAMPING,
+        state.velocity_bounds.rows[:, named],
+        state.velocity_bounds.bounds,
+    )
+    velocity[named] = found
+    return Outcome(velocity, active, desired, velocity)
+
+
+def _tip_outcome(
+    question: ServoQuestion, desired: DesiredMotion, state: ServoState, forward: ForwardKinematics
+) -> Outcome:
+    linear, angular = state.jacobian[:3], state.jacobian[3:]
+
+    def predict(step: Vector) -> PredictedTip:
+        q = state.q.copy()
+        q[state.columns] += step
+        jacobian = forward.jacobian(q, question.link)[:3, state.columns]
+        return PredictedTip(forward.placement(question.link).translation.copy(), jacobian)
+
+    sound = regularized(linear, desired.linear_m_s, question.limits, state.max_velocity, predict)
+    first, active = _moved(sound, angular, desired.angular_rad_s, state)
+    velocity, also = _turned(first, angular, desired.angular_rad_s, sound.free, state)
+    held = bool(active.size) or sound.status is not ServoStatus.NO_WARNING
+    return Outcome(
+        velocity,
+        np.union1d(active, also),
+        desired.linear_m_s,
+        linear @ velocity,
+        desired.angular_rad_s,
+        angular @ velocity,
+        sound.status,
+        desired.drift_rad,
+        relaxed_anchor(desired.anchor, state.tip) if held and desired.anchor is not None else desired.anchor,
+    )
+
+
+def _moved(
+    sound: RegularizedMotion, angular: Vector, turn: Vector, state: ServoState
+) -> tuple[Vector, NDArray[np.intp]]:
+    """Return the joint velocities that move the tip, and the indices of the active velocity bounds."""
+    rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
+    first, active = bounded_least_squares(sound.jacobian, sound.linear_m_s, POSITION_DAMPING, rows, bounds)
+    if state.velocity_bounds.near(active):
+        both = np.vstack((sound.jacobian, PUSHED_TURN_M * angular))
+        desired = np.concatenate((sound.linear_m_s, PUSHED_TURN_M * turn))
+        first, active = bounded_least_squares(both, desired, POSITION_DAMPING, rows, bounds)
+    return first * _share_of_speed(first, state.max_velocity), active
+
+
+def _turned(
+    first: Vector, angular: Vector, turn: Vector, free: Vector, state: ServoState
+) -> tuple[Vector, NDArray[np.intp]]:
+    """Add velocities that turn the tip without moving it; return all, and the indices of the active velocity bounds."""
+    rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
+    speeds = np.concatenate((state.max_velocity - first, state.max_velocity + first))
+    rest, active = bounded_least_squares(
+        np.vstack((angular @ free, STEADINESS * np.eye(free.shape[1]))),
+        np.concatenate((turn - angular @ first, STEADINESS * free.T @ (state.velocity_rad_s - first))),
+        TURN_DAMPING,
+        np.vstack((rows @ free, free, -free)),
+        np.maximum(np.concatenate((bounds - rows @ first, speeds)), 0.0),
+    )
+    return first + free @ rest, active[active < len(bounds)]
+
+
+def _ramped(outcome: Outcome, state: ServoState) -> Outcome:
+    """Limit the change of all joints' velocities alike: the tip keeps its direction while the slowest speeds up."""
+    change = outcome.velocity_rad_s - state.velocity_rad_s
+    share = 1.0 / max(1.0, float(np.max(np.abs(change) / state.max_change)))
+    return replace(outcome, velocity_rad_s=state.velocity_rad_s + share * change)
+
+
+def _share_of_speed(velocity: Vector, max_velocity: Vector) -> float:
+    """Return the common scale that brings a motion's fastest joint within its limit."""
+    return 1.0 / max(1.0, float(np.max(np.abs(velocity) / max_velocity)))
+
 
 def check_servo_question(robot: RobotModel, question: ServoQuestion) -> PlanningFailure | None:
-    """Names and numbers of a question."""
+    """Check names and numbers of a request."""
     return (
         check_group(robot, question.group)
         or next(_link_flaws(robot, question), None)
@@ -92,22 +307,8 @@ def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[Plann
             yield invalid_goal(f"a command must be of finite numbers, not {value}")
 
 
-Vector = NDArray[np.float64]
-
-# An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
-GAIN_PER_S = 4.0
-
-# Further than this from its anchor the tip is not drifting but held off, by a limit or by what is in the way; the
-# anchor then comes along.
-MAX_DRIFT_M = 0.02
-MAX_DRIFT_RAD = 0.35
-
-# While it is held off it is pulled no more than keeps it from sliding away by itself, at 2 cm/s.
-HELD_DRIFT_M = 0.005
-
-
 @dataclass(frozen=True)
-class Wish:
+class DesiredMotion:
     """Commanded motion of the tip, along the root link's axes.
 
     Attributes:
@@ -123,27 +324,27 @@ class Wish:
     anchor: Anchor | None
 
 
-def steered(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Wish:
-    """The wish of a twist: what it does not move is held where it was.
+def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> DesiredMotion:
+    """Return the desired motion of a twist; directions that it does not command are held.
 
     Args:
         command: the twist.
-        tip: where the tip is.
-        anchor: what was kept until now; None at the beginning.
+        tip: pose of the tip in the root link.
+        anchor: the anchor until now; None at the beginning.
     """
     linear, angular = np.array(command.linear_m_s), np.array(command.angular_rad_s)
-    along, about = _direction(linear), _direction(angular)
+    along, about = _unit_or_zero(linear), _unit_or_zero(angular)
     kept = anchor or Anchor(_pose(tip))
     if command.zero:
         # It still brakes: what it had been moved along it need not come back for.
         along, about = np.array(kept.along), np.array(kept.about)
-    # An orientation that cannot be had would keep an arm moving that nobody moves.
+    # An orientation out of reach would keep the arm moving without a command.
     righting_per_s = 0.0 if command.zero else GAIN_PER_S
     at = placement(kept.pose)
     drift = _shortened(_across(at.translation - tip.translation, along), MAX_DRIFT_M)
     turned = _shortened(_across(pin.log3(at.rotation @ tip.rotation.T), about), MAX_DRIFT_RAD)
     place = pin.SE3(pin.exp3(turned) @ tip.rotation, tip.translation + drift)
-    return Wish(
+    return DesiredMotion(
         linear + GAIN_PER_S * drift,
         angular + righting_per_s * turned,
         float(np.linalg.norm(turned)),
@@ -151,22 +352,22 @@ def steered(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Wish:
     )
 
 
-def loosened(anchor: Anchor, tip: pin.SE3) -> Anchor:
-    """The anchor of a tip that is held back: to be pulled to its way would keep it from going where it can.
+def relaxed_anchor(anchor: Anchor, tip: pin.SE3) -> Anchor:
+    """Return the anchor of a tip that limits hold back: pulled to its path, it could not go where it is free to.
 
     Args:
-        anchor: what was to be kept.
-        tip: where the tip is.
+        anchor: the anchor until now.
+        tip: pose of the tip in the root link.
     """
     drift = _shortened(placement(anchor.pose).translation - tip.translation, HELD_DRIFT_M)
     return Anchor(_pose(pin.SE3(tip.rotation, tip.translation + drift)), anchor.along, anchor.about)
 
 
-def aimed(command: TipTarget, tip: pin.SE3, limits: ServoLimits) -> Wish:
-    """The wish of a target: to be there, not faster than allowed."""
+def target_motion(command: TipTarget, tip: pin.SE3, limits: ServoLimits) -> DesiredMotion:
+    """Return the desired motion towards a target, within the speed limits."""
     target = placement(command.pose)
     missing_m, missing_rad = target.translation - tip.translation, pin.log3(target.rotation @ tip.rotation.T)
-    return Wish(
+    return DesiredMotion(
         _shortened(GAIN_PER_S * missing_m, limits.linear_m_s),
         _shortened(GAIN_PER_S * missing_rad, limits.angular_rad_s),
         float(np.linalg.norm(missing_rad)),
@@ -174,7 +375,7 @@ def aimed(command: TipTarget, tip: pin.SE3, limits: ServoLimits) -> Wish:
     )
 
 
-def _direction(vector: Vector) -> Vector:
+def _unit_or_zero(vector: Vector) -> Vector:
     length = float(np.linalg.norm(vector))
     return vector / length if length > 0.0 else np.zeros(3)
 
@@ -198,16 +399,6 @@ def _point(vector: Vector) -> Point:
     return x, y, z
 
 
-# Less than this share of the speed that is wanted is no motion.
-HALTED = 0.05
-
-# A turn is told as given up when more than this share of it is.
-GIVEN_UP = 0.1
-
-# An orientation is told as not kept from 3 degrees on.
-NOT_KEPT_RAD = math.radians(3.0)
-
-
 def _nothing() -> Vector:
     return np.zeros(3)
 
@@ -218,21 +409,21 @@ class Outcome:
 
     Attributes:
         velocity_rad_s: of the joints that may move, shape (n,) [rad/s].
-        active: which of the walls hold them back.
-        wanted: velocity of the tip [m/s], or of the joints [rad/s].
-        had: likewise.
-        wanted_turn_rad_s: angular velocity of the tip that was wanted, shape (3,) [rad/s].
-        turn_rad_s: that it has.
-        singularity: what a singularity does to it.
-        drift_rad: how far the tip is turned from where it should be [rad].
-        anchor: what to keep.
+        active: indices of the active velocity bounds.
+        desired: velocity of the tip [m/s], or of the joints [rad/s].
+        achieved: the achieved one, likewise.
+        desired_turn_rad_s: desired angular velocity of the tip, shape (3,) [rad/s].
+        turn_rad_s: the achieved one, shape (3,) [rad/s].
+        singularity: status that a singularity causes.
+        drift_rad: angle between the tip and the desired orientation [rad].
+        anchor: for the next request; None where there is nothing to keep.
     """
 
     velocity_rad_s: Vector
     active: NDArray[np.intp]
-    wanted: Vector
-    had: Vector
-    wanted_turn_rad_s: Vector = field(default_factory=_nothing)
+    desired: Vector
+    achieved: Vector
+    desired_turn_rad_s: Vector = field(default_factory=_nothing)
     turn_rad_s: Vector = field(default_factory=_nothing)
     singularity: ServoStatus = ServoStatus.NO_WARNING
     drift_rad: float = 0.0
@@ -241,21 +432,23 @@ class Outcome:
     @property
     def share(self) -> float:
         """Achieved share of the commanded speed, in its direction, 0 to 1."""
-        square = float(self.wanted @ self.wanted)
-        return min(max(float(self.had @ self.wanted) / square, 0.0), 1.0) if square > 0.0 else 1.0
+        square = float(self.desired @ self.desired)
+        return min(max(float(self.achieved @ self.desired) / square, 0.0), 1.0) if square > 0.0 else 1.0
 
 
-def answer_of(question: ServoQuestion, names: tuple[str, ...], outcome: Outcome, around: Walls) -> ServoAnswer:
-    """Tell an outcome.
+def servo_answer(
+    question: ServoQuestion, names: tuple[str, ...], outcome: Outcome, bounds: VelocityBounds
+) -> ServoAnswer:
+    """Return the answer for an outcome.
 
     Args:
-        question: what was asked.
+        question: the request.
         names: the joints of the outcome.
-        outcome: what became of it.
-        around: what held it back.
+        outcome: its outcome.
+        bounds: the velocity bounds.
     """
-    status, said = _held_back(names, outcome, around)
-    said += _given_up(question, outcome, len(names))
+    status, said = _active_limits(names, outcome, bounds)
+    said += _unachieved(question, outcome, len(names))
     return ServoAnswer(
         dict(zip(names, outcome.velocity_rad_s.tolist(), strict=True)),
         status,
@@ -265,10 +458,10 @@ def answer_of(question: ServoQuestion, names: tuple[str, ...], outcome: Outcome,
     )
 
 
-def _held_back(names: tuple[str, ...], outcome: Outcome, around: Walls) -> tuple[ServoStatus, list[str]]:
+def _active_limits(names: tuple[str, ...], outcome: Outcome, bounds: VelocityBounds) -> tuple[ServoStatus, list[str]]:
     """Return the reasons for a reduced speed: the gravest as the status, all of them in words."""
     status, said = ServoStatus.NO_WARNING, []
-    joints, pairs = around.joints(outcome.active), around.near(outcome.active)
+    joints, pairs = bounds.joints(outcome.active), bounds.near(outcome.active)
     if joints:
         status = ServoStatus.JOINT_BOUND
         said.append(f"{', '.join(names[joint] for joint in joints)} at the limit: the others go on")
@@ -283,188 +476,15 @@ def _held_back(names: tuple[str, ...], outcome: Outcome, around: Walls) -> tuple
     return status, said
 
 
-_SINGULARITIES = {
-    ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY: "the arm nears a singularity: this direction is slowed",
-    ServoStatus.HALT_FOR_SINGULARITY: "the arm is at a singularity: this direction leads nowhere, others are free",
-    ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY: "the arm leaves a singularity",
-}
-
-
-def _given_up(question: ServoQuestion, outcome: Outcome, joints: int) -> list[str]:
+def _unachieved(question: ServoQuestion, outcome: Outcome, joints: int) -> list[str]:
     """Describe the part of a rotation, or of the orientation, that cannot be achieved."""
     if isinstance(question.command, TipTwist) and any(question.command.angular_rad_s):
-        asked = float(np.linalg.norm(question.command.angular_rad_s))
-        missing = float(np.linalg.norm(outcome.wanted_turn_rad_s - outcome.turn_rad_s))
-        if missing > GIVEN_UP * asked:
-            return [f"of the turn of {asked:.2f} rad/s, {missing:.2f} rad/s are given up: {joints} joints cannot do it"]
+        commanded = float(np.linalg.norm(question.command.angular_rad_s))
+        missing = float(np.linalg.norm(outcome.desired_turn_rad_s - outcome.turn_rad_s))
+        if missing > GIVEN_UP * commanded:
+            return [
+                f"of the turn of {commanded:.2f} rad/s, {missing:.2f} rad/s are given up: {joints} joints cannot do it"
+            ]
     if outcome.drift_rad > NOT_KEPT_RAD:
         return [f"the orientation is {math.degrees(outcome.drift_rad):.0f} degrees off: the position comes first"]
     return []
-
-
-# Keeps joints from running where it does hardly anything; a hundredth of what an arm's tip moves by [m/rad].
-POSITION_DAMPING = 0.002
-
-# Turns that need more than twenty times their speed of the joints are mostly given up.
-TURN_DAMPING = 0.05
-
-
-# How much a turn stays what it was: it does not flutter between two things that are in its way.
-STEADINESS = 0.5
-
-# Share of the joints' acceleration that steering uses; the arm, which rounds the corners, needs some of the rest.
-ACCELERATION_SHARE = 0.7
-
-# Against a wall the tip could go on by turning about where it touches. A turn of a radian counts as much as this way:
-# then it rather stops [m/rad].
-PUSHED_TURN_M = 0.15
-
-
-@dataclass(frozen=True)
-class Place:
-    """State of the arm at which velocities are asked for.
-
-    Attributes:
-        q: every joint, shape (n,) [rad].
-        columns: the joints that may move.
-        jacobian: of the tip for these, shape (6, m).
-        max_velocity: of these, shape (m,) [rad/s].
-        max_change: of their velocities until the next question, shape (m,) [rad/s].
-        velocity_rad_s: what these were told last, shape (m,) [rad/s].
-        tip: where the tip is.
-        walls: for these.
-    """
-
-    q: Vector
-    columns: NDArray[np.intp]
-    jacobian: Vector
-    max_velocity: Vector
-    max_change: Vector
-    velocity_rad_s: Vector
-    tip: pin.SE3
-    walls: Walls
-
-
-def answer_servo(
-    question: ServoQuestion, robot: RobotModel, collision: CollisionModel, forward: ForwardKinematics
-) -> ServoAnswer | PlanningFailure:
-    """Say how the joints must move now.
-
-    Args:
-        question: what is wanted, and where.
-        robot: the arm.
-        collision: what is near.
-        forward: of the same joints.
-    """
-    refusal = check_servo_question(robot, question)
-    if refusal is not None:
-        return refusal
-    place = _place(question, robot, collision, forward)
-    names = robot.groups[question.group].joints
-    if isinstance(question.command, JointVelocities):
-        return answer_of(question, names, _ramped(_turn_joints(question.command, names, place), place), place.walls)
-    if isinstance(question.command, TipTwist):
-        wish = steered(question.command, place.tip, question.anchor)
-    else:
-        wish = aimed(question.command, place.tip, question.limits)
-    return answer_of(question, names, _ramped(_move_tip(question, wish, place, forward), place), place.walls)
-
-
-def _place(question: ServoQuestion, robot: RobotModel, collision: CollisionModel, forward: ForwardKinematics) -> Place:
-    q = np.array([question.positions_rad[name] for name in collision.joint_names])
-    names, limits = robot.groups[question.group].joints, question.limits
-    columns = np.array([collision.joint_names.index(name) for name in names])
-    lower, upper = collision.lower_rad[columns], collision.upper_rad[columns]
-    around = walls(q[columns], lower, upper, columns, collision.near_pairs(q, WATCHED_M), limits)
-    joints = [robot.joints[name] for name in names]
-    jacobian = forward.jacobian(q, question.link)[:, columns]
-    return Place(
-        q,
-        columns,
-        jacobian,
-        limits.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
-        ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints]),
-        np.array([question.velocity_rad_s.get(name, 0.0) for name in names]),
-        forward.placement(question.link).copy(),
-        around,
-    )
-
-
-def _turn_joints(command: JointVelocities, names: tuple[str, ...], place: Place) -> Outcome:
-    """Only the joints that were named move, also where others could help around a wall."""
-    wanted = np.array([command.velocity_rad_s.get(name, 0.0) for name in names])
-    wanted = wanted * _share_of_speed(wanted, place.max_velocity)
-    named = np.flatnonzero(wanted)
-    velocity = np.zeros(len(names))
-    if not named.size:
-        return Outcome(velocity, np.array([], dtype=np.intp), wanted, velocity)
-    found, active = bounded_least_squares(
-        np.eye(len(named)), wanted[named], POSITION_DAMPING, place.walls.rows[:, named], place.walls.bounds
-    )
-    velocity[named] = found
-    return Outcome(velocity, active, wanted, velocity)
-
-
-def _move_tip(question: ServoQuestion, wish: Wish, place: Place, forward: ForwardKinematics) -> Outcome:
-    linear, angular = place.jacobian[:3], place.jacobian[3:]
-
-    def ahead(step: Vector) -> Ahead:
-        q = place.q.copy()
-        q[place.columns] += step
-        jacobian = forward.jacobian(q, question.link)[:3, place.columns]
-        return Ahead(forward.placement(question.link).translation.copy(), jacobian)
-
-    sound = regular(linear, wish.linear_m_s, question.limits, place.max_velocity, ahead)
-    first, active = _moved(sound, angular, wish.angular_rad_s, place)
-    velocity, also = _turned(first, angular, wish.angular_rad_s, sound.free, place)
-    held = bool(active.size) or sound.status is not ServoStatus.NO_WARNING
-    return Outcome(
-        velocity,
-        np.union1d(active, also),
-        wish.linear_m_s,
-        linear @ velocity,
-        wish.angular_rad_s,
-        angular @ velocity,
-        sound.status,
-        wish.drift_rad,
-        loosened(wish.anchor, place.tip) if held and wish.anchor is not None else wish.anchor,
-    )
-
-
-def _moved(sound: Regular, angular: Vector, turn: Vector, place: Place) -> tuple[Vector, NDArray[np.intp]]:
-    """The joints' velocities that move the tip, and the walls that hold them back."""
-    rows, bounds = place.walls.rows, place.walls.bounds
-    first, active = bounded_least_squares(sound.jacobian, sound.linear_m_s, POSITION_DAMPING, rows, bounds)
-    if place.walls.near(active):
-        both = np.vstack((sound.jacobian, PUSHED_TURN_M * angular))
-        wanted = np.concatenate((sound.linear_m_s, PUSHED_TURN_M * turn))
-        first, active = bounded_least_squares(both, wanted, POSITION_DAMPING, rows, bounds)
-    return first * _share_of_speed(first, place.max_velocity), active
-
-
-def _turned(
-    first: Vector, angular: Vector, turn: Vector, free: Vector, place: Place
-) -> tuple[Vector, NDArray[np.intp]]:
-    """The same with what turns the tip without moving it, and the walls that hold that back."""
-    rows, bounds = place.walls.rows, place.walls.bounds
-    speeds = np.concatenate((place.max_velocity - first, place.max_velocity + first))
-    rest, active = bounded_least_squares(
-        np.vstack((angular @ free, STEADINESS * np.eye(free.shape[1]))),
-        np.concatenate((turn - angular @ first, STEADINESS * free.T @ (place.velocity_rad_s - first))),
-        TURN_DAMPING,
-        np.vstack((rows @ free, free, -free)),
-        np.maximum(np.concatenate((bounds - rows @ first, speeds)), 0.0),
-    )
-    return first + free @ rest, active[active < len(bounds)]
-
-
-def _ramped(outcome: Outcome, place: Place) -> Outcome:
-    """An outcome as it is got to: all joints alike, so that the tip keeps its direction while the slowest speeds up."""
-    change = outcome.velocity_rad_s - place.velocity_rad_s
-    share = 1.0 / max(1.0, float(np.max(np.abs(change) / place.max_change)))
-    return replace(outcome, velocity_rad_s=place.velocity_rad_s + share * change)
-
-
-def _share_of_speed(velocity: Vector, max_velocity: Vector) -> float:
-    """Return the common scale that brings a motion's fastest joint within its limit."""
-    return 1.0 / max(1.0, float(np.max(np.abs(velocity) / max_velocity)))

@@ -22,78 +22,20 @@ from numpy.typing import NDArray
 
 from planners.geometry.nearness import NearPair
 from planners.servo.question import ServoLimits, ServoStatus
-
-Vector = NDArray[np.float64]
+from robot.trajectory import Vector
 
 # Each step adds or drops one inequality; ten suffice for what an arm meets. What has been found until then is within
 # all of them.
 MAX_STEPS = 40
 
 # Shorter steps and smaller multipliers are rounding.
-NOTHING = 1e-9
+ROUNDING = 1e-9
 
+# Time over which a motion is predicted to tell if it approaches a singularity.
+PREDICTION_S = 0.005
 
-def bounded_least_squares(
-    matrix: Vector, wanted: Vector, damping: float, rows: Vector, bounds: Vector
-) -> tuple[Vector, NDArray[np.intp]]:
-    """The x of least ``|matrix x - wanted|^2 + damping^2 |x|^2`` for which ``rows x <= bounds``.
-
-    Args:
-        matrix: shape (m, n).
-        wanted: shape (m,).
-        damping: above 0.
-        rows: shape (k, n).
-        bounds: shape (k,), none below 0: x = 0 is always allowed.
-
-    Returns:
-        x, shape (n,), and which inequalities hold it back.
-    """
-    size = matrix.shape[1]
-    hessian = matrix.T @ matrix + damping**2 * np.eye(size)
-    x = np.zeros(size)
-    active: list[int] = []
-    for _ in range(MAX_STEPS):
-        step, multipliers = _step_along(hessian, matrix.T @ wanted - hessian @ x, rows[active])
-        if len(active) == size or np.abs(step).max() <= NOTHING:
-            if not active or multipliers.min() >= -NOTHING:
-                break
-            del active[int(np.argmin(multipliers))]
-            continue
-        share, blocking = _room(x, step, rows, bounds, active)
-        x = x + share * step
-        if blocking is not None:
-            active.append(blocking)
-    return x, np.array(active, dtype=np.intp)
-
-
-def _step_along(hessian: Vector, slope: Vector, rows: Vector) -> tuple[Vector, Vector]:
-    """The best step that keeps to the active inequalities, and what pushes against each."""
-    size, held = len(slope), len(rows)
-    system = np.zeros((size + held, size + held))
-    system[:size, :size] = hessian
-    system[:size, size:] = rows.T
-    system[size:, :size] = rows
-    solution = np.linalg.solve(system, np.concatenate((slope, np.zeros(held))))
-    return np.asarray(solution[:size]), np.asarray(solution[size:])
-
-
-def _room(x: Vector, step: Vector, rows: Vector, bounds: Vector, active: list[int]) -> tuple[float, int | None]:
-    """Return the allowed share of a step, and the first inequality that blocks the rest."""
-    gain = rows @ step
-    gain[active] = 0.0
-    towards = np.flatnonzero(gain > NOTHING * max(1.0, float(np.abs(step).max())))
-    if not towards.size:
-        return 1.0, None
-    shares = np.maximum(bounds[towards] - rows[towards] @ x, 0.0) / gain[towards]
-    first = int(np.argmin(shares))
-    return (1.0, None) if shares[first] >= 1.0 else (float(shares[first]), int(towards[first]))
-
-
-# Whether the arm nears a singularity is seen in the next moment.
-NEXT_S = 0.005
-
-# Whether it gets out of one is seen later: the way out is of second order.
-LATER_S = 0.1
+# The way out of one is of second order, so it takes longer to show.
+EXIT_PREDICTION_S = 0.1
 
 # A greater change of the least singular value is no rounding [m/rad].
 NOTICED_M_PER_RAD = 1e-6
@@ -101,9 +43,62 @@ NOTICED_M_PER_RAD = 1e-6
 # Leaving, the tip must get this share of the way it was to go: less is turning about itself.
 LEAST_PROGRESS = 0.01
 
+# Speed of approach per distance left. With it a joint at full speed brakes as hard as it can, and no harder.
+APPROACH_PER_S = 2.5
+
+# Pairs further apart than this limit no speed below 0.3 m/s.
+WATCHED_M = 0.12
+
 
 @dataclass(frozen=True)
-class Ahead:
+class VelocityBounds:
+    """Inequalities ``rows @ velocity <= bounds``; at rest all of them hold.
+
+    Attributes:
+        rows: shape (k, n).
+        bounds: shape (k,), none below 0.
+        pairs: pairs of the last rows; the rows before them are limits of joints.
+    """
+
+    rows: Vector
+    bounds: Vector
+    pairs: Sequence[NearPair]
+
+    def near(self, active: NDArray[np.intp]) -> list[NearPair]:
+        """Return the pairs of some inequalities."""
+        first = len(self.bounds) - len(self.pairs)
+        return [self.pairs[index - first] for index in active if index >= first]
+
+    def joints(self, active: NDArray[np.intp]) -> list[int]:
+        """Return the joints whose limits are among some inequalities."""
+        count = len(self.rows[0])
+        return sorted({int(index) % count for index in active if index < len(self.bounds) - len(self.pairs)})
+
+
+def velocity_bounds(
+    q: Vector, lower: Vector, upper: Vector, columns: NDArray[np.intp], pairs: Sequence[NearPair], limits: ServoLimits
+) -> VelocityBounds:
+    """Return the velocity bounds at a configuration.
+
+    Args:
+        q: positions of the joints that may move, shape (n,) [rad].
+        lower: their limits, shape (n,) [rad].
+        upper: likewise.
+        columns: their places in the slopes of pairs.
+        pairs: pairs near each other.
+        limits: the distances to keep.
+    """
+    kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
+    watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
+    left_m = np.array([pair.distance_m - kept_m for pair, kept_m in watched])
+    slopes = np.array([pair.slope_m_per_rad[columns] for pair, _ in watched]).reshape(-1, len(q))
+    room = np.concatenate((upper - q, q - lower, left_m))
+    rows = np.vstack((np.eye(len(q)), -np.eye(len(q)), -slopes))
+    return VelocityBounds(rows, APPROACH_PER_S * np.maximum(room, 0.0), [pair for pair, _ in watched])
+
+
+@dataclass(frozen=True)
+class PredictedTip:
     """Prediction: the tip's position, shape (3,) [m], and its Jacobian, shape (3, n) [m/rad]."""
 
     position_m: Vector
@@ -111,14 +106,14 @@ class Ahead:
 
 
 @dataclass(frozen=True)
-class Regular:
-    """A wish that can be had, and the matrix to have it with.
+class RegularizedMotion:
+    """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it.
 
     Attributes:
-        linear_m_s: the wish, without what must not be, shape (3,) [m/s].
+        linear_m_s: the desired velocity that remains, shape (3,) [m/s].
         jacobian: the position's, made regular, shape (3, n) [m/rad].
         free: directions of the joints that do not move the tip, shape (n, n - 3).
-        status: what was done.
+        status: status that the singularity causes.
     """
 
     linear_m_s: Vector
@@ -127,41 +122,48 @@ class Regular:
     status: ServoStatus = ServoStatus.NO_WARNING
 
 
-def regular(
-    jacobian: Vector, linear_m_s: Vector, limits: ServoLimits, max_velocity: Vector, ahead: Callable[[Vector], Ahead]
-) -> Regular:
-    """Take out of a wish what leads into a singularity.
+def regularized(
+    jacobian: Vector,
+    linear_m_s: Vector,
+    limits: ServoLimits,
+    max_velocity: Vector,
+    predict: Callable[[Vector], PredictedTip],
+) -> RegularizedMotion:
+    """Remove the part of a desired velocity that leads into a singularity.
 
     Args:
         jacobian: of the tip's position, shape (3, n), n at least 3 [m/rad].
-        linear_m_s: the wish, shape (3,) [m/s].
+        linear_m_s: the desired velocity, shape (3,) [m/s].
         limits: condition numbers from which motion is slowed.
         max_velocity: of the joints, shape (n,) [rad/s].
-        ahead: how it will be after the joints have moved, shape (n,) [rad].
+        predict: returns the tip after a motion of the joints, shape (n,) [rad].
     """
     left, values, right = np.linalg.svd(jacobian)
     free = np.ascontiguousarray(right[3:].T)
     least = values[0] / limits.singularity_stop
     if values[2] * limits.singularity_slow >= values[0]:
-        return Regular(linear_m_s, jacobian, free)
+        return RegularizedMotion(linear_m_s, jacobian, free)
     floor = np.array([values[0], max(values[1], least), max(values[2], least)])
     sound = (left * floor) @ right[:3]
     weak = left[:, 2]
-    wanted = float(weak @ linear_m_s)
+    desired = float(weak @ linear_m_s)
     velocity = right[:3].T @ ((left.T @ linear_m_s) / floor)
     fastest = float(np.max(np.abs(velocity) / max_velocity))
     velocity = velocity / max(fastest, 1.0)
-    change = _least_value(ahead(NEXT_S * velocity)) - float(values[2])
+    change = _least_value(predict(PREDICTION_S * velocity)) - float(values[2])
     share, status = _share(float(values[0] / max(values[2], 1e-12)), change, limits)
-    moved_m = ahead(LATER_S * velocity).position_m - ahead(0.0 * velocity).position_m
-    if change > NOTICED_M_PER_RAD and float(weak @ moved_m) * np.sign(wanted) < LEAST_PROGRESS * abs(wanted) * LATER_S:
+    moved_m = predict(EXIT_PREDICTION_S * velocity).position_m - predict(0.0 * velocity).position_m
+    if (
+        change > NOTICED_M_PER_RAD
+        and float(weak @ moved_m) * np.sign(desired) < LEAST_PROGRESS * abs(desired) * EXIT_PREDICTION_S
+    ):
         share, status = 0.0, ServoStatus.HALT_FOR_SINGULARITY
-    if abs(wanted) <= LEAST_PROGRESS * float(np.linalg.norm(linear_m_s)):
+    if abs(desired) <= LEAST_PROGRESS * float(np.linalg.norm(linear_m_s)):
         status = ServoStatus.NO_WARNING
-    return Regular(linear_m_s - (1.0 - share) * wanted * weak, sound, free, status)
+    return RegularizedMotion(linear_m_s - (1.0 - share) * desired * weak, sound, free, status)
 
 
-def _least_value(there: Ahead) -> float:
+def _least_value(there: PredictedTip) -> float:
     return float(np.linalg.svd(there.jacobian, compute_uv=False)[2])
 
 
@@ -175,55 +177,59 @@ def _share(condition: float, change: float, limits: ServoLimits) -> tuple[float,
     return share, ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY
 
 
-# Speed of approach per distance left. With it a joint at full speed brakes as hard as it can, and no harder.
-APPROACH_PER_S = 2.5
-
-# Things further away than this hold back no speed that is asked for: 0.3 m/s.
-WATCHED_M = 0.12
-
-
-@dataclass(frozen=True)
-class Walls:
-    """Inequalities ``rows @ velocity <= bounds``; at rest all of them hold.
-
-    Attributes:
-        rows: shape (k, n).
-        bounds: shape (k,), none below 0.
-        pairs: what the last of them are about; those before are limits of joints.
-    """
-
-    rows: Vector
-    bounds: Vector
-    pairs: Sequence[NearPair]
-
-    def near(self, active: NDArray[np.intp]) -> list[NearPair]:
-        """The pairs that some inequalities are about."""
-        first = len(self.bounds) - len(self.pairs)
-        return [self.pairs[index - first] for index in active if index >= first]
-
-    def joints(self, active: NDArray[np.intp]) -> list[int]:
-        """The joints whose limits some inequalities are about."""
-        count = len(self.rows[0])
-        return sorted({int(index) % count for index in active if index < len(self.bounds) - len(self.pairs)})
-
-
-def walls(
-    q: Vector, lower: Vector, upper: Vector, columns: NDArray[np.intp], pairs: Sequence[NearPair], limits: ServoLimits
-) -> Walls:
-    """The walls around a configuration.
+def bounded_least_squares(
+    matrix: Vector, desired: Vector, damping: float, rows: Vector, bounds: Vector
+) -> tuple[Vector, NDArray[np.intp]]:
+    """Return the x of least ``|matrix x - desired|^2 + damping^2 |x|^2`` for which ``rows x <= bounds``.
 
     Args:
-        q: positions of the joints that may move, shape (n,) [rad].
-        lower: their limits, shape (n,) [rad].
-        upper: likewise.
-        columns: their places in the slopes of pairs.
-        pairs: what is near.
-        limits: what distances are to be kept.
+        matrix: shape (m, n).
+        desired: shape (m,).
+        damping: above 0.
+        rows: shape (k, n).
+        bounds: shape (k,), none below 0: x = 0 is always allowed.
+
+    Returns:
+        x, shape (n,), and the indices of the active inequalities.
     """
-    kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
-    watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
-    left_m = np.array([pair.distance_m - kept_m for pair, kept_m in watched])
-    slopes = np.array([pair.slope_m_per_rad[columns] for pair, _ in watched]).reshape(-1, len(q))
-    room = np.concatenate((upper - q, q - lower, left_m))
-    rows = np.vstack((np.eye(len(q)), -np.eye(len(q)), -slopes))
-    return Walls(rows, APPROACH_PER_S * np.maximum(room, 0.0), [pair for pair, _ in watched])
+    size = matrix.shape[1]
+    hessian = matrix.T @ matrix + damping**2 * np.eye(size)
+    x = np.zeros(size)
+    active: list[int] = []
+    for _ in range(MAX_STEPS):
+        step, multipliers = _step_along(hessian, matrix.T @ desired - hessian @ x, rows[active])
+        if len(active) == size or np.abs(step).max() <= ROUNDING:
+            if not active or multipliers.min() >= -ROUNDING:
+                break
+            del active[int(np.argmin(multipliers))]
+            continue
+        share, blocking = _allowed_share(x, step, rows, bounds, active)
+        x = x + share * step
+        if blocking is not None:
+            active.append(blocking)
+    return x, np.array(active, dtype=np.intp)
+
+
+def _step_along(hessian: Vector, slope: Vector, rows: Vector) -> tuple[Vector, Vector]:
+    """Return the best step that keeps to the active inequalities, and the multiplier of each."""
+    size, held = len(slope), len(rows)
+    system = np.zeros((size + held, size + held))
+    system[:size, :size] = hessian
+    system[:size, size:] = rows.T
+    system[size:, :size] = rows
+    solution = np.linalg.solve(system, np.concatenate((slope, np.zeros(held))))
+    return np.asarray(solution[:size]), np.asarray(solution[size:])
+
+
+def _allowed_share(
+    x: Vector, step: Vector, rows: Vector, bounds: Vector, active: list[int]
+) -> tuple[float, int | None]:
+    """Return the allowed share of a step, and the first inequality that blocks the rest."""
+    gain = rows @ step
+    gain[active] = 0.0
+    towards = np.flatnonzero(gain > ROUNDING * max(1.0, float(np.abs(step).max())))
+    if not towards.size:
+        return 1.0, None
+    shares = np.maximum(bounds[towards] - rows[towards] @ x, 0.0) / gain[towards]
+    first = int(np.argmin(shares))
+    return (1.0, None) if shares[first] >= 1.0 else (float(shares[first]), int(towards[first]))

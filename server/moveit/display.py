@@ -14,8 +14,7 @@ from server.execution.monitors import state_message
 from server.execution.queue import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.poses import pose_of
-from server.moveit.requests.context import Message
+from server.moveit.poses import Message, pose_of
 from server.moveit.requests.trajectories import to_message
 
 PATH_TOPIC = "/display_planned_path"

@@ -5,38 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Any
 
 from planners.goals import Goal, JointGoal, PositionGoal
-from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose
 from robot.description.model import RobotModel
-from server.errors import RefusedError
+from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import composed, read_pose
-from server.moveit.requests.error_codes import required
-
-Message: TypeAlias = Mapping[str, Any]
+from server.moveit.poses import Message, composed, read_pose
+from server.moveit.requests.error_codes import invalid
+from server.moveit.requests.planning_problems import ProblemBuilder
+from server.moveit.scene.frames import Frames
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
 POSE_TOPIC, POSE_TYPE = "/moveit_goal_pose", "geometry_msgs/PoseStamped"
-
-
-class FrameSource(Protocol):
-    """Frames of the arm and the scene, as `server.moveit.scene.frames.Frames`."""
-
-    def resolve(self, frame_id: str, positions_rad: Positions, /) -> Pose | PlanningFailure:
-        """Return the pose of a frame in the root link, for positions of the joints [rad]."""
-
-
-class PositionSource(Protocol):
-    """Positions of the arm, as `server.execution.monitors.CurrentState`."""
-
-    def positions_rad(self) -> Positions | None:
-        """Return the position of every movable joint [rad]; None while they are unknown."""
 
 
 class GoalTranslator:
@@ -46,8 +31,9 @@ class GoalTranslator:
         robot: the arm.
         parameters: of planning; also group, link, frame and tolerances of the goals.
         states: the named states.
-        frames: resolve frame names.
+        frames: look-up of frames.
         current: the positions of the arm.
+        problems: builds the goals' planning problems.
 
     Attributes:
         tip: the link that pose goals are for.
@@ -58,13 +44,15 @@ class GoalTranslator:
         robot: RobotModel,
         parameters: MoveItParameters,
         states: NamedStates,
-        frames: FrameSource,
-        current: PositionSource,
+        frames: Frames,
+        current: CurrentState,
+        problems: ProblemBuilder,
     ) -> None:
         self._parameters = parameters
         self._states = states
         self._frames = frames
         self._current = current
+        self._problems = problems
         self._group = robot.groups[parameters.group_name]
         self.tip = parameters.end_effector_link or self._group.tip_link
 
@@ -79,11 +67,11 @@ class GoalTranslator:
             names = self._states.names
             text = f"there is no named target {message['data']!r}; known are: {', '.join(names) or 'none'}"
             nearest = self._states.nearest_name(message["data"])
-            raise _invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))
+            raise invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))
         name, positions_rad = found
         goal_rad = {joint: value for joint, value in positions_rad.items() if joint in self._group.joints}
         if not goal_rad:
-            raise _invalid(f"the named target {name!r} has no joint of group {self._group.name}", name=name)
+            raise invalid(f"the named target {name!r} has no joint of group {self._group.name}", name=name)
         return self._motion(lambda _start_rad: JointGoal(goal_rad, self._parameters.joint_tolerance))
 
     def joints(self, message: Message) -> PlannedMotion:
@@ -94,19 +82,19 @@ class GoalTranslator:
         """
         names, positions = message["name"], message["position"]
         if len(names) != len(positions):
-            raise _invalid(f"name has {len(names)} entries and position {len(positions)}; they must be as many")
+            raise invalid(f"name has {len(names)} entries and position {len(positions)}; they must be as many")
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
-            raise _invalid(f"the joint {repeated[0]} is named more than once")
+            raise invalid(f"the joint {repeated[0]} is named more than once")
         known = {name: value for name, value in zip(names, positions, strict=True) if name in self._group.joints}
         if not known:
-            raise _invalid(
+            raise invalid(
                 f"no joint of group {self._group.name} is named; it has {', '.join(self._group.joints)}",
                 known=list(self._group.joints),
             )
         for name, value in known.items():
             if not math.isfinite(value):
-                raise _invalid(f"joint {name}: position must be a finite number, not {value}", joint=name)
+                raise invalid(f"joint {name}: position must be a finite number, not {value}", joint=name)
         ignored = [name for name in names if name not in known]
         warning = f"ignored joints that are not in group {self._group.name}: {', '.join(ignored)}"
         goal = JointGoal(known, self._parameters.joint_tolerance)
@@ -124,17 +112,17 @@ class GoalTranslator:
         point = message["pose"]["position"]
         for axis in "xyz":
             if not math.isfinite(point[axis]):
-                raise _invalid(f"pose.position.{axis} must be a finite number, not {point[axis]}")
+                raise invalid(f"pose.position.{axis} must be a finite number, not {point[axis]}")
         pose = Pose((float(point["x"]), float(point["y"]), float(point["z"])))
 
         def goal(start_rad: Positions) -> Goal:
-            place = composed(self._resolve(frame, start_rad), pose)
+            place = composed(self._frames.resolve(frame, start_rad), pose)
             return PositionGoal(self.tip, place.position_m, self._parameters.position_tolerance)
 
         # An unknown frame is rejected at once, not when the goal's turn comes.
         present_rad = self._current.positions_rad()
         if present_rad is not None:
-            self._resolve(frame, present_rad)
+            self._frames.resolve(frame, present_rad)
         return self._motion(goal)
 
     def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose:
@@ -148,35 +136,14 @@ class GoalTranslator:
             RefusedError: a number is not finite, or there is no such frame.
         """
         pose = read_pose(message["pose"], "pose")
-        return composed(self._resolve(self._frame(message), positions_rad), pose)
-
-    def _resolve(self, frame: str, positions_rad: Positions) -> Pose:
-        return required(self._frames.resolve(frame, positions_rad))
+        return composed(self._frames.resolve(self._frame(message), positions_rad), pose)
 
     def _frame(self, message: Message) -> str:
         frame: str = message["header"]["frame_id"] or self._parameters.planning_frame
         return frame
 
     def _motion(self, goal: Callable[[Positions], Goal], warnings: tuple[str, ...] = ()) -> PlannedMotion:
-        return PlannedMotion((lambda start_rad: self._problem(goal(start_rad), start_rad),), warnings=warnings)
-
-    def _problem(self, goal: Goal, start_rad: Positions) -> PlanningProblem:
-        parameters = self._parameters
-        return PlanningProblem(
-            group=parameters.group_name,
-            start_rad=start_rad,
-            goal=goal,
-            velocity_scaling=parameters.max_velocity_scaling,
-            acceleration_scaling=parameters.max_acceleration_scaling,
-            allowed_time_s=parameters.allowed_planning_time,
-            attempts=parameters.num_planning_attempts,
-            planner_id=parameters.planner_id,
-            optimization_time_s=parameters.optimization_time,
-        )
-
-
-def _invalid(message: str, **details: Any) -> RefusedError:
-    return RefusedError(PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, details))
+        return PlannedMotion((lambda start_rad: self._problems.goal(goal(start_rad), start_rad),), warnings=warnings)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.arm import Arm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
@@ -26,6 +25,7 @@ from server.execution.time_limits import ArmClock, TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.moveit.requests.error_codes import invalid
 
 log = logging.getLogger("armbridge.gripper")
 
@@ -261,13 +261,13 @@ class ParallelGripperCommandMessages:
         """Read a sensor_msgs/JointState: the position, and optional bounds of velocity and effort."""
         names, positions = message["name"], message["position"]
         if names not in ([], [self._joint.name]):
-            raise _invalid(f"command.name must be empty or [{self._joint.name}], not {names}")
+            raise invalid(f"command.name must be empty or [{self._joint.name}], not {names}")
         if len(positions) != 1:
-            raise _invalid(f"command.position must have one value, not {len(positions)}")
+            raise invalid(f"command.position must have one value, not {len(positions)}")
         bounds = {}
         for field in ("velocity", "effort"):
             if len(message[field]) > 1:
-                raise _invalid(f"command.{field} must have one value at most, not {len(message[field])}")
+                raise invalid(f"command.{field} must have one value at most, not {len(message[field])}")
             bounds[field] = message[field][0] if message[field] else 0.0
         return _checked_command(self._joint, positions[0], bounds["effort"], bounds["velocity"])
 
@@ -290,15 +290,11 @@ class ParallelGripperCommandMessages:
 def _checked_command(joint: Joint, position_rad: float, max_effort: float, max_velocity: float) -> GripperCommand:
     lower, upper = joint.lower, joint.upper
     if not lower - CLAMPED_WITHIN_RAD <= position_rad <= upper + CLAMPED_WITHIN_RAD:
-        raise _invalid(f"command.position must be from {lower:.3f} to {upper:.3f} rad, not {position_rad}")
+        raise invalid(f"command.position must be from {lower:.3f} to {upper:.3f} rad, not {position_rad}")
     for name, value in (("effort", max_effort), ("velocity", max_velocity)):
         if not (math.isfinite(value) and value >= 0.0):
-            raise _invalid(f"command's bound of {name} must be a finite number from 0 on, not {value}")
+            raise invalid(f"command's bound of {name} must be a finite number from 0 on, not {value}")
     return GripperCommand(min(max(position_rad, lower), upper), max_effort, max_velocity)
-
-
-def _invalid(message: str) -> RefusedError:
-    return RefusedError(PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message))
 
 
 class GripperActions:
@@ -311,19 +307,15 @@ class GripperActions:
     """
 
     def __init__(self, graph: Graph, joint: Joint, gripper: Gripper) -> None:
-        self._graph = graph
-        self._node = Node("gripper")
         self._gripper = gripper
         self._actions: dict[str, ActionMessages] = {
             GRIPPER_ACTION: GripperCommandMessages(joint),
             PARALLEL_ACTION: ParallelGripperCommandMessages(joint),
         }
         self._tasks: set[asyncio.Task[None]] = set()
-
-    def open(self) -> None:
-        """Offer the actions."""
+        node = Node("gripper")
         for name, messages in self._actions.items():
-            self._graph.actions.offer(self._node, name, messages.type_name, self._start)
+            graph.actions.offer(node, name, messages.type_name, self._start)
 
     def _start(self, goal: Goal) -> None:
         messages = self._actions[goal.action]

@@ -68,13 +68,11 @@ class MoveItInterface:
     ) -> None:
         moveit, goals = settings.moveit, settings.goals
         self._graph = graph
-        self._arm = arm
-        self._pool = pool
         self._current = CurrentState(arm, robot)
         self._scene = SceneState(robot)
         frames = Frames(robot, self._scene)
         assumed = AssumedStates(robot)
-        self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, moveit)
+        self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, self._current, moveit)
         self._description = RobotDescription(graph, robot, keep_parameter)
         self._display = DisplayTopics(graph, robot)
         self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
@@ -85,7 +83,7 @@ class MoveItInterface:
         )
         directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, max_files)
-        self._confirmation = Confirmation(graph, wanted=goals.confirm, timeout_s=goals.confirm_timeout_s)
+        self._confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
         self._executor = GoalExecutor(
             arm,
             robot,
@@ -103,16 +101,6 @@ class MoveItInterface:
             self._executor, goals.policy, goals.capacity, self._goal_status.publish_progress, self._on_answer
         )
 
-        # Goals of clients that know only topics.
-        states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
-        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.save)
-        self._named_states = NamedStatesServices(graph, robot, states, self._current)
-        translator = GoalTranslator(robot, moveit, states, frames, self._current)
-        self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
-        reports = GoalReports(robot, moveit, translator.tip)
-        self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
-
-        # Goals, requests and commands of MoveIt's clients.
         self._context = PlanningContext(
             robot=robot,
             pool=pool,
@@ -124,35 +112,41 @@ class MoveItInterface:
             parameters=PlannerParameters(moveit),
             display=self._display,
         )
-        self._actions = MotionActions(graph, self._context, arm, self.queue)
-        self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve)
+
+        # Goals of clients that know only topics.
+        states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
+        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.save)
+        self._named_states = NamedStatesServices(graph, robot, states, self._current)
+        translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
+        self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
+        reports = GoalReports(robot, moveit, translator.tip)
+        self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
+
+        # Goals and commands of MoveIt's clients.
+        self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve, arm, pool, lambda: self.queue.busy)
         self._gripper = None
-        self._gripper_actions = None
         joint = robot.joints.get(GRIPPER_JOINT)
         # The gripper of another arm is not known by its description.
         if joint is not None and joint.movable:
             scalings = moveit.max_velocity_scaling, moveit.max_acceleration_scaling
             torque_limit = settings.arm.guards.gripper_torque_limit
             self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)
-            self._gripper_actions = GripperActions(graph, joint, self._gripper)
+            GripperActions(graph, joint, self._gripper)
+        self._actions = MotionActions(graph, self._context, arm, self.queue)
 
     def start(self) -> None:
         """Take requests; goals wait until arm and planners have started."""
         self.queue.start()
         self._description.open()
         self._transforms.open(time.time())
-        self._scene_interface.open(self._current)
         self._confirmation.open()
         self._goal_status.open()
         self._goal_topics.open()
         self._named_states.open()
         self._goal_checks.open()
-        if self._gripper_actions is not None:
-            self._gripper_actions.open()
         self._display.open()
         offer_services(self._graph, self._context)
-        self._actions.open(() if self._gripper_actions is None else (GRIPPER_ACTION, PARALLEL_ACTION))
-        self._servo.open(self._arm, self._pool, lambda: self.queue.busy)
+        self._actions.open(() if self._gripper is None else (GRIPPER_ACTION, PARALLEL_ACTION))
 
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on to the parts that publish or record it."""

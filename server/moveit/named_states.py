@@ -30,7 +30,7 @@ from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.named_states")
 
-# More than anyone tells apart by name; the file stays small enough to be written within milliseconds.
+# More than users can distinguish by name; the file stays small enough to be written within milliseconds.
 MAX_STATES = 1000
 MAX_NAME_LENGTH = 100
 

@@ -91,10 +91,13 @@ class PlannerParameters:
 
     Args:
         configured: the parameters of the configuration.
+
+    Attributes:
+        configured: as given; they stay as they are.
     """
 
     def __init__(self, configured: MoveItParameters) -> None:
-        self._configured = configured
+        self.configured = configured
         self._set: dict[tuple[str, str], dict[str, str]] = {}
 
     def of(self, group: str = "", planner: str = "") -> MoveItParameters:
@@ -102,13 +105,13 @@ class PlannerParameters:
 
         Parameters that are set for all groups, or all planners, apply where no others are set.
         """
-        texts = self.texts(group or self._configured.group_name, planner or self._configured.planner_id)
+        texts = self.texts(group or self.configured.group_name, planner or self.configured.planner_id)
         known = {key: value for key, value in texts.items() if key in KNOWN_KEYS}
         return self._changed(known)
 
     def texts(self, group: str, planner: str) -> Mapping[str, str]:
         """Return every parameter as text."""
-        texts = {key: str(getattr(self._configured, key)) for key in KNOWN_KEYS}
+        texts = {key: str(getattr(self.configured, key)) for key in KNOWN_KEYS}
         for scope in (("", ""), (group, ""), (group, planner)):
             texts |= self._set.get(scope, {})
         return texts
@@ -135,7 +138,7 @@ class PlannerParameters:
 
     def _changed(self, known: Mapping[str, str]) -> MoveItParameters:
         try:
-            return MoveItParameters.model_validate({**self._configured.model_dump(), **known})
+            return MoveItParameters.model_validate({**self.configured.model_dump(), **known})
         except ValidationError as error:
             flaw = error.errors()[0]
             raise ServiceError(f"{flaw['loc'][0]}: {flaw['msg']}, not {flaw['input']!r}") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from planners.scene import Pose
 from robot.trajectory import Vector
 from server.errors import RefusedError
 
-Message = Mapping[str, Any]
+Message: TypeAlias = Mapping[str, Any]
 
 # A quaternion shorter than this says nothing about an orientation; ROS 1 clients leave it all zero for "none".
 MIN_NORM = 1e-6

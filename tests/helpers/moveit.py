@@ -31,6 +31,7 @@ from server.moveit.named_states import NamedStates, Positions
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.context import RequestContext
 from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames, LinkTransforms
 from server.moveit.scene.planning_scene import SceneDraft
 from server.moveit.scene.scene_state import SceneState
@@ -101,12 +102,6 @@ def rejection(function: Callable[..., object], *arguments: object) -> PlanningFa
     with pytest.raises(RefusedError) as raised:
         function(*arguments)
     return raised.value.failure
-
-
-def failure(answer: object) -> PlanningFailure:
-    """An answer that must be a failure."""
-    assert isinstance(answer, PlanningFailure)
-    return answer
 
 
 def current_state(position_rad: float = 0.2) -> CurrentState:
@@ -187,7 +182,9 @@ def translator(arm: FakeArm | None = None, **parameters: Any) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
     states = NamedStates(ROBOT, "arm", {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}, keep_nothing)
     frames = Frames(ROBOT, SceneState(ROBOT))
-    return GoalTranslator(ROBOT, MoveItParameters(**parameters), states, frames, CurrentState(arm or FakeArm(), ROBOT))
+    configured = MoveItParameters(**parameters)
+    problems = ProblemBuilder(ROBOT, frames, PlannerParameters(configured))
+    return GoalTranslator(ROBOT, configured, states, frames, CurrentState(arm or FakeArm(), ROBOT), problems)
 
 
 TRANSLATOR = translator()

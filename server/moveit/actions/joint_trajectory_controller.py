@@ -1,6 +1,7 @@
-"""Goal bridge: goals of actions on their way to the goal queue, and the queue's answers as feedback and results.
+"""ros2_control's joint_trajectory_controller: FollowJointTrajectory, its topic for trajectories, and its state.
 
-ros2_control's joint_trajectory_controller: FollowJointTrajectory, its topic for trajectories, and its state.
+Before it stands the goal bridge, which MoveIt's actions use too: it takes goals to the goal queue, and the queue's
+answers back as feedback and results.
 
 https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/doc/userdoc.html
 """
@@ -30,12 +31,11 @@ from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Pro
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import error_code, refused
 from server.moveit.requests.trajectories import external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
-
-Message: TypeAlias = Mapping[str, Any]
 
 # MoveIt's names of states (MoveGroupState in move_group); a goal that waits in the queue has none.
 MOVE_GROUP_STATES = {
@@ -43,6 +43,18 @@ MOVE_GROUP_STATES = {
     GoalState.EXECUTING: "MONITOR",
     GoalState.DONE: "IDLE",
 }
+
+# Joint -> greatest distance [rad]. The arm's driver monitors joints that are not in it.
+Tolerances: TypeAlias = Mapping[str, float]
+
+ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
+STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
+
+# Name of the same action in ROS-Industrial's drivers.
+INDUSTRIAL_ACTION = "/joint_trajectory_action"
+
+# A joint that has not arrived by then does not arrive.
+MAX_GOAL_TIME_TOLERANCE_S = 10.0
 
 
 def submit_goal(
@@ -161,19 +173,6 @@ def _planned_messages(answer: Answer, robot: RobotModel) -> list[dict[str, Any]]
 
 def _planning_time_s(answer: Answer) -> float:
     return 0.0 if answer.performed is None else answer.performed.planning_time_s
-
-
-# Joint -> greatest distance [rad]. The arm's driver monitors joints that are not in it.
-Tolerances: TypeAlias = Mapping[str, float]
-
-ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
-STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
-
-# Name of the same action in ROS-Industrial's drivers.
-INDUSTRIAL_ACTION = "/joint_trajectory_action"
-
-# A joint that has not arrived by then does not arrive.
-MAX_GOAL_TIME_TOLERANCE_S = 10.0
 
 
 class FollowCode(IntEnum):

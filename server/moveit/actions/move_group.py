@@ -9,9 +9,8 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
@@ -37,6 +36,7 @@ from server.moveit.actions.joint_trajectory_controller import (
     sequence_result,
     submit_goal,
 )
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import refused
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests
@@ -44,8 +44,6 @@ from server.moveit.requests.trajectories import external_motion, external_trajec
 from server.timers import call_later
 
 log = logging.getLogger("armbridge.actions")
-
-Message: TypeAlias = Mapping[str, Any]
 
 # ROS 2's name, and ROS 1's.
 MOVE_ACTIONS = ("/move_action", "/move_group")

@@ -23,11 +23,39 @@ from planners.goals import (
 )
 from planners.scene import Pose
 from robot.description.model import Joint
-from server.moveit.requests.context import Message, RequestContext
+from server.moveit.poses import Message
+from server.moveit.requests.context import RequestContext
 from server.moveit.requests.error_codes import invalid
 
 # Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
 LEAST_JOINT_TOLERANCE_RAD = 1e-4
+
+AXES = ("x", "y", "z")
+
+# MoveGroupInterface's default; a search cannot end exactly on a point.
+LEAST_ORIENTATION_TOLERANCE_RAD = 1e-3
+
+# The widest tolerance that clients fill in by default: compas_fab's. MoveGroupInterface's is 0.001, and goals without
+# the field have 0.
+DEFAULT_TOLERANCE_RAD = 0.01
+
+# From pi on an axis is free, as a rotation vector is never longer.
+FREE_RAD = math.pi
+
+# MoveGroupInterface's default position tolerance, which a servo arm misses anyway. Smaller regions, and those of size
+# 0, are widened to it.
+LEAST_TOLERANCE_M = 1e-4
+
+# shape_msgs/SolidPrimitive's types.
+UNSET, BOX, SPHERE, CYLINDER = 0, 1, 2, 3
+
+DIMENSIONS = {BOX: ("x", "y", "z"), SPHERE: ("radius",), CYLINDER: ("height", "radius")}
+
+# A box with edges that differ by more than this factor is a shape of its own, not a tolerance around a point.
+ELONGATED_FACTOR = 2.0
+
+# The planners' own bound; each alternative takes milliseconds to solve.
+MAX_ALTERNATIVES = 64
 
 
 def read_joint_constraints(
@@ -75,21 +103,21 @@ def _constraint(message: Message, context: RequestContext, where: str) -> JointC
 
 def _within_limits(joint: Joint, message: Message, context: RequestContext, where: str) -> float:
     """Return the position, clamped to a limit that it exceeds by no more than a tolerance."""
-    asked = float(message["position"])
-    inside = min(max(asked, joint.lower), joint.upper)
-    own = message["tolerance_below"] if asked > inside else message["tolerance_above"]
-    if abs(asked - inside) > max(context.parameters.joint_tolerance, own):
+    requested = float(message["position"])
+    inside = min(max(requested, joint.lower), joint.upper)
+    own = message["tolerance_below"] if requested > inside else message["tolerance_above"]
+    if abs(requested - inside) > max(context.parameters.joint_tolerance, own):
         raise invalid(
-            f"{where}: the position of joint {joint.name!r}, {asked:.4g} rad, is beyond its limits"
+            f"{where}: the position of joint {joint.name!r}, {requested:.4g} rad, is beyond its limits"
             f" {joint.lower:.4g} to {joint.upper:.4g} rad",
             joint=joint.name,
-            position_rad=asked,
+            position_rad=requested,
             lower_rad=joint.lower,
             upper_rad=joint.upper,
         )
-    if inside != asked:
+    if inside != requested:
         context.warnings.append(
-            f"the goal of joint {joint.name} is moved from {asked:.4g} rad to its limit {inside:.4g} rad"
+            f"the goal of joint {joint.name} is moved from {requested:.4g} rad to its limit {inside:.4g} rad"
         )
     return inside
 
@@ -109,19 +137,6 @@ def _common(first: JointConstraint, second: JointConstraint, where: str) -> Join
     return JointConstraint(first.joint, position, max(0.0, upper - position), max(0.0, position - lower), weight)
 
 
-AXES = ("x", "y", "z")
-
-# MoveGroupInterface's default; a search cannot end exactly on a point.
-LEAST_ORIENTATION_TOLERANCE_RAD = 1e-3
-
-# The widest tolerance that clients fill in by default: compas_fab's. MoveGroupInterface's is 0.001, and goals without
-# the field have 0.
-DEFAULT_TOLERANCE_RAD = 0.01
-
-# From pi on an axis is free, as a rotation vector is never longer.
-FREE_RAD = math.pi
-
-
 def read_orientation_constraint(message: Message, context: RequestContext, where: str) -> OrientationConstraint:
     """Read the orientation of a link, with the tolerances about its axes.
 
@@ -136,12 +151,11 @@ def read_orientation_constraint(message: Message, context: RequestContext, where
     """
     link = context.link(message["link_name"])
     pose = {"position": dict.fromkeys(AXES, 0.0), "orientation": message["orientation"]}
-    wanted = context.placed(message["header"]["frame_id"], pose, where)
+    desired = context.placed(message["header"]["frame_id"], pose, where)
     tolerances = [_tolerance(message, axis, where) for axis in AXES]
-    if not math.isfinite(message["weight"]):
-        raise invalid(f"{where}.weight must be a finite number, not {message['weight']}")
+    weight = _weight(message["weight"], where)
     x, y, z = tolerances
-    return OrientationConstraint(link, wanted.orientation, (x, y, z), max(0.0, float(message["weight"])))
+    return OrientationConstraint(link, desired.orientation, (x, y, z), weight)
 
 
 def is_free(tolerance_rad: Point) -> bool:
@@ -153,7 +167,7 @@ def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
     """Tell if an orientation outside its tolerance is an error; otherwise the nearest one is used and reported.
 
     A group with six joints can reach any orientation, so there it is. A group with fewer rarely can: tolerances no
-    wider than those that clients fill in by default do not bind it, and wider ones, which somebody has chosen, do.
+    wider than those that clients fill in by default do not bind it, and wider ones, which are chosen, do.
     """
     return context.chooses_orientation or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
 
@@ -164,16 +178,6 @@ def _tolerance(message: Message, axis: str, where: str) -> float:
     if math.isnan(value) or value < 0.0:
         raise invalid(f"{where}.{field} must be a number of 0 rad or more, not {value:g}")
     return min(max(value, LEAST_ORIENTATION_TOLERANCE_RAD), 2.0 * FREE_RAD)
-
-
-# MoveGroupInterface's default position tolerance, which a servo arm misses anyway. Smaller regions, and those of size
-# 0, are widened to it.
-LEAST_TOLERANCE_M = 1e-4
-
-# shape_msgs/SolidPrimitive's types.
-UNSET, BOX, SPHERE, CYLINDER = 0, 1, 2, 3
-
-DIMENSIONS = {BOX: ("x", "y", "z"), SPHERE: ("radius",), CYLINDER: ("height", "radius")}
 
 
 @dataclass(frozen=True)
@@ -189,10 +193,6 @@ class Region:
     constraint: PositionConstraint
     within_m: float
     elongated: bool
-
-
-# A box with edges that differ by more than this factor is a shape of its own, not a tolerance around a point.
-ELONGATED_FACTOR = 2.0
 
 
 def read_regions(message: Message, context: RequestContext, where: str) -> tuple[Region, ...]:
@@ -274,10 +274,6 @@ def _weight(weight: float, where: str) -> float:
     if not math.isfinite(weight):
         raise invalid(f"{where}.weight must be a finite number, not {weight}")
     return max(0.0, float(weight))
-
-
-# The planners' own bound; each alternative takes milliseconds to solve.
-MAX_ALTERNATIVES = 64
 
 
 def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:

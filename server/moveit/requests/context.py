@@ -4,27 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeAlias
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import read_pose
-from server.moveit.requests.error_codes import refused, required
-from server.moveit.scene.frames import in_root
-
-Message: TypeAlias = Mapping[str, Any]
+from server.moveit.poses import Message, read_pose
+from server.moveit.requests.error_codes import refused
+from server.moveit.scene.frames import Frames, in_root
 
 # A pose has six dimensions: a group with fewer joints cannot reach any orientation.
 FREE_POSE_JOINTS = 6
-
-
-class FrameResolver(Protocol):
-    """Look-up of frames."""
-
-    def resolve(self, frame_id: str, positions_rad: Mapping[str, float]) -> Pose | PlanningFailure:
-        """Return the pose of a frame in the root link, for positions of the joints [rad]."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +32,7 @@ class RequestContext:
 
     robot: RobotModel
     group: Group
-    frames: FrameResolver
+    frames: Frames
     start_rad: Mapping[str, float]
     parameters: MoveItParameters
     warnings: list[str] = field(default_factory=list)
@@ -79,7 +69,7 @@ class RequestContext:
         Raises:
             RefusedError: a number that is not finite, or an unknown frame.
         """
-        frame = required(self.frames.resolve(frame_id, self.start_rad))
+        frame = self.frames.resolve(frame_id, self.start_rad)
         return in_root(frame, read_pose(message, where))
 
 

@@ -6,19 +6,21 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
+from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.moveit.display import DisplayTopics
 from server.moveit.parameters import PlannerParameters
-from server.moveit.requests.context import FrameResolver, Message
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import refused
 from server.moveit.requests.planning_problems import ProblemBuilder
+from server.moveit.scene.frames import Frames
+from server.moveit.scene.scene_state import AssumedStates, SceneState
 
 # MoveIt's start_state_max_bounds_error: droop takes a measured joint beyond its soft limit, and moving an arm by hand a
 # little further.
@@ -132,37 +134,6 @@ def attached_diff(message: Message) -> Message | None:
     return {"is_diff": True, "robot_state": {"attached_collision_objects": attached, "is_diff": not is_whole}}
 
 
-class PlanningSceneState(Protocol):
-    """The planning scene."""
-
-    @property
-    def scene(self) -> Scene:
-        """The present scene."""
-
-    def with_diff(self, message: Message, positions_rad: Mapping[str, float] | None) -> Scene:
-        """Return the scene with a moveit_msgs/PlanningScene applied; the state stays as it is.
-
-        Fields of the message may be left out.
-
-        Raises:
-            RefusedError: it cannot be applied.
-        """
-
-
-class AssumedStates(Protocol):
-    """Joint positions that clients assume, for each client."""
-
-    def of(self, node: Node) -> Mapping[str, float] | None:
-        """Return the positions that a client assumes by joint [rad]; None if it has sent none."""
-
-
-class CurrentPositions(Protocol):
-    """Source of the joints' present positions."""
-
-    def positions_rad(self) -> Mapping[str, float] | None:
-        """Return the position of every movable joint [rad]; None while they are not known."""
-
-
 @dataclass(frozen=True)
 class PlanningStart:
     """Start of planning.
@@ -197,9 +168,9 @@ class PlanningContext:
     robot: RobotModel
     pool: PlannerPool
     forward: ForwardPlacements
-    frames: FrameResolver
-    scene_state: PlanningSceneState
-    current: CurrentPositions
+    frames: Frames
+    scene_state: SceneState
+    current: CurrentState
     assumed: AssumedStates
     parameters: PlannerParameters
     display: DisplayTopics

@@ -47,14 +47,16 @@ from server.moveit.parameters import (
     MoveItParameters,
     PlannerParameters,
 )
+from server.moveit.poses import Message
 from server.moveit.requests.constraints import (
     LEAST_ORIENTATION_TOLERANCE_RAD,
     LEAST_TOLERANCE_M,
     read_goal,
     read_path_constraints,
 )
-from server.moveit.requests.context import FrameResolver, Message, RequestContext, planning_group
-from server.moveit.requests.error_codes import invalid, refused, required
+from server.moveit.requests.context import RequestContext, planning_group
+from server.moveit.requests.error_codes import invalid, refused
+from server.moveit.scene.frames import Frames
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 
@@ -95,7 +97,7 @@ class ProblemBuilder:
         parameters: values for what requests leave out.
     """
 
-    def __init__(self, robot: RobotModel, frames: FrameResolver, parameters: PlannerParameters) -> None:
+    def __init__(self, robot: RobotModel, frames: Frames, parameters: PlannerParameters) -> None:
         self._robot = robot
         self._frames = frames
         self._parameters = parameters
@@ -116,6 +118,26 @@ class ProblemBuilder:
             start_rad: position of every movable joint, for frames that move with the arm [rad].
         """
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
+
+    def goal(self, goal: Goal, start_rad: Positions) -> PlanningProblem:
+        """Build the problem of a goal that comes with nothing else: all else is as configured.
+
+        Args:
+            goal: the goal.
+            start_rad: position of every movable joint at the start [rad].
+        """
+        parameters = self._parameters.configured
+        return PlanningProblem(
+            group=parameters.group_name,
+            start_rad=start_rad,
+            goal=goal,
+            velocity_scaling=parameters.max_velocity_scaling,
+            acceleration_scaling=parameters.max_acceleration_scaling,
+            allowed_time_s=parameters.allowed_planning_time,
+            attempts=parameters.num_planning_attempts,
+            planner_id=parameters.planner_id,
+            optimization_time_s=parameters.optimization_time,
+        )
 
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
         """Build the problem of a moveit_msgs/MotionPlanRequest.
@@ -335,7 +357,7 @@ def _tip_end(problem: PlanningProblem, context: RequestContext) -> tuple[str, Po
 
 
 def _link_pose(link: str, positions_rad: Mapping[str, float], context: RequestContext) -> Pose:
-    return required(context.frames.resolve(link, positions_rad))
+    return context.frames.resolve(link, positions_rad)
 
 
 def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point:
@@ -460,7 +482,7 @@ def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: Requ
     placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
     positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
     if not context.chooses_orientation:
-        context.warnings.append("the orientations of several links are not heeded")
+        context.warnings.append("the orientations of several links are ignored")
         return ConstraintGoal(Constraints(positions=positions))
     turned = tuple(
         OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3) for link, pose in placed

@@ -15,7 +15,7 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory, Positions
-from server.moveit.requests.context import Message
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import refused
 
 # Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
@@ -262,8 +262,10 @@ def knot_velocities(time_s: Vector, positions_rad: Vector) -> Vector:
     # Weighted harmonic mean of the two slopes, with more weight for the shorter span.
     weight_before, weight_after = 2.0 * spans[1:] + spans[:-1], spans[1:] + 2.0 * spans[:-1]
     onward = before * after > 0.0
-    weighted = np.divide(weight_before, before, where=onward, out=np.ones_like(before))
-    weighted += np.divide(weight_after, after, where=onward, out=np.ones_like(after))
+    # Beside a slope of 1 rad/s, one of 1e-310 rad/s makes a quotient infinite; the velocity is then 0, as it should be.
+    with np.errstate(over="ignore"):
+        weighted = np.divide(weight_before, before, where=onward, out=np.ones_like(before))
+        weighted += np.divide(weight_after, after, where=onward, out=np.ones_like(after))
     velocities[1:-1] = np.where(onward, (weight_before + weight_after) / weighted, 0.0)
     return velocities
 

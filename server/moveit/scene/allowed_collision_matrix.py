@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from robot.description.model import RobotModel
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
 
-Message = Mapping[str, Any]
 Pair = frozenset[str]
 
 # The matrix has the square of this many entries; a scene holds as many shapes at most.

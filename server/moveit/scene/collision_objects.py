@@ -11,11 +11,10 @@ from typing import Any
 from planners.scene import AttachedObject, Pose, SceneObject, Shape
 from planners.scene_checks import pose_fault
 from server.errors import RefusedError
-from server.moveit.poses import read_pose, write_pose
+from server.moveit.poses import Message, read_pose, write_pose
 from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
 
-Message = Mapping[str, Any]
 Shapes = tuple[tuple[Shape, Pose], ...]
 
 # moveit_msgs/CollisionObject.operation

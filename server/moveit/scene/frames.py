@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
+from server.errors import RefusedError
 from server.moveit.poses import composed, inverse, pose_of
+from server.moveit.requests.error_codes import refused
 from server.moveit.scene.collision_objects import IDENTITY, AttachedCollisionObject, CollisionObject
 
 # MoveIt's name of the fixed frame, which is the robot's root link here.
@@ -74,12 +76,16 @@ class LinkTransforms:
         """Every link."""
         return self._robot.links
 
-    def pose(self, link: str) -> Pose | PlanningFailure:
-        """Return the pose of a link in the root link."""
+    def pose(self, link: str) -> Pose:
+        """Return the pose of a link in the root link.
+
+        Raises:
+            RefusedError: the arm's position is not known.
+        """
         if link == self.root_link:
             return IDENTITY
         if self._positions_rad is None:
-            return _unknown(link, f"where the link {link!r} is cannot be told: the arm's position is not known")
+            raise _unknown(link, f"the pose of the link {link!r} is not known: the arm's position is not known")
         if self._transforms is None:
             self._transforms = self._forward.transforms(self._positions_rad)
         return pose_of(self._transforms[link])
@@ -98,8 +104,8 @@ class Frames:
         self._forward = ForwardPlacements(robot)
         self._state = scene_state
 
-    def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose | PlanningFailure:
-        """Return the pose of a frame in the root link; see :func:`find_frame`.
+    def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose:
+        """Return the pose of a frame in the root link; names and errors are those of :func:`find_frame`.
 
         Args:
             frame_id: its name.
@@ -108,7 +114,7 @@ class Frames:
         return find_frame(frame_id, self._state.contents, LinkTransforms(self._robot, self._forward, positions_rad))
 
 
-def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Pose | PlanningFailure:
+def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Pose:
     """Return the pose of a frame in the root link.
 
     The empty name, ``world`` and the root link are the root link itself; a leading slash does not matter. A subframe
@@ -118,13 +124,16 @@ def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Po
         frame_id: its name.
         around: objects and fixed frames.
         links: transforms of the links.
+
+    Raises:
+        RefusedError: the frame is unknown, or moves with an arm whose position is not known.
     """
     name = frame_id.removeprefix("/")
     if not name:
         return IDENTITY
     if len(name) > MAX_NAME_LENGTH:
         text = f"the frame's name has {len(name)} letters, more than {MAX_NAME_LENGTH}"
-        return _unknown(name[:MAX_NAME_LENGTH], text)
+        raise _unknown(name[:MAX_NAME_LENGTH], text)
     if name in links.names:
         return links.pose(name)
     for object_name, subframe in _splits(name):
@@ -137,7 +146,7 @@ def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Po
         return IDENTITY
     known = [*links.names, *around.objects, *around.attached, *around.fixed_frames]
     listed = ", ".join(known[:MAX_LISTED]) + (", ..." if len(known) > MAX_LISTED else "")
-    return _unknown(name, f"there is no frame {name!r}; known are {listed}")
+    raise _unknown(name, f"there is no frame {name!r}; known are {listed}")
 
 
 def in_root(frame: Pose, pose: Pose) -> Pose:
@@ -158,20 +167,15 @@ def _splits(name: str) -> Iterator[tuple[str, str]]:
             yield name[:i], name[i + 1 :]
 
 
-def _object_frame(
-    name: str, subframe: str, around: FrameObjects, links: LinkTransforms
-) -> Pose | PlanningFailure | None:
+def _object_frame(name: str, subframe: str, around: FrameObjects, links: LinkTransforms) -> Pose | None:
     """Return the pose of an object or its subframe in the root link; None if there is no such object or subframe."""
     attached = around.attached.get(name)
     found = around.objects.get(name) if attached is None else attached.collision_object
     if found is None or (subframe and subframe not in found.subframes):
         return None
     pose = in_root(found.pose, found.subframes[subframe]) if subframe else found.pose
-    if attached is None:
-        return pose
-    link = links.pose(attached.link)
-    return link if isinstance(link, PlanningFailure) else in_root(link, pose)
+    return pose if attached is None else in_root(links.pose(attached.link), pose)
 
 
-def _unknown(frame: str, message: str) -> PlanningFailure:
-    return PlanningFailure(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, message, {"frame": frame})
+def _unknown(frame: str, message: str) -> RefusedError:
+    return refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, message, frame=frame)

@@ -20,6 +20,7 @@ from server.errors import RefusedError
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
 from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
@@ -27,8 +28,6 @@ from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
 
 log = logging.getLogger("armbridge.scene")
-
-Message = Mapping[str, Any]
 
 SAVE = "/save_geometry_to_file"
 LOAD = "/load_geometry_from_file"
@@ -125,34 +124,34 @@ class _Lines:
         """Return the next line without consuming it; empty at the end."""
         return self._lines[self._number] if self._number < len(self._lines) else ""
 
-    def next(self, wanted: str) -> str:
-        """Consume the next line; the argument says for errors what it should have."""
+    def next(self, expected: str) -> str:
+        """Consume the next line; the argument describes it for errors."""
         if self._number >= len(self._lines):
-            raise invalid(f"the file ends after line {self._number}, where {wanted} should be")
+            raise invalid(f"the file ends after line {self._number}, where {expected} should be")
         self._number += 1
         return self._lines[self._number - 1].strip()
 
-    def wrong(self, wanted: str) -> Exception:
+    def wrong(self, expected: str) -> Exception:
         """Make the error for the line consumed last."""
-        return invalid(f"line {self._number} must be {wanted}, not {self._lines[self._number - 1][:40]!r}")
+        return invalid(f"line {self._number} must be {expected}, not {self._lines[self._number - 1][:40]!r}")
 
-    def figures(self, count: int, wanted: str) -> list[float]:
+    def figures(self, count: int, expected: str) -> list[float]:
         """Consume the next line as ``count`` numbers."""
-        words = self.next(wanted).split()
+        words = self.next(expected).split()
         try:
             values = [float(word) for word in words]
         except ValueError:
-            raise self.wrong(wanted) from None
+            raise self.wrong(expected) from None
         if len(values) != count:
-            raise self.wrong(wanted)
+            raise self.wrong(expected)
         return values
 
-    def counts(self, count: int, wanted: str) -> list[int]:
+    def counts(self, count: int, expected: str) -> list[int]:
         """Consume the next line as ``count`` whole numbers from 0 on."""
-        values = self.figures(count, wanted)
+        values = self.figures(count, expected)
         # Each counted item has at least a line, so a greater count is an error, found before memory is allocated.
         if not all(value.is_integer() and 0 <= value <= len(self._lines) for value in values):
-            raise self.wrong(wanted)
+            raise self.wrong(expected)
         return [int(value) for value in values]
 
 

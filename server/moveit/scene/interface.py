@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
 from typing import Any
 
 from planners.scene import Pose
@@ -18,7 +17,7 @@ from server.graph.node import Node
 from server.graph.services import Call, answer
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import write_pose
+from server.moveit.poses import Message, write_pose
 from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, REMOVE
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import NO_PADDING_M, NO_SCALE, SceneContents
@@ -26,8 +25,6 @@ from server.moveit.scene.scene_state import AssumedStates, Positions, SceneState
 from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.scene")
-
-Message = Mapping[str, Any]
 
 # Applies a message of a topic, given the position of every movable joint.
 Apply = Callable[[Message, Positions], None]
@@ -62,12 +59,7 @@ NO_MATRIX: Message = {
     "default_entry_names": [],
     "default_entry_values": [],
 }
-NO_STATE: Message = {
-    "joint_state": {"header": NO_HEADER, "name": [], "position": [], "velocity": [], "effort": []},
-    "multi_dof_joint_state": {"header": NO_HEADER, "joint_names": [], "transforms": [], "twist": [], "wrench": []},
-    "attached_collision_objects": [],
-    "is_diff": False,
-}
+NO_STATE: Message = state_message({}, "", 0.0)
 NO_OBJECT: Message = {
     "header": NO_HEADER,
     "pose": write_pose(IDENTITY),
@@ -94,20 +86,20 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
         state: its moveit_msgs/RobotState without attached objects.
         components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
     """
-    wanted = components or EVERYTHING
-    settings, links = wanted & SCENE_SETTINGS, wanted & LINK_PADDING_AND_SCALING
+    requested = components or EVERYTHING
+    settings, links = requested & SCENE_SETTINGS, requested & LINK_PADDING_AND_SCALING
     return {
         "name": contents.name if settings else "",
-        "robot_state": _state(contents, state, wanted),
+        "robot_state": _state(contents, state, requested),
         "robot_model_name": robot.name if settings else "",
-        "fixed_frame_transforms": _transforms(contents, robot) if wanted & TRANSFORMS else [],
+        "fixed_frame_transforms": _transforms(contents, robot) if requested & TRANSFORMS else [],
         "allowed_collision_matrix": contents.allowed_collisions.message
-        if wanted & ALLOWED_COLLISION_MATRIX
+        if requested & ALLOWED_COLLISION_MATRIX
         else NO_MATRIX,
         "link_padding": _padding(contents, robot) if links else [],
         "link_scale": _scale(contents, robot) if links else [],
-        "object_colors": _colors(contents) if wanted & OBJECT_COLORS else [],
-        "world": {"collision_objects": _objects(contents, robot, wanted), "octomap": NO_OCTOMAP},
+        "object_colors": _colors(contents) if requested & OBJECT_COLORS else [],
+        "world": {"collision_objects": _objects(contents, robot, requested), "octomap": NO_OCTOMAP},
         "is_diff": False,
     }
 
@@ -131,16 +123,16 @@ def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -
     }
 
 
-def _state(contents: SceneContents, state: Message, wanted: int) -> Message:
-    if wanted & ROBOT_STATE_ATTACHED_OBJECTS:
+def _state(contents: SceneContents, state: Message, requested: int) -> Message:
+    if requested & ROBOT_STATE_ATTACHED_OBJECTS:
         return {**state, "attached_collision_objects": [held.message for held in contents.attached.values()]}
-    return state if wanted & ROBOT_STATE else NO_STATE
+    return state if requested & ROBOT_STATE else NO_STATE
 
 
-def _objects(contents: SceneContents, robot: RobotModel, wanted: int) -> list[Message]:
-    if wanted & WORLD_OBJECT_GEOMETRY:
+def _objects(contents: SceneContents, robot: RobotModel, requested: int) -> list[Message]:
+    if requested & WORLD_OBJECT_GEOMETRY:
         return [each.message for each in contents.objects.values()]
-    if wanted & WORLD_OBJECT_NAMES:
+    if requested & WORLD_OBJECT_NAMES:
         header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
         return [
             {**NO_OBJECT, "header": header, "id": name, "type": each.type} for name, each in contents.objects.items()
@@ -357,6 +349,7 @@ class SceneInterface:
         robot: the arm.
         state: the scene.
         assumed: joint states that clients assume.
+        current: positions of the joints.
         parameters: rate of ``/monitored_planning_scene``, and the directory of geometry files.
     """
 
@@ -366,30 +359,16 @@ class SceneInterface:
         robot: RobotModel,
         state: SceneState,
         assumed: AssumedStates,
+        current: CurrentState,
         parameters: MoveItParameters,
     ) -> None:
-        self._graph = graph
-        self._robot = robot
-        self._state = state
-        self._assumed = assumed
-        self._parameters = parameters
-        self._exits = ExitStack()
-
-    def open(self, current: CurrentState) -> None:
-        """Offer the topics and services.
-
-        Args:
-            current: positions of the joints.
-        """
-        graph, robot, state, parameters = self._graph, self._robot, self._state, self._parameters
         node = Node("planning_scene")
         subscribe_to_scene_topics(graph, node, state, current)
-        SceneServices(graph, node, robot, state, self._assumed, current)
+        SceneServices(graph, node, robot, state, assumed, current)
         GeometryFiles(graph, node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
-        publisher = MonitoredScenePublisher(graph, node, robot, state, current, rate_hz)
-        self._exits.callback(publisher.close)
+        self._publisher = MonitoredScenePublisher(graph, node, robot, state, current, rate_hz)
 
     def close(self) -> None:
         """Publish no more."""
-        self._exits.close()
+        self._publisher.close()

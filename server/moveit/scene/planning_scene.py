@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.scene import Pose, Scene
 from planners.scene_checks import MAX_LENGTH_M, MAX_SHAPES
 from robot.description.model import RobotModel
 from server.errors import RefusedError
-from server.moveit.requests.error_codes import invalid, refused, required
+from server.moveit.poses import Message
+from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.scene.allowed_collision_matrix import (
     AllowedCollisionMatrix,
     disabled_collisions,
@@ -39,10 +40,31 @@ from server.moveit.scene.collision_objects import (
 )
 from server.moveit.scene.frames import LinkTransforms, find_frame, in_root, seen_from
 
-Message = Mapping[str, Any]
-
 # MoveIt's name of a scene without one.
 NO_NAME = "(noname)"
+
+OPERATIONS = {ADD: "ADD", REMOVE: "REMOVE", APPEND: "APPEND", MOVE: "MOVE"}
+
+# Colours and frames can be set for objects that do not exist yet, so the limit on shapes does not bound them.
+MAX_COLORS = 2000
+MAX_FIXED_FRAMES = 1000
+
+# Padding and scale of links that no message has named.
+NO_PADDING_M = 0.0
+NO_SCALE = 1.0
+
+# Fields that a moveit_msgs/PlanningScene made by the server itself may leave out.
+EMPTY_DIFF: Message = {
+    "name": "",
+    "robot_model_name": "",
+    "fixed_frame_transforms": (),
+    "robot_state": {"is_diff": True, "attached_collision_objects": ()},
+    "allowed_collision_matrix": {"entry_names": (), "default_entry_names": ()},
+    "link_padding": (),
+    "link_scale": (),
+    "object_colors": (),
+    "world": {"collision_objects": (), "octomap": {"octomap": {"data": ()}}},
+}
 
 
 @dataclass(frozen=True)
@@ -151,7 +173,7 @@ class SceneDraft:
         Raises:
             RefusedError: the frame is unknown.
         """
-        return required(find_frame(frame_id, self, self.links))
+        return find_frame(frame_id, self, self.links)
 
     def in_planning_frame(self, collision_object: CollisionObject) -> CollisionObject:
         """Return an object with its pose in the planning frame.
@@ -170,11 +192,12 @@ class SceneDraft:
         Raises:
             RefusedError: the frame is unknown.
         """
-        frame = find_frame(frame_id, self, self.links)
-        if isinstance(frame, PlanningFailure):
-            text = f"the object {name!r}, header.frame_id: {frame.message}"
-            raise refused(frame.code, text, **frame.details, object=name)
-        return in_root(frame, pose)
+        try:
+            return in_root(self.frame(frame_id), pose)
+        except RefusedError as error:
+            failure = error.failure
+            text = f"the object {name!r}, header.frame_id: {failure.message}"
+            raise refused(failure.code, text, **failure.details, object=name) from error
 
     def clear(self, allowed_collisions: AllowedCollisionMatrix) -> None:
         """Remove everything but the attached objects.
@@ -189,9 +212,6 @@ class SceneDraft:
         """Remove the colour and the matrix entries of an object."""
         self.colors.pop(name, None)
         self.allowed_collisions = self.allowed_collisions.without(name)
-
-
-OPERATIONS = {ADD: "ADD", REMOVE: "REMOVE", APPEND: "APPEND", MOVE: "MOVE"}
 
 
 def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> None:
@@ -389,28 +409,6 @@ def _detach(draft: SceneDraft, name: str, link: str, where: str) -> None:
         elif name:
             text = f"{where}.link_name: the object {name!r} is held by {held.link}, not by {link!r}"
             raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, object=name, link=link)
-
-
-# Colours and frames can be set for objects that do not exist yet, so the limit on shapes does not bound them.
-MAX_COLORS = 2000
-MAX_FIXED_FRAMES = 1000
-
-# Padding and scale of links that no message has named.
-NO_PADDING_M = 0.0
-NO_SCALE = 1.0
-
-# Fields that a moveit_msgs/PlanningScene made by the server itself may leave out.
-EMPTY_DIFF: Message = {
-    "name": "",
-    "robot_model_name": "",
-    "fixed_frame_transforms": (),
-    "robot_state": {"is_diff": True, "attached_collision_objects": ()},
-    "allowed_collision_matrix": {"entry_names": (), "default_entry_names": ()},
-    "link_padding": (),
-    "link_scale": (),
-    "object_colors": (),
-    "world": {"collision_objects": (), "octomap": {"octomap": {"data": ()}}},
-}
 
 
 def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: AllowedCollisionMatrix) -> None:

@@ -16,6 +16,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.graph.node import Node
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import refused
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.frames import LinkTransforms
@@ -30,7 +31,6 @@ from server.moveit.scene.planning_scene import (
 
 log = logging.getLogger("armbridge.scene")
 
-Message = Mapping[str, Any]
 Positions = Mapping[str, float] | None
 Change = Callable[[SceneDraft], None]
 

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from planners.scene_checks import MAX_TRIANGLES, shape_fault
+from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
 
 Corner = tuple[float, float]
+
+# shape_msgs/SolidPrimitive
+BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5
+NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
+DIMENSIONS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
+
+# Ear clipping takes time by the square of the corners; this many take some milliseconds.
+MAX_PRISM_CORNERS = 100
 
 
 def prism_mesh(polygon: Sequence[Corner], height_m: float) -> Mesh | None:
@@ -68,17 +76,6 @@ def _area(corners: Sequence[Corner]) -> float:
     """Return twice the enclosed area, below 0 for clockwise corners [m^2]."""
     following = [*corners[1:], *corners[:1]]
     return sum(x * v - u * y for (x, y), (u, v) in zip(corners, following, strict=True))
-
-
-Message = Mapping[str, Any]
-
-# shape_msgs/SolidPrimitive
-BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5
-NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
-DIMENSIONS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
-
-# Ear clipping takes time by the square of the corners; this many take some milliseconds.
-MAX_PRISM_CORNERS = 100
 
 
 def read_primitive(message: Message, where: str) -> Shape:

@@ -19,8 +19,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory, Vector
 from server.execution.monitors import state_message
 from server.graph.node import Node
-from server.moveit.poses import pose_of
-from server.moveit.requests.context import Message
+from server.moveit.poses import Message, pose_of
 from server.moveit.requests.error_codes import deviation_note, failure_code, invalid, required, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.trajectories import to_message

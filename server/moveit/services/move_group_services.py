@@ -26,9 +26,8 @@ from server.graph.node import Node
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
-from server.moveit.poses import pose_of, write_pose
+from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
-from server.moveit.requests.context import Message
 from server.moveit.requests.error_codes import deviation_note, failure_code, refused, required, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (
@@ -47,6 +46,15 @@ log = logging.getLogger("armbridge.moveit")
 
 # moveit_msgs/ContactInformation's body types.
 ROBOT_LINK, WORLD_OBJECT, ROBOT_ATTACHED = 0, 1, 2
+
+# Computes the response to a request of a client.
+Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
+
+# Twice the planners' own deadline: a request may wait for another one first.
+TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
+
+# Names that MoveIt's planning plugins have.
+INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
 
 
 async def compute_ik(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
@@ -77,7 +85,7 @@ async def compute_fk(context: PlanningContext, request: Message, caller: Node) -
     positions_rad = context.positions_rad(request["robot_state"], caller)
     names = request["fk_link_names"] or list(context.robot.links)
     frame_id = request["header"]["frame_id"] or context.robot.root_link
-    frame = required(context.frames.resolve(frame_id, positions_rad))
+    frame = context.frames.resolve(frame_id, positions_rad)
     transforms = context.forward.transforms(positions_rad)
     header = {"stamp": Stamp(0, 0).as_message(), "frame_id": frame_id}
     poses = []
@@ -168,16 +176,6 @@ def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[s
         "contact_body_2": pair["second"],
         "body_type_2": body_type(pair["second"]),
     }
-
-
-# Computes the response to a request of a client.
-Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
-
-# Twice the planners' own deadline: a request may wait for another one first.
-TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
-
-# Names that MoveIt's planning plugins have.
-INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
 
 
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:

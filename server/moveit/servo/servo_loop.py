@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -29,17 +29,16 @@ from planners.servo.question import (
 from robot.arm import Arm, ArmStream
 from robot.trajectory import Vector
 from server.errors import RefusedError
-from server.moveit.poses import composed, matrix_of, read_pose
-from server.moveit.requests.error_codes import invalid, required
+from server.execution.motions import Positions
+from server.moveit.poses import Message, composed, matrix_of, read_pose
+from server.moveit.requests.error_codes import invalid
 from server.moveit.servo.parameters import ServoParameters
 
 log = logging.getLogger("armbridge.servo")
 
-Message: TypeAlias = Mapping[str, Any]
-Positions: TypeAlias = Mapping[str, float]
 
-# Returns the pose of a frame in the root link, for positions of the joints [rad].
-Resolve: TypeAlias = Callable[[str, Positions], Pose | PlanningFailure]
+# Returns the pose of a frame in the root link, for positions of the joints [rad]; raises RefusedError.
+Resolve: TypeAlias = Callable[[str, Positions], Pose]
 
 # Has the planners answer a question.
 Ask: TypeAlias = Callable[[ServoQuestion], Awaitable[ServoAnswer | PlanningFailure]]
@@ -143,7 +142,7 @@ def read_pose_target(message: Message, resolve: Resolve, positions_rad: Position
         RefusedError: a pose that is not finite, or an unknown frame.
     """
     pose = read_pose(message["pose"], "pose")
-    return TipTarget(composed(required(resolve(message["header"]["frame_id"], positions_rad)), pose))
+    return TipTarget(composed(resolve(message["header"]["frame_id"], positions_rad), pose))
 
 
 def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Positions) -> ServoCommand:
@@ -159,8 +158,7 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
     """
     if not isinstance(command, TwistCommand):
         return command
-    frame = required(resolve(command.frame_id, positions_rad))
-    rotation = matrix_of(frame)[:3, :3]
+    rotation = matrix_of(resolve(command.frame_id, positions_rad))[:3, :3]
     return TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
 
 
@@ -200,7 +198,7 @@ class ServoSession:
         ask: the planners.
         resolve: look-up of frames.
         publish_status: called after every step.
-        interrupted: called with the reason when somebody else has stopped the arm.
+        interrupted: called with the reason when the arm is stopped from elsewhere.
         clock: monotonic time [s].
     """
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Coroutine
-from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -22,9 +21,9 @@ from server.execution.monitors import check_ready
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
+from server.moveit.poses import Message
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.servo.servo_loop import (
-    Message,
     Resolve,
     ServoInput,
     ServoSession,
@@ -180,7 +179,7 @@ class CommandGate:
         self._selected = kind
 
     def interrupt(self, reason: str) -> None:
-        """Reject all commands until the stick is released: somebody else has stopped the arm."""
+        """Reject all commands until the stick is released: the arm was stopped from elsewhere."""
         self._interrupted = reason
 
     def reset(self) -> None:
@@ -226,30 +225,26 @@ class ServoNode:
         parameters: group, tip, and parameters of the servo loop.
         scene: the planning scene.
         resolve: look-up of frames.
+        arm: the arm's process.
+        pool: the planners.
+        busy: returns the reason if the arm cannot be steered now, else an empty text.
     """
 
     def __init__(
-        self, graph: Graph, robot: RobotModel, parameters: MoveItParameters, scene: SceneState, resolve: Resolve
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        parameters: MoveItParameters,
+        scene: SceneState,
+        resolve: Resolve,
+        arm: Arm,
+        pool: PlannerPool,
+        busy: Callable[[], str],
     ) -> None:
-        self._graph = graph
-        self._group = robot.groups[parameters.group_name]
-        self._link = parameters.end_effector_link or self._group.tip_link
-        self._parameters = parameters.servo
-        self._scene = scene
-        self._resolve = resolve
-        self._node = Node("servo_node")
-        self._exits = AsyncExitStack()
-        # Rejected last for another client's control: it repeats its commands many times a second.
-        self._logged = ""
-
-    def open(self, arm: Arm, pool: PlannerPool, busy: Callable[[], str]) -> None:
-        """Offer the topics and services.
-
-        Args:
-            arm: the arm.
-            pool: the planners.
-            busy: returns the reason if the arm cannot be steered now, else an empty text.
-        """
+        group, servo = robot.groups[parameters.group_name], parameters.servo
+        timeout_s = servo.incoming_command_timeout
+        link = parameters.end_effector_link or group.tip_link
+        setup = ServoSetup(group.name, group.joints, link, servo.limits, 1.0 / servo.rate_hz, timeout_s)
 
         def unavailable() -> str:
             try:
@@ -259,57 +254,62 @@ class ServoNode:
             return busy()
 
         def ask(question: ServoQuestion) -> Coroutine[Any, Any, ServoAnswer | PlanningFailure]:
-            return pool.ask(question, self._scene.scene)
+            return pool.ask(question, scene.scene)
 
-        parameters, group = self._parameters, self._group
-        timeout_s = parameters.incoming_command_timeout
-        setup = ServoSetup(group.name, group.joints, self._link, parameters.limits, 1.0 / parameters.rate_hz, timeout_s)
-        status = StatusPublisher(self._graph, self._node, parameters.status_type)
-        gate = CommandGate(self._present, timeout_s, unavailable)
-        session = ServoSession(arm, setup, ask, self._resolve, status.publish, gate.interrupt)
-        self._exits.push_async_callback(session.close)
+        self._graph = graph
+        self._joints = group.joints
+        self._parameters = servo
+        self._resolve = resolve
+        self._node = Node("servo_node")
+        self._status = StatusPublisher(graph, self._node, servo.status_type)
+        self._gate = CommandGate(self._present, timeout_s, unavailable)
+        self._session = ServoSession(arm, setup, ask, resolve, self._status.publish, self._gate.interrupt)
+        # Rejected last for another client's control: it repeats its commands many times a second.
+        self._logged = ""
         for kind in CommandType:
-            self._subscribe(kind, gate, session, status)
-        self._offer(gate, session)
+            self._subscribe(kind)
+        self._offer()
 
     async def close(self) -> None:
         """Release the arm."""
-        await self._exits.aclose()
+        await self._session.close()
 
-    def _subscribe(self, kind: CommandType, gate: CommandGate, session: ServoSession, status: StatusPublisher) -> None:
+    def _subscribe(self, kind: CommandType) -> None:
         topic, type_name = _TOPICS[kind]
 
         def deliver(published: PublishedMessage) -> None:
-            rejection = gate.rejection(published.publisher, kind, time.monotonic())
+            rejection = self._gate.rejection(published.publisher, kind, time.monotonic())
             if rejection is None:
                 follow(published.msg)
             elif rejection.from_owner:
-                status.publish(ServoStatus.INVALID, rejection.message)
+                self._status.publish(ServoStatus.INVALID, rejection.message)
             elif rejection.message != self._logged:
                 self._logged = rejection.message
                 log.warning("servo: %s", rejection.message)
 
         def follow(message: Message) -> None:
             try:
-                session.set_command(self._read(kind, message, session))
+                self._session.set_command(self._read(kind, message))
             except RefusedError as error:
-                status.publish(ServoStatus.INVALID, str(error))
+                self._status.publish(ServoStatus.INVALID, str(error))
 
         def reject(error: MessageError) -> None:
             log.warning("%s: %s", topic, error)
 
         self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject))
 
-    def _read(self, kind: CommandType, message: Message, session: ServoSession) -> ServoInput:
+    def _read(self, kind: CommandType, message: Message) -> ServoInput:
         match kind:
             case CommandType.TWIST:
                 return read_twist(message, self._parameters)
             case CommandType.JOINT_JOG:
-                return read_joint_jog(message, self._group.joints, self._parameters)
+                return read_joint_jog(message, self._joints, self._parameters)
             case CommandType.POSE:
-                return read_pose_target(message, self._resolve, session.positions_rad())
+                return read_pose_target(message, self._resolve, self._session.positions_rad())
 
-    def _offer(self, gate: CommandGate, session: ServoSession) -> None:
+    def _offer(self) -> None:
+        gate, session = self._gate, self._session
+
         def switch(request: Message) -> dict[str, Any]:
             known = request["command_type"] in set(CommandType)
             if known:

@@ -3,7 +3,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 
-from planners.cartesian.following import CHORD_M, CORNER_STEP_M, ON_PATH_M, Ended, Following
+from planners.cartesian.following import CHORD_M, CORNER_STEP_M, ON_PATH_M, PathEnd, PathFollower
 from planners.cartesian.tip_path import TipPath, apart_m
 from tests.helpers.resources import examples
 from tests.planners.following import line, shares
@@ -12,12 +12,12 @@ from tests.planners.invariants import never
 START = np.array([0.0, -0.5, 0.7, 0.4, 0.0])
 
 
-def following(follower, start, segments, flaw=lambda point: None, should_stop=never, **asked):
+def following(follower, start, segments, check_point=lambda point: None, should_stop=never, **asked):
     tracker = follower.tracker(start)
     path = TipPath(tracker.pose(start), segments)
     names = follower.robot.groups["arm"].joints
     heeded = {"max_step_m": 0.005, "max_joint_step_rad": 0.0, "orientation_tolerance_rad": np.inf} | asked
-    return Following(tracker, names, path, flaw=flaw, should_stop=should_stop, **heeded)
+    return PathFollower(tracker, names, path, check_point=check_point, should_stop=should_stop, **heeded)
 
 
 def shifted(follower, *offset_m):
@@ -86,9 +86,12 @@ def test_a_joint_step_beyond_the_threshold_ends_the_path_and_is_named(follower):
 
 def test_a_flaw_ends_the_path_at_its_first_point(follower):
     limit_rad = START[0] - 0.1
-    flaw = Ended("constraint", "too far to the right", {})
+    flaw = PathEnd("constraint", "too far to the right", {})
     task = following(
-        follower, START, [shifted(follower, 0.0, 0.1, 0.0)], flaw=lambda point: flaw if point[0] < limit_rad else None
+        follower,
+        START,
+        [shifted(follower, 0.0, 0.1, 0.0)],
+        check_point=lambda point: flaw if point[0] < limit_rad else None,
     )
     followed = task.from_point(START)
     assert followed.ended is flaw

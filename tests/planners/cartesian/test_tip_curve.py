@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.cartesian.following import CHORD_M, Followed
+from planners.cartesian.following import CHORD_M, FollowedPath
 from planners.cartesian.tip_curve import SplinePath, tip_curve
 from planners.cartesian.tip_path import TipPath, apart_m
 from tests.planners.following import line
@@ -78,7 +78,7 @@ def drawn(follower):
     placement = tracker.pose(START)
     path = TipPath(placement, [line(pin.SE3(placement.rotation, placement.translation + np.array([0.0, 0.08, 0.0])))])
     end = tracker.follow(START, path.at(0.08), 0.0)
-    few = Followed(np.array([0.0, 0.08]), np.array([START, end]), None)
+    few = FollowedPath(np.array([0.0, 0.08]), np.array([START, end]), None)
     return tip_curve(few, path, tracker), path, tracker
 
 
@@ -108,5 +108,5 @@ def test_the_curve_stays_within_the_limits_where_a_joint_stops_at_one(follower):
     shift = follower.upper_rad[4] - 1e-3 - points[:, 4].max()
     points[:4, 4] += np.linspace(-0.2, 0.0, 4) + shift
     points[4:, 4] = follower.upper_rad[4] - 1e-3
-    drawn = tip_curve(Followed(along_m, points, None), path, tracker)
+    drawn = tip_curve(FollowedPath(along_m, points, None), path, tracker)
     assert not tracker.outside(drawn.curve(np.linspace(0.0, 0.04, 1000))).any()

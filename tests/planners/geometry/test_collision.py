@@ -10,11 +10,11 @@ from planners.geometry.collision import (
     DEPTH_ACCURACY_M,
     CollidingPair,
     CollisionModel,
-    Rules,
-    held_by,
-    links_of,
+    PairFilter,
+    attached_bodies,
+    link_bodies,
+    object_bodies,
     padding,
-    standing,
 )
 from planners.geometry.kinematics import kinematic_urdf
 from planners.geometry.shapes import robot_shapes
@@ -40,8 +40,8 @@ def bodies(robot, pin_model):
     shapes = robot_shapes(robot, pin_model)
 
     def build(scene):
-        held = [body for attached in scene.attached for body in held_by(pin_model, attached, 1.0)]
-        return [*links_of(pin_model, shapes, scene), *held], list(standing(scene, 1.0))
+        held = [body for attached in scene.attached for body in attached_bodies(pin_model, attached, 1.0)]
+        return [*link_bodies(pin_model, shapes, scene), *held], list(object_bodies(scene, 1.0))
 
     return build
 
@@ -53,7 +53,7 @@ def checked(robot, bodies):
     def names(scene):
         movers, around = bodies(scene)
         everything = [*movers, *around]
-        pairs = Rules(robot, scene.allowed).pairs(movers, around)
+        pairs = PairFilter(robot, scene.allowed).pairs(movers, around)
         return {frozenset((everything[i].name, everything[j].name)) for i, j in pairs}
 
     return names
@@ -92,7 +92,7 @@ def test_a_pair_said_to_be_forbidden_is_checked_though_its_links_are_neighbours(
 def test_padding_is_between_links_and_objects_only(robot, bodies):
     movers, around = bodies(Scene(1, (CUBE,), (HELD,), link_padding_m={"wrist_link": 0.01}))
     everything = [*movers, *around]
-    pairs = Rules(robot, {}).pairs(movers, around)
+    pairs = PairFilter(robot, {}).pairs(movers, around)
     padded = [
         {everything[i].name, everything[j].name}
         for (i, j), apart_m in zip(pairs, padding(everything, pairs), strict=True)
@@ -108,7 +108,7 @@ def test_a_scaled_link_meets_objects_in_its_new_size_and_links_in_its_own(robot,
     assert larger.shape.geometry.computeVolume() == pytest.approx(8.0 * own.shape.geometry.computeVolume())
     everything = [*movers, *around]
     met = {own: set(), larger: set()}
-    for i, j in Rules(robot, {}).pairs(movers, around):
+    for i, j in PairFilter(robot, {}).pairs(movers, around):
         for one, other in ((everything[i], everything[j]), (everything[j], everything[i])):
             if one in met:
                 met[one].add(other.name)

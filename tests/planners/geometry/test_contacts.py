@@ -9,7 +9,7 @@ import pytest
 
 import robot.description as robot_description
 from planners.geometry import contacts
-from planners.geometry.collision import CollisionModel, Rules, links_of, standing
+from planners.geometry.collision import CollisionModel, PairFilter, link_bodies, object_bodies
 from planners.geometry.contacts import Broadphase, ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import kinematic_urdf
@@ -28,8 +28,8 @@ def crowded(request, robot):
     """The arm among things of every shape, and states of it."""
     model = pin.buildModelFromXML(kinematic_urdf(robot))
     scene = around_the_arm(request.param)
-    movers, around = links_of(model, robot_shapes(robot, model), scene), list(standing(scene, 1.0))
-    pairs = Rules(robot, {}).pairs(movers, around)
+    movers, around = link_bodies(model, robot_shapes(robot, model), scene), list(object_bodies(scene, 1.0))
+    pairs = PairFilter(robot, {}).pairs(movers, around)
 
     def build(apart_m):
         return Broadphase(model, [body.shape for body in (*movers, *around)], pairs, np.full(len(pairs), apart_m))

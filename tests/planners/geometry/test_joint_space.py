@@ -3,7 +3,7 @@ import pytest
 
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import CONDITION_STEP_M, JointSpace
-from planners.geometry.sweep import ANYTHING, NOTHING
+from planners.geometry.sweep import ALL_PAIRS, NO_CANDIDATES
 from planners.scene import Box, Pose, SceneObject
 from robot.description import model
 from tests.planners.invariants import BLOCKED_LINES
@@ -44,7 +44,7 @@ def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
     free = 0
     for _ in range(100):
         point, joint_travel = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad), rng.uniform(0.0, 0.1, 5)
-        if space.threats(point[None], joint_travel[None], [ANYTHING]) == [NOTHING]:
+        if space.candidate_pairs(point[None], joint_travel[None], [ALL_PAIRS]) == [NO_CANDIDATES]:
             free += 1
             corners = point + joint_travel * rng.choice([-1.0, 1.0], (20, 5))
             inside = point + joint_travel * rng.uniform(-1.0, 1.0, (20, 5))
@@ -60,8 +60,10 @@ def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(robot, arm)
         point = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad)
         wide, narrow = np.full((1, 5), 0.1), np.full((1, 5), 0.05)
         within = point + rng.uniform(-0.05, 0.05, 5)
-        around = space.threats(point[None], wide, [ANYTHING])
-        assert space.threats(within[None], narrow, around) == space.threats(within[None], narrow, [ANYTHING])
+        around = space.candidate_pairs(point[None], wide, [ALL_PAIRS])
+        assert space.candidate_pairs(within[None], narrow, around) == space.candidate_pairs(
+            within[None], narrow, [ALL_PAIRS]
+        )
         assert space.touches_any(within, around[0]) == (not space.free(within))
 
 
@@ -116,7 +118,7 @@ def test_an_allowed_contact_does_not_come_again_further_on(robot, arm):
     space = JointSpace(collision, arm, q, overlaps_m)
     assert space.free(HOME)
     assert not space.free(turned)
-    assert space.threats(turned[np.newaxis], np.zeros((1, 5)), [ANYTHING]) != [NOTHING]
+    assert space.candidate_pairs(turned[np.newaxis], np.zeros((1, 5)), [ALL_PAIRS]) != [NO_CANDIDATES]
 
 
 def test_joints_of_a_group_need_not_stand_in_a_row():

@@ -24,7 +24,7 @@ class Discs:
         self.asked += 1
         return self.distance(point) > 0.0
 
-    def threats(self, points, joint_travel, among):
+    def candidate_pairs(self, points, joint_travel, among):
         return [
             tuple(
                 number
@@ -152,9 +152,9 @@ def test_only_what_threatened_a_wider_range_is_looked_at_again():
     looked_at = []
 
     class Watched(Discs):
-        def threats(self, points, joint_travel, among):
+        def candidate_pairs(self, points, joint_travel, among):
             looked_at.extend(known for known in among if known is not None)
-            return super().threats(points, joint_travel, among)
+            return super().candidate_pairs(points, joint_travel, among)
 
     around = Watched((0.0, 0.02, 0.01), (5.0, 5.0, 0.1))
     assert line_is_free(around, np.array([-1.0, 0.0]), np.array([1.0, 0.0]), FINEST_STEP_M)

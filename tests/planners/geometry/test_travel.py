@@ -2,7 +2,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.geometry.collision import Rules, links_of, standing
+from planners.geometry.collision import PairFilter, link_bodies, object_bodies
 from planners.geometry.contacts import Broadphase
 from planners.geometry.kinematics import Reach, approach, kinematic_urdf
 from planners.geometry.shapes import outline, robot_shapes
@@ -75,10 +75,10 @@ def test_no_frame_moves_further_than_the_bound(arm):
 
 
 def test_no_pair_comes_nearer_than_the_bound(arm):
-    movers = links_of(arm.model, arm.shapes, EMPTY_SCENE)
-    around = list(standing(around_the_arm(5), 1.0))
+    movers = link_bodies(arm.model, arm.shapes, EMPTY_SCENE)
+    around = list(object_bodies(around_the_arm(5), 1.0))
     shapes = [body.shape for body in (*movers, *around)]
-    pairs = Rules(arm.robot, {}).pairs(movers, around)
+    pairs = PairFilter(arm.robot, {}).pairs(movers, around)
     broadphase = Broadphase(arm.model, shapes, pairs, np.zeros(len(pairs)))
     approach_m = approach(arm.reach.of_shapes(shapes), pairs)
     for q, dq in arm.moves(6, 100, 0.1):
@@ -91,8 +91,8 @@ def test_no_pair_comes_nearer_than_the_bound(arm):
 
 
 def test_joints_that_carry_both_shapes_bring_them_no_nearer(arm):
-    movers = links_of(arm.model, arm.shapes, EMPTY_SCENE)
-    pairs = Rules(arm.robot, {}).pairs(movers, [])
+    movers = link_bodies(arm.model, arm.shapes, EMPTY_SCENE)
+    pairs = PairFilter(arm.robot, {}).pairs(movers, [])
     reach_m = arm.reach.of_shapes(arm.shapes)
     for (first, second), bound in zip(pairs, approach(reach_m, pairs), strict=True):
         both = (reach_m[first] > 0.0) & (reach_m[second] > 0.0)

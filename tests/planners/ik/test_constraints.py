@@ -26,9 +26,9 @@ from planners.ik.constraints import (
     TurnCondition,
     conditions,
     frame_along,
+    goal_conditions,
     outside,
     rotation,
-    wish,
 )
 from planners.scene import Pose
 from tests.helpers.resources import examples
@@ -181,7 +181,7 @@ def test_nothing_demanded_holds_everywhere(condition_set):
 def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, joints, collision, seed):
     q = np.random.default_rng(seed).uniform(collision.lower_rad, collision.upper_rad)
     goal = PoseGoal(TIP, pose_of(forward, q), 0.01, (0.05, 0.05, 0.05), strict=True)
-    wanted = ConditionSet(forward, wish(goal, joints).required)
+    wanted = ConditionSet(forward, goal_conditions(goal, joints).required)
     assert wanted.holds(q)
     assert wanted.deviation(q).position_m == pytest.approx(0.0, abs=1e-9)
     turned = q + 0.1 * np.eye(6)[collision.joint_names.index("wrist_roll")]
@@ -191,8 +191,8 @@ def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, joints
 
 def test_orientation_is_only_preferred_unless_the_pose_is_strict(joints):
     goal = PoseGoal(TIP, Pose((0.3, 0.0, 0.2)), 0.01, (0.05, 0.05, 0.05))
-    assert [type(c) for c in wish(goal, joints).preferred] == [TurnCondition]
-    assert len(wish(goal, joints).required) == 1
+    assert [type(c) for c in goal_conditions(goal, joints).preferred] == [TurnCondition]
+    assert len(goal_conditions(goal, joints).required) == 1
 
 
 def test_goal_of_a_point_is_measured_at_its_offset(forward, joints):
@@ -201,14 +201,14 @@ def test_goal_of_a_point_is_measured_at_its_offset(forward, joints):
     offset_m = np.array([0.01, 0.02, 0.03])
     target_m = placement.translation + placement.rotation @ offset_m
     goal = PositionGoal(TIP, tuple(target_m), 0.001, tuple(offset_m))
-    assert ConditionSet(forward, wish(goal, joints).required).holds(HOME)
+    assert ConditionSet(forward, goal_conditions(goal, joints).required).holds(HOME)
 
 
 def test_directions_are_taken_as_unit_vectors(forward, joints):
     pose = pose_of(forward, HOME)
     axis = rotation(pose.orientation)[:, 2]
     goal = AxisGoal(TIP, pose.position_m, 0.001, (0.0, 0.0, 1.0005), tuple(0.9995 * axis), 0.01)
-    assert ConditionSet(forward, wish(goal, joints).required).holds(HOME)
+    assert ConditionSet(forward, goal_conditions(goal, joints).required).holds(HOME)
 
 
 @pytest.mark.parametrize(
@@ -257,4 +257,4 @@ def test_goal_of_constraints_demands_them_all(joints):
         positions=(PositionConstraint(TIP, Pose((0.3, 0.0, 0.2)), half_size_m=(0.1, 0.1, 0.1)),),
         orientations=(OrientationConstraint(TIP, (0.0, 0.0, 0.0, 1.0), (0.1, 0.1, 0.1)),),
     )
-    assert len(wish(ConstraintGoal(constraints), joints).required) == 3
+    assert len(goal_conditions(ConstraintGoal(constraints), joints).required) == 3

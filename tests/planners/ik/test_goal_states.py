@@ -19,15 +19,15 @@ from planners.goals import (
     PositionConstraint,
     PositionGoal,
 )
-from planners.ik.constraints import ConditionSet, wish
+from planners.ik.constraints import ConditionSet, goal_conditions
 from planners.ik.goal_states import (
-    AS_GOOD_RAD,
     DISTINCT_RAD,
     FRUITLESS_RESTARTS,
     HOPELESS_RESTARTS,
     MAX_SOLUTIONS,
-    Asker,
-    Findings,
+    PREFERENCE_SLACK_RAD,
+    DescentResults,
+    GoalQuery,
     GoalSearch,
     GoalStates,
 )
@@ -48,23 +48,23 @@ def no_time(_):
 
 
 @pytest.fixture
-def findings(goal_states, collision, joints):
+def results(goal_states, collision, joints):
     def make(center, tolerance_m=0.1):
         goal = PositionGoal(TIP, tuple(collision.tip_positions([center], TIP)[0]), tolerance_m)
-        return Findings(goal_states.forward, collision, wish(goal, joints))
+        return DescentResults(goal_states.forward, collision, goal_conditions(goal, joints))
 
     return make
 
 
-def test_ends_that_are_nearly_the_same_are_one_solution(findings):
-    found = findings(HOME)
+def test_ends_that_are_nearly_the_same_are_one_solution(results):
+    found = results(HOME)
     for q in (HOME, HOME + 0.9 * DISTINCT_RAD * ROLL, HOME + 1.1 * DISTINCT_RAD * ROLL):
         found.add(q)
     assert len(found.result(no_time).solutions) == 2
 
 
-def test_collision_is_told_only_where_no_solution_is_free(findings):
-    found = findings(FOLDED, tolerance_m=1.0)
+def test_collision_is_told_only_where_no_solution_is_free(results):
+    found = results(FOLDED, tolerance_m=1.0)
     found.add(FOLDED)
     assert found.result(no_time).colliding
     assert found.only_colliding
@@ -73,8 +73,8 @@ def test_collision_is_told_only_where_no_solution_is_free(findings):
     assert not found.only_colliding
 
 
-def test_goals_reached_only_in_contact_are_told_apart_from_goals_out_of_reach(findings):
-    touching, out_of_reach = findings(FOLDED, tolerance_m=1.0), findings(HOME + 0.5, tolerance_m=0.001)
+def test_goals_reached_only_in_contact_are_told_apart_from_goals_out_of_reach(results):
+    touching, out_of_reach = results(FOLDED, tolerance_m=1.0), results(HOME + 0.5, tolerance_m=0.001)
     touching.add(FOLDED)
     out_of_reach.add(FOLDED)
     assert touching.only_touching
@@ -83,8 +83,8 @@ def test_goals_reached_only_in_contact_are_told_apart_from_goals_out_of_reach(fi
     assert not touching.only_touching
 
 
-def test_a_row_of_descents_is_as_patient_as_it_is_told(findings):
-    hopeless = findings(HOME + 0.5, tolerance_m=0.001)
+def test_a_row_of_descents_is_as_patient_as_it_is_told(results):
+    hopeless = results(HOME + 0.5, tolerance_m=0.001)
     hopeless.begin(patience=2 * HOPELESS_RESTARTS)
     for _ in range(2 * HOPELESS_RESTARTS):
         assert not hopeless.enough(wanted=6)
@@ -93,8 +93,8 @@ def test_a_row_of_descents_is_as_patient_as_it_is_told(findings):
     assert hopeless.enough(wanted=6)
 
 
-def test_nearest_is_free_even_if_one_in_contact_is_nearer(findings):
-    found = findings(FOLDED, tolerance_m=0.001)
+def test_nearest_is_free_even_if_one_in_contact_is_nearer(results):
+    found = results(FOLDED, tolerance_m=0.001)
     found.add(FOLDED)
     found.add(HOME)
     assert found.result(no_time).nearest_q is HOME
@@ -102,13 +102,13 @@ def test_nearest_is_free_even_if_one_in_contact_is_nearer(findings):
 
 def test_contacts_count_only_where_they_are_minded(goal_states, collision, joints):
     goal = PositionGoal(TIP, tuple(collision.tip_positions([FOLDED], TIP)[0]), 0.1)
-    found = Findings(goal_states.forward, None, wish(goal, joints))
+    found = DescentResults(goal_states.forward, None, goal_conditions(goal, joints))
     found.add(FOLDED)
     assert len(found.result(no_time).solutions) == 1
 
 
-def test_patience_ends_sooner_once_there_is_a_solution(findings):
-    found, hopeless = findings(HOME), findings(HOME + 0.5, tolerance_m=0.001)
+def test_patience_ends_sooner_once_there_is_a_solution(results):
+    found, hopeless = results(HOME), results(HOME + 0.5, tolerance_m=0.001)
     found.add(HOME)
     hopeless.add(HOME)
     for _ in range(FRUITLESS_RESTARTS):
@@ -127,7 +127,7 @@ def test_of_preferences_only_the_best_met_stay(goal_states, collision, joints):
     position_m = tuple(collision.tip_positions([HOME], TIP)[0])
     rotation = forward.placement(TIP).rotation
     goal = PoseGoal(TIP, Pose(position_m, tuple(_quaternion(rotation))), 0.05, (0.02, 0.02, 0.02))
-    found = Findings(forward, collision, wish(goal, joints))
+    found = DescentResults(forward, collision, goal_conditions(goal, joints))
     found.add(HOME + 0.5 * ROLL)
     found.add(HOME)
     assert [q is HOME for q in found.result(no_time).solutions] == [True]
@@ -170,7 +170,7 @@ def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
     search, collision, arm, joints, free_states, goal_at
 ):
     for state in free_states:
-        wanted = wish(goal_at(search, state), joints)
+        wanted = goal_conditions(goal_at(search, state), joints)
         found = search.find(arm, wanted, HOME, never)
         assert found.solutions, state
         for q in found.solutions:
@@ -182,7 +182,7 @@ def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
 def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_states):
     for state in free_states[:20]:
         goal = PositionGoal(TIP, pose_of(search.forward, state).position_m, 0.001)
-        solutions = search.find(arm, wish(goal, joints), HOME, never).solutions
+        solutions = search.find(arm, goal_conditions(goal, joints), HOME, never).solutions
         times_s = [search.move_time_s(HOME, q) for q in solutions]
         assert times_s == sorted(times_s)
         assert len(solutions) <= MAX_SOLUTIONS
@@ -192,7 +192,7 @@ def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_
 
 def test_no_more_solutions_are_found_than_wanted(search, arm, joints):
     goal = PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001)
-    assert len(search.find(arm, wish(goal, joints), HOME, never, wanted=1).solutions) == 1
+    assert len(search.find(arm, goal_conditions(goal, joints), HOME, never, wanted=1).solutions) == 1
 
 
 def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, free_states):
@@ -200,17 +200,19 @@ def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, f
     for state in free_states[:15]:
         orientation = rng.normal(size=4)
         pose = Pose(pose_of(search.forward, state).position_m, tuple(orientation / np.linalg.norm(orientation)))
-        wanted = wish(PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02)), joints)
+        wanted = goal_conditions(PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02)), joints)
         found = search.find(arm, wanted, HOME, never)
         assert found.solutions
         turned = [ConditionSet(search.forward, wanted.preferred).beyond_m(q) for q in found.solutions]
-        assert max(turned) - min(turned) <= 0.1 * AS_GOOD_RAD + 1e-9
+        assert max(turned) - min(turned) <= 0.1 * PREFERENCE_SLACK_RAD + 1e-9
 
 
 def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, joints, collision, free_states):
     rng = np.random.default_rng(7)
     target_m = np.array([0.25, 0.1, 0.15])
-    wanted = wish(PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), joints)
+    wanted = goal_conditions(
+        PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), joints
+    )
     found = search.find(arm, wanted, HOME, never)
     preferred = ConditionSet(search.forward, wanted.preferred)
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (30_000, 6))
@@ -224,7 +226,7 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (20_000, 6))
     positions_m = search.forward.placements(states, TIP).positions_m
     for target_m in ((0.1, 0.0, 0.15), (0.6, 0.2, 0.3), (0.0, 0.7, 0.1)):
-        found = search.find(arm, wish(PositionGoal(TIP, target_m, 0.001), joints), HOME, never)
+        found = search.find(arm, goal_conditions(PositionGoal(TIP, target_m, 0.001), joints), HOME, never)
         order = np.argsort(np.linalg.norm(positions_m - target_m, axis=1))
         best = next(i for i in order if not collision.in_collision(states[i]))
         assert not found.solutions
@@ -233,18 +235,18 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
 
 
 def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, joints):
-    wanted = wish(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), joints)
+    wanted = goal_conditions(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), joints)
     assert search.find(arm, wanted, HOME, never).colliding
     assert search.find(arm, wanted, HOME, never, avoid_collisions=False).solutions
 
 
 def test_descents_end_when_told_to(search, arm, joints):
-    found = search.find(arm, wish(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints), HOME, lambda: True)
+    found = search.find(arm, goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints), HOME, lambda: True)
     assert len(found.solutions) <= 1
 
 
 def test_same_question_has_the_same_answer(robot, collision, search, arm, joints):
-    wanted = wish(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints)
+    wanted = goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints)
     answers = [each.find(arm, wanted, HOME, never).solutions for each in (search, GoalSearch(robot, collision), search)]
     np.testing.assert_array_equal(answers[0], answers[1])
     np.testing.assert_array_equal(answers[0], answers[2])
@@ -257,7 +259,7 @@ TIP_AT_HOME = (0.3914, 0.0, 0.2264)
 def find(goal_states, arm):
     def ask(goal, **options):
         budget = Budget(time.monotonic, 5.0, options.pop("should_stop", never))
-        return goal_states.find(goal, Asker(arm, HOME, options.pop("constraints", None), budget, **options))
+        return goal_states.find(goal, GoalQuery(arm, HOME, options.pop("constraints", None), budget, **options))
 
     return ask
 
@@ -366,7 +368,7 @@ def test_goal_outside_the_path_constraints_violates_them(find):
 def test_start_counts_unless_told_otherwise(find):
     goal = PositionGoal(TIP, TIP_AT_HOME, 0.01)
     assert [state.q is HOME for state in find(goal)] == [True]
-    assert len(find(goal, start_counts=False)) > 1
+    assert len(find(goal, accept_start=False)) > 1
 
 
 def test_object_in_the_goal_is_named(robot, arm):
@@ -374,8 +376,8 @@ def test_object_in_the_goal_is_named(robot, arm):
     states = GoalStates(robot, collision)
     mug = SceneObject("mug", ((Box((0.08, 0.08, 0.08)), Pose()),), Pose((0.25, 0.1, 0.15)))
     assert collision.set_scene(Scene(1, (mug,))) is None
-    asker = Asker(arm, HOME, None, Budget(time.monotonic, 5.0, never))
-    failure = states.find(PositionGoal(TIP, (0.25, 0.1, 0.15), 0.001), asker)
+    query = GoalQuery(arm, HOME, None, Budget(time.monotonic, 5.0, never))
+    failure = states.find(PositionGoal(TIP, (0.25, 0.1, 0.15), 0.001), query)
     assert isinstance(failure, PlanningFailure)
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert "mug" in failure.message

@@ -26,15 +26,15 @@ from planners.ik.constraints import (
     PointCondition,
     TurnCondition,
     conditions,
-    wish,
+    goal_conditions,
 )
 from planners.ik.kinematics import (
     MAX_POINTS,
     MAX_STEP_M,
     AxisTask,
+    GoalConditions,
     JointTask,
     Kinematics,
-    Wish,
     link_task,
     slides,
     with_targets,
@@ -170,10 +170,10 @@ class Bench:
         )
 
     def descend(self, goal, q):
-        return self.kinematics.descent(self.arm, wish(goal, self.joints))(q)
+        return self.kinematics.descent(self.arm, goal_conditions(goal, self.joints))(q)
 
     def holds(self, goal, q):
-        return ConditionSet(self.forward, wish(goal, self.joints).required).holds(q)
+        return ConditionSet(self.forward, goal_conditions(goal, self.joints).required).holds(q)
 
 
 @pytest.fixture(scope="module")
@@ -235,7 +235,7 @@ def test_preferred_orientation_does_not_cost_the_point(so101):
         pose = Pose(pose_of(so101.forward, q).position_m, tuple(orientation / np.linalg.norm(orientation)))
         goal = PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02))
         end = so101.descend(goal, q)
-        wanted = ConditionSet(so101.forward, wish(goal, so101.joints).required)
+        wanted = ConditionSet(so101.forward, goal_conditions(goal, so101.joints).required)
         assert wanted.deviation(end).position_m < 2e-4
 
 
@@ -243,7 +243,7 @@ def test_preferred_orientation_is_as_near_as_small_motions_can_make_it(so101):
     rng = np.random.default_rng(5)
     for q in 0.6 * so101.states(5):
         pose = Pose(pose_of(so101.forward, q).position_m, (0.0, 0.0, 0.0, 1.0))
-        wanted = wish(PoseGoal(TIP, pose, 0.002, (0.02, 0.02, 0.02)), so101.joints)
+        wanted = goal_conditions(PoseGoal(TIP, pose, 0.002, (0.02, 0.02, 0.02)), so101.joints)
         required, preferred = (ConditionSet(so101.forward, part) for part in (wanted.required, wanted.preferred))
         end = so101.kinematics.descent(so101.arm, wanted)(q)
         around = end + rng.uniform(-0.02, 0.02, (4000, 6))
@@ -256,7 +256,7 @@ def test_tolerances_are_used_where_the_middle_cannot_be_had(so101):
     # To the middle of the region the arm would have to turn the other way than its joint may.
     region = PositionConstraint(TIP, Pose((0.3, -0.4, 0.2)), half_size_m=(0.5, 0.7, 0.5))
     joint = JointConstraint("shoulder_pan", -0.8, 0.3, 0.3)
-    wanted = Wish(conditions(Constraints(joints=(joint,), positions=(region,)), so101.joints))
+    wanted = GoalConditions(conditions(Constraints(joints=(joint,), positions=(region,)), so101.joints))
     end = so101.kinematics.descent(so101.arm, wanted)(HOME)
     assert ConditionSet(so101.forward, wanted.required).holds(end)
 
@@ -265,7 +265,7 @@ def test_weights_decide_between_what_cannot_both_hold(so101):
     def heights(weight):
         high = PositionConstraint(TIP, Pose((0.3, 0.0, 0.3)), radius_m=0.01, weight=weight)
         low = PositionConstraint(TIP, Pose((0.3, 0.0, 0.2)), radius_m=0.01)
-        wanted = Wish(conditions(Constraints(positions=(high, low)), so101.joints))
+        wanted = GoalConditions(conditions(Constraints(positions=(high, low)), so101.joints))
         so101.forward.place(so101.kinematics.descent(so101.arm, wanted)(HOME))
         return so101.forward.placement(TIP).translation[2]
 
@@ -274,12 +274,12 @@ def test_weights_decide_between_what_cannot_both_hold(so101):
 
 def test_inside_is_near_and_none_where_there_is_none(so101):
     down = OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 3.2))
-    wanted = Wish(conditions(Constraints(orientations=(down,)), so101.joints))
+    wanted = GoalConditions(conditions(Constraints(orientations=(down,)), so101.joints))
     descent = so101.kinematics.descent(so101.arm, wanted)
     near = np.array([0.0, -0.2, 0.3, 1.3, 0.2, 0.0])
     inside = descent.inside(near)
     assert ConditionSet(so101.forward, wanted.required).holds(inside)
     assert np.max(np.abs(inside - near)) < 0.5
     far = PositionConstraint(TIP, Pose((2.0, 0.0, 0.0)), radius_m=0.1)
-    impossible = Wish(conditions(Constraints(positions=(far,)), so101.joints))
+    impossible = GoalConditions(conditions(Constraints(positions=(far,)), so101.joints))
     assert so101.kinematics.descent(so101.arm, impossible).inside(near) is None

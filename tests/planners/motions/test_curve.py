@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.motions.curve import TICK_S, Curve, polyline, standing
+from planners.motions.curve import TICK_S, Curve, constant_curve, polyline
 from planners.problem import RateLimits
 from tests.planners.invariants import assert_well_formed
 
@@ -69,5 +69,5 @@ def test_turning_points_between_knots_count_for_the_range():
 
 
 def test_standing_stays_in_its_point():
-    curve = standing(np.array([0.3, -0.2]), 500)
+    curve = constant_curve(np.array([0.3, -0.2]), 500)
     np.testing.assert_array_equal(curve.at(np.array([0, 250, 500]))[0], [[0.3, -0.2]] * 3)

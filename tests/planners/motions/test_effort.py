@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.sweep import ANYTHING
+from planners.geometry.sweep import ALL_PAIRS
 from planners.goals import Constraints, OrientationConstraint
 from planners.ik.constraints import ConditionSet, conditions
 from planners.motions.curve import line, polyline
@@ -28,9 +28,9 @@ def counted(joint_space):
 def test_every_question_counts(counted):
     counted.free(HOME)
     assert counted.checks == 1
-    counted.threats(np.array([HOME, READY]), np.full((2, 5), 0.01), [ANYTHING, ANYTHING])
+    counted.candidate_pairs(np.array([HOME, READY]), np.full((2, 5), 0.01), [ALL_PAIRS, ALL_PAIRS])
     assert counted.checks == 3
-    counted.touches_any(HOME, ANYTHING)
+    counted.touches_any(HOME, ALL_PAIRS)
     assert counted.checks == 4
 
 
@@ -87,9 +87,9 @@ def test_every_piece_of_a_line_is_looked_at_once_and_its_end_first(pieces):
 
 
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)
-def test_a_glance_along_a_line_finds_obstacles_as_wide_as_its_steps(counted, blocked):
-    assert not counted.glance(*map(np.array, blocked), STEP_M)
-    assert counted.glance(HOME, READY, STEP_M)
+def test_a_sparse_check_of_a_line_finds_obstacles_as_wide_as_its_steps(counted, blocked):
+    assert not counted.line_free_sparsely(*map(np.array, blocked), STEP_M)
+    assert counted.line_free_sparsely(HOME, READY, STEP_M)
 
 
 TIP = "gripper_frame_link"

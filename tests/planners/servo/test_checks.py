@@ -23,13 +23,13 @@ from planners.servo.steering import (
     MAX_DRIFT_M,
     MAX_DRIFT_RAD,
     Outcome,
-    aimed,
-    answer_of,
     check_servo_question,
-    loosened,
-    steered,
+    relaxed_anchor,
+    servo_answer,
+    target_motion,
+    twist_motion,
 )
-from planners.servo.velocity_limits import Walls
+from planners.servo.velocity_limits import VelocityBounds
 from tests.planners.servo.steering import PERIOD_S, TIP
 
 
@@ -72,63 +72,63 @@ def tip(position_m=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0)):
 
 
 def test_drift_along_the_motion_is_left_and_drift_across_is_corrected():
-    wish = steered(TipTwist((0.1, 0.0, 0.0)), tip((0.005, 0.004, 0.0)), ORIGIN)
-    assert wish.linear_m_s == pytest.approx([0.1, -0.004 * GAIN_PER_S, 0.0])
-    assert wish.anchor.pose.position_m == pytest.approx((0.005, 0.0, 0.0))
+    desired = twist_motion(TipTwist((0.1, 0.0, 0.0)), tip((0.005, 0.004, 0.0)), ORIGIN)
+    assert desired.linear_m_s == pytest.approx([0.1, -0.004 * GAIN_PER_S, 0.0])
+    assert desired.anchor.pose.position_m == pytest.approx((0.005, 0.0, 0.0))
 
 
 def test_turns_are_treated_alike():
-    wish = steered(TipTwist(angular_rad_s=(0.0, 0.0, 0.5)), tip(turn_rad=(0.02, 0.0, 0.1)), ORIGIN)
-    assert wish.angular_rad_s[2] == pytest.approx(0.5, abs=0.01)
-    assert wish.angular_rad_s[0] == pytest.approx(-0.02 * GAIN_PER_S, abs=0.01)
-    assert wish.linear_m_s == pytest.approx([0.0, 0.0, 0.0])
+    desired = twist_motion(TipTwist(angular_rad_s=(0.0, 0.0, 0.5)), tip(turn_rad=(0.02, 0.0, 0.1)), ORIGIN)
+    assert desired.angular_rad_s[2] == pytest.approx(0.5, abs=0.01)
+    assert desired.angular_rad_s[0] == pytest.approx(-0.02 * GAIN_PER_S, abs=0.01)
+    assert desired.linear_m_s == pytest.approx([0.0, 0.0, 0.0])
 
 
 def test_a_tip_that_is_let_go_of_is_not_called_back_along_its_motion():
-    moved = steered(TipTwist((0.1, 0.0, 0.0)), tip(), None).anchor
-    wish = steered(TipTwist(), tip((0.02, 0.003, 0.0)), moved)
-    assert wish.linear_m_s == pytest.approx([0.0, -0.003 * GAIN_PER_S, 0.0])
+    moved = twist_motion(TipTwist((0.1, 0.0, 0.0)), tip(), None).anchor
+    desired = twist_motion(TipTwist(), tip((0.02, 0.003, 0.0)), moved)
+    assert desired.linear_m_s == pytest.approx([0.0, -0.003 * GAIN_PER_S, 0.0])
 
 
 def test_a_tip_that_is_let_go_of_is_not_turned_any_more():
-    wish = steered(TipTwist(), tip(turn_rad=(0.1, 0.0, 0.0)), ORIGIN)
-    assert wish.angular_rad_s == pytest.approx([0.0, 0.0, 0.0])
-    assert wish.drift_rad == pytest.approx(0.1)
+    desired = twist_motion(TipTwist(), tip(turn_rad=(0.1, 0.0, 0.0)), ORIGIN)
+    assert desired.angular_rad_s == pytest.approx([0.0, 0.0, 0.0])
+    assert desired.drift_rad == pytest.approx(0.1)
 
 
 def test_an_anchor_that_cannot_be_kept_comes_along():
-    wish = steered(TipTwist((0.1, 0.0, 0.0)), tip((0.0, 0.5, 0.0), (1.0, 0.0, 0.0)), ORIGIN)
-    assert 0.5 - wish.anchor.pose.position_m[1] == pytest.approx(MAX_DRIFT_M)
-    assert wish.drift_rad == pytest.approx(MAX_DRIFT_RAD)
+    desired = twist_motion(TipTwist((0.1, 0.0, 0.0)), tip((0.0, 0.5, 0.0), (1.0, 0.0, 0.0)), ORIGIN)
+    assert 0.5 - desired.anchor.pose.position_m[1] == pytest.approx(MAX_DRIFT_M)
+    assert desired.drift_rad == pytest.approx(MAX_DRIFT_RAD)
 
 
 def test_a_target_far_away_is_approached_at_the_greatest_speed_and_one_near_slower():
     limits = ServoLimits(linear_m_s=0.2, angular_rad_s=0.8)
-    far = aimed(TipTarget(Pose((1.0, 0.0, 0.0))), tip(turn_rad=(2.0, 0.0, 0.0)), limits)
+    far = target_motion(TipTarget(Pose((1.0, 0.0, 0.0))), tip(turn_rad=(2.0, 0.0, 0.0)), limits)
     assert far.linear_m_s == pytest.approx([0.2, 0.0, 0.0])
     assert np.linalg.norm(far.angular_rad_s) == pytest.approx(0.8)
-    near = aimed(TipTarget(Pose((0.01, 0.0, 0.0))), tip(), limits)
+    near = target_motion(TipTarget(Pose((0.01, 0.0, 0.0))), tip(), limits)
     assert near.linear_m_s == pytest.approx([0.01 * GAIN_PER_S, 0.0, 0.0])
 
 
 def test_a_tip_that_is_held_back_is_hardly_pulled_and_not_turned():
     anchor = Anchor(Pose((0.1, 0.0, 0.0)), along=(0.0, 0.0, 1.0))
-    found = loosened(anchor, tip(turn_rad=(0.3, 0.0, 0.0)))
+    found = relaxed_anchor(anchor, tip(turn_rad=(0.3, 0.0, 0.0)))
     assert found.pose.position_m == pytest.approx((HELD_DRIFT_M, 0.0, 0.0))
     assert found.along == anchor.along
-    assert steered(TipTwist(), tip(turn_rad=(0.3, 0.0, 0.0)), found).drift_rad == pytest.approx(0.0, abs=1e-9)
+    assert twist_motion(TipTwist(), tip(turn_rad=(0.3, 0.0, 0.0)), found).drift_rad == pytest.approx(0.0, abs=1e-9)
 
 
 NAMES = ("a", "b")
 TABLE = NearPair("hand", "table", True, 0.012, np.zeros(2))
-AROUND = Walls(np.zeros((5, 2)), np.zeros(5), [TABLE])
+AROUND = VelocityBounds(np.zeros((5, 2)), np.zeros(5), [TABLE])
 NONE, LIMIT_OF_B, NEAR_TABLE = np.array([], dtype=int), np.array([3]), np.array([4])
 
 
-def told(active=NONE, had=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.0), **more):
+def told(active=NONE, achieved=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.0), **more):
     question = ServoQuestion("arm", "tip", {}, {}, 0.02, TipTwist((0.1, 0.0, 0.0), angular))
-    outcome = Outcome(np.array([0.3, 0.4]), active, np.array([0.1, 0.0, 0.0]), np.array(had), **more)
-    return answer_of(question, NAMES, outcome, AROUND)
+    outcome = Outcome(np.array([0.3, 0.4]), active, np.array([0.1, 0.0, 0.0]), np.array(achieved), **more)
+    return servo_answer(question, NAMES, outcome, AROUND)
 
 
 def test_a_command_followed_in_full_has_no_warning():
@@ -144,14 +144,14 @@ def test_joints_at_their_limits_are_named():
 
 
 @pytest.mark.parametrize(
-    ("had", "status"),
+    ("achieved", "status"),
     [
         ((0.05, 0.0, 0.0), ServoStatus.DECELERATE_FOR_COLLISION),
         ((0.0, 0.02, 0.0), ServoStatus.HALT_FOR_COLLISION),
     ],
 )
-def test_things_in_the_way_are_named_with_their_distance(had, status):
-    answer = told(NEAR_TABLE, had)
+def test_things_in_the_way_are_named_with_their_distance(achieved, status):
+    answer = told(NEAR_TABLE, achieved)
     assert answer.status is status
     assert "hand and table (12 mm)" in answer.message
 
@@ -164,7 +164,7 @@ def test_of_several_the_gravest_is_the_status_and_all_are_told():
 
 
 def test_a_turn_that_is_given_up_is_told_with_how_much_of_it():
-    turn = {"wanted_turn_rad_s": np.array([0.0, 0.0, 0.5]), "turn_rad_s": np.array([0.0, 0.0, 0.2])}
+    turn = {"desired_turn_rad_s": np.array([0.0, 0.0, 0.5]), "turn_rad_s": np.array([0.0, 0.0, 0.2])}
     assert "0.30 rad/s are given up" in told(angular=(0.0, 0.0, 0.5), **turn).message
 
 
@@ -173,4 +173,4 @@ def test_an_orientation_that_is_not_kept_is_told_in_degrees():
 
 
 def test_motion_against_the_wish_counts_as_none():
-    assert told(had=(-0.1, 0.0, 0.0)).share == 0.0
+    assert told(achieved=(-0.1, 0.0, 0.0)).share == 0.0

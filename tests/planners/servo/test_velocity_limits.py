@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.servo.question import ServoLimits, ServoStatus
-from planners.servo.velocity_limits import Ahead, bounded_least_squares, regular
+from planners.servo.velocity_limits import PredictedTip, bounded_least_squares, regularized
 from tests.helpers.resources import examples
 
 DAMPING = 0.01
@@ -58,12 +58,12 @@ def leg(q):
     up = np.array([0.0, 0.0, 1.0])
     by_lift = -height * out + reach * up
     by_bend = LOWER_M * (-np.sin(lift + bend) * out + np.cos(lift + bend) * up)
-    return Ahead(reach * out + height * up, np.column_stack((reach * side, by_lift, by_bend)))
+    return PredictedTip(reach * out + height * up, np.column_stack((reach * side, by_lift, by_bend)))
 
 
-def ask(bend, wish):
+def ask(bend, desired):
     q = np.array([0.0, 0.0, bend])
-    return regular(leg(q).jacobian, np.array(wish), LIMITS, FASTEST, lambda step: leg(q + step))
+    return regularized(leg(q).jacobian, np.array(desired), LIMITS, FASTEST, lambda step: leg(q + step))
 
 
 def test_far_from_a_singularity_a_wish_is_left_alone():

@@ -3,7 +3,7 @@ import pytest
 
 from planners.geometry.nearness import NearPair
 from planners.servo.question import ServoLimits
-from planners.servo.velocity_limits import APPROACH_PER_S, walls
+from planners.servo.velocity_limits import APPROACH_PER_S, velocity_bounds
 
 LOWER, UPPER = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
 COLUMNS = np.array([0, 1])
@@ -12,17 +12,17 @@ ELBOW = NearPair("hand", "base", False, 0.013, np.array([0.0, 0.1, 9.0]))
 LIMITS = ServoLimits(self_distance_m=0.003, scene_distance_m=0.005)
 
 
-def around(q, pairs=(), limits=LIMITS):
-    return walls(np.array(q), LOWER, UPPER, COLUMNS, pairs, limits)
+def bounds_there(q, pairs=(), limits=LIMITS):
+    return velocity_bounds(np.array(q), LOWER, UPPER, COLUMNS, pairs, limits)
 
 
 def test_rest_is_always_allowed_even_beyond_a_limit_or_in_contact():
     touching = NearPair("hand", "table", True, -0.01, np.array([-0.2, 0.0, 9.0]))
-    assert (around([1.2, 0.0], [touching]).bounds >= 0.0).all()
+    assert (bounds_there([1.2, 0.0], [touching]).bounds >= 0.0).all()
 
 
 def test_a_joint_nears_its_limit_ever_slower_and_leaves_it_freely():
-    found = around([0.9, 0.0])
+    found = bounds_there([0.9, 0.0])
     fastest = found.bounds[found.rows[:, 0] == 1.0]
     back = found.bounds[found.rows[:, 0] == -1.0]
     assert fastest == pytest.approx([0.1 * APPROACH_PER_S])
@@ -30,7 +30,7 @@ def test_a_joint_nears_its_limit_ever_slower_and_leaves_it_freely():
 
 
 def test_a_thing_is_neared_ever_slower_and_left_freely():
-    found = around([0.0, 0.0], [TABLE])
+    found = bounds_there([0.0, 0.0], [TABLE])
     nearing, leaving = np.array([1.0, 0.0]), np.array([-1.0, 0.0])
     assert found.bounds[-1] == pytest.approx(0.02 * APPROACH_PER_S)
     assert found.rows[-1] @ nearing == pytest.approx(0.2)
@@ -38,12 +38,12 @@ def test_a_thing_is_neared_ever_slower_and_left_freely():
 
 
 def test_pairs_of_links_and_objects_keep_distances_of_their_own_or_none():
-    assert len(around([0.0, 0.0], [TABLE, ELBOW]).pairs) == 2
-    assert list(around([0.0, 0.0], [TABLE, ELBOW], ServoLimits(self_distance_m=None)).pairs) == [TABLE]
-    assert list(around([0.0, 0.0], [TABLE, ELBOW], ServoLimits(scene_distance_m=None)).pairs) == [ELBOW]
+    assert len(bounds_there([0.0, 0.0], [TABLE, ELBOW]).pairs) == 2
+    assert list(bounds_there([0.0, 0.0], [TABLE, ELBOW], ServoLimits(self_distance_m=None)).pairs) == [TABLE]
+    assert list(bounds_there([0.0, 0.0], [TABLE, ELBOW], ServoLimits(scene_distance_m=None)).pairs) == [ELBOW]
 
 
 def test_inequalities_are_told_apart_by_what_they_are_about():
-    found = around([0.0, 0.0], [TABLE, ELBOW])
+    found = bounds_there([0.0, 0.0], [TABLE, ELBOW])
     assert found.joints(np.array([1, 3, 5])) == [1]
     assert found.near(np.array([1, 3, 5])) == [ELBOW]

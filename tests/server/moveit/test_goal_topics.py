@@ -62,7 +62,7 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
         self.runner = Obedient()
-        self.confirmation = Confirmation(self.graph, wanted=False, timeout_s=60.0)
+        self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         node = Node("moveit")
         status = GoalStatusTopics(self.graph, node, model.builtin())
         self.queue: GoalQueue[Motion] = GoalQueue(
@@ -190,7 +190,7 @@ async def test_goals_of_actions_have_a_status_but_no_result_topic(desk: Desk) ->
 
 @pytest.mark.parametrize("wanted", [True, False])
 async def test_goals_wait_for_confirmation_while_that_is_wanted(desk: Desk, *, wanted: bool) -> None:
-    desk.confirmation.wanted = wanted
+    desk.confirmation.enabled = wanted
     await desk.publish("/moveit_goal_named", {"data": "home"})
     (ran,) = desk.runner.ran
     assert isinstance(ran, PlannedMotion)
@@ -215,7 +215,7 @@ async def test_a_goal_of_a_client_that_may_not_send_one_is_answered_to_it_alone(
 class Gate:
     def __init__(self, timeout_s: float = 60.0) -> None:
         self.graph = Graph(REGISTRY)
-        self.confirmation = Confirmation(self.graph, wanted=False, timeout_s=timeout_s)
+        self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=timeout_s)
         self.confirmation.open()
 
     def say(self, msg: dict[str, Any]) -> None:
@@ -277,5 +277,5 @@ async def test_an_invalid_message_confirms_nothing(gate: Gate, caplog: pytest.Lo
 async def test_the_service_switches_the_mode(gate: Gate) -> None:
     answers: list[Any] = []
     gate.graph.services.call(CLIENT, CONFIRM_MODE_SERVICE, {"data": True}, answers.append)
-    assert gate.confirmation.wanted
+    assert gate.confirmation.enabled
     assert answers[0].values["success"]

@@ -130,7 +130,7 @@ def test_settings_reach_their_parts() -> None:
     assert interface._executor._player._time_limits == gripper._time_limits == TimeLimits(3.0, 4.0, 5.0)
     assert gripper._torque_limit == 0.3
     assert interface._transforms._period_s == 0.1
-    assert interface._scene_interface._parameters.publish_planning_scene_hz == 2.0
+    assert interface._scene_interface._publisher._period_s == 0.5
 
 
 def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItInterface:

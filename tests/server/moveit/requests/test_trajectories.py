@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode
@@ -134,7 +134,8 @@ def test_a_senseless_motion_is_refused_by_field(fields, points, words) -> None:
     assert_refused(read(*points, **fields), MoveItErrorCode.INVALID_MOTION_PLAN, *words)
 
 
-SPANS = st.lists(st.floats(0.05, 3.0), min_size=1, max_size=8)
+POSITIONS = st.floats(-2.0, 2.0)
+STEPS = st.lists(st.tuples(st.floats(0.05, 3.0), POSITIONS), min_size=1, max_size=8)
 
 
 def through(time_s, positions):
@@ -146,10 +147,12 @@ def through(time_s, positions):
 
 
 @examples(60)
-@given(SPANS, st.randoms(use_true_random=False))
-def test_the_curve_stays_between_each_two_points(spans, random) -> None:
+@given(POSITIONS, STEPS)
+@example(0.0, [(1.0, 1e-310), (1.0, 1.0)])
+def test_the_curve_stays_between_each_two_points(first, steps) -> None:
+    spans, positions = zip(*steps, strict=True)
     time_s = np.concatenate(([0.0], np.cumsum(spans)))
-    curve = through(time_s, [random.uniform(-2.0, 2.0) for _ in time_s])
+    curve = through(time_s, [first, *positions])
     for i in range(len(spans)):
         values = [curve.sample(t)[0][0] for t in np.linspace(time_s[i], time_s[i + 1], 12)]
         ends = curve.positions_rad[i : i + 2, 0]

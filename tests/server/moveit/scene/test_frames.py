@@ -5,7 +5,7 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from server.moveit.poses import matrix_of
 from server.moveit.scene.frames import MAX_NAME_LENGTH, Frames, in_root, seen_from
-from tests.helpers.moveit import BENT, FORWARD, ROBOT, box, collision_object, diff, failure, pose, scene_state
+from tests.helpers.moveit import BENT, FORWARD, ROBOT, box, collision_object, diff, pose, rejection, scene_state
 
 STATE = scene_state(
     collision_object(
@@ -57,19 +57,19 @@ def test_an_attached_object_moves_with_its_link(name, in_link_m):
 
 @pytest.mark.parametrize("name", ["nowhere", "table/nowhere", "nowhere/corner", "x" * (MAX_NAME_LENGTH + 1)])
 def test_an_unknown_frame_is_refused_by_its_name(name):
-    refusal = failure(FRAMES.resolve(name, BENT))
+    refusal = rejection(FRAMES.resolve, name, BENT)
     assert refusal.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert refusal.details["frame"] == name[:MAX_NAME_LENGTH]
 
 
 def test_the_refusal_lists_the_frames_that_there_are():
-    assert "base_link" in failure(FRAMES.resolve("nowhere", BENT)).message
-    assert "table" in failure(FRAMES.resolve("nowhere", BENT)).message
+    assert "base_link" in rejection(FRAMES.resolve, "nowhere", BENT).message
+    assert "table" in rejection(FRAMES.resolve, "nowhere", BENT).message
 
 
 @pytest.mark.parametrize("name", ["gripper_link", "tool"])
 def test_frames_that_move_are_not_found_while_the_arms_position_is_unknown(name):
-    assert "position is not known" in failure(FRAMES.resolve(name, None)).message
+    assert "position is not known" in rejection(FRAMES.resolve, name, None).message
     assert FRAMES.resolve("table", None).position_m == (0.3, 0.1, 0.0)
 
 

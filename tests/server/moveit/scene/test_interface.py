@@ -81,8 +81,8 @@ SERVICES = {
 
 def test_the_scene_has_moveits_names_and_types():
     graph = Graph(Registry.load(), call_later=FakeClock().call_later)
-    scene = SceneInterface(graph, ROBOT, SceneState(ROBOT), AssumedStates(ROBOT), MoveItParameters())
-    scene.open(current_state())
+    state, assumed = SceneState(ROBOT), AssumedStates(ROBOT)
+    scene = SceneInterface(graph, ROBOT, state, assumed, current_state(), MoveItParameters())
     assert graph.topic_types() == TOPICS
     assert graph.services.types() == SERVICES
     scene.close()

@@ -24,6 +24,7 @@ from planners.servo.question import (
 )
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
+from server.moveit.requests.error_codes import refused
 from server.moveit.servo.parameters import ServoParameters
 from server.moveit.servo.servo_loop import (
     REST_S,
@@ -49,9 +50,11 @@ STEERED_JOINTS = ("shoulder_pan", "elbow_flex")
 QUARTER = Pose((0.1, 0.0, 0.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
 
 
-def resolve(frame_id: str, _positions: object) -> Pose | PlanningFailure:
+def resolve(frame_id: str, _positions: object) -> Pose:
     frames = {"": Pose(), "tool": QUARTER}
-    return frames.get(frame_id) or PlanningFailure(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, f"no frame {frame_id!r}")
+    if frame_id not in frames:
+        raise refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, f"no frame {frame_id!r}")
+    return frames[frame_id]
 
 
 def message(type_name: str, values: dict[str, Any]) -> Any:
@@ -98,12 +101,12 @@ def test_a_target_in_a_frame_is_one_in_the_root_link() -> None:
 
 def test_an_unknown_frame_is_refused_by_name() -> None:
     values = {"header": {"frame_id": "nowhere"}}
-    for refused in (
+    for answer in (
         outcome(to_planning_frame, TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"), resolve, {}),
         outcome(read_pose_target, message("geometry_msgs/PoseStamped", values), resolve, {}),
     ):
-        assert isinstance(refused, PlanningFailure)
-        assert "'nowhere'" in refused.message
+        assert isinstance(answer, PlanningFailure)
+        assert "'nowhere'" in answer.message
 
 
 @pytest.mark.parametrize(
@@ -186,9 +189,9 @@ class Rig:
         await asyncio.sleep(0)
         return self.answer(question)
 
-    def _resolve(self, frame_id: str, _positions: object) -> Pose | PlanningFailure:
+    def _resolve(self, frame_id: str, _positions: object) -> Pose:
         if frame_id == "nowhere":
-            return PlanningFailure(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "there is no frame 'nowhere'")
+            raise refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "there is no frame 'nowhere'")
         return Pose()
 
 

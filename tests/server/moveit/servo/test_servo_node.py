@@ -57,9 +57,15 @@ class Rig:
         self.heard: list[dict[str, Any]] = []
         self.one, self.other = Node("one", remote=True), Node("other", remote=True)
         self.node = ServoNode(
-            self.graph, ROBOT, MoveItParameters(), SceneState(ROBOT), lambda _frame, _positions: Pose()
+            self.graph,
+            ROBOT,
+            MoveItParameters(),
+            SceneState(ROBOT),
+            lambda _frame, _positions: Pose(),
+            self.arm.as_arm,
+            cast("PlannerPool", self),
+            lambda: self.busy,
         )
-        self.node.open(self.arm.as_arm, cast("PlannerPool", self), lambda: self.busy)
         subscriber = Subscriber(lambda published: self.heard.append(dict(published.msg)))
         self.graph.subscribe(self.one, STATUS_TOPIC, "moveit_msgs/ServoStatus", subscriber)
         for client in (self.one, self.other):

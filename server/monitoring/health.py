@@ -7,93 +7,25 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import Protocol
+from typing import TYPE_CHECKING, Any
 
-from robot.messages import ArmHealth, ArmState, Mode
+from robot.messages import ArmHealth, Mode
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse
 from server.monitoring.goal_counters import GoalCounters
+
+if TYPE_CHECKING:
+    from planners.pool import PlannerPool
+    from robot.arm import Arm
+    from server.execution.queue import GoalQueue
+    from server.recording.recorder import Recorder
+    from server.zenoh.bridge import Bridge
 
 # Without a bus, the arm process sends a state at each attempt to open it: every 2 s, plus the attempt's own time.
 ARM_SILENT_S = 10.0
 
 # A state comes at least once a second while the arm is connected; a simulated arm may be starved for longer.
 ARM_STALE_S = 1.5
-
-
-class ArmSource(Protocol):
-    """Arm process, as `robot.arm.Arm`."""
-
-    state: ArmState
-    state_max_age_s: float
-
-    @property
-    def pid(self) -> int | None:
-        """Process id; None while it does not run."""
-
-    @property
-    def state_age_s(self) -> float:
-        """Time since the last state [s]."""
-
-
-class PlannersSource(Protocol):
-    """Planner processes, as `planners.pool.PlannerPool`."""
-
-    @property
-    def load_failure(self) -> str | None:
-        """Reason for which no process of this machine can plan; None as long as one may."""
-
-    @property
-    def pids(self) -> tuple[int, ...]:
-        """Process ids on this machine."""
-
-    @property
-    def loaded_count(self) -> int:
-        """Planners that have loaded the robot."""
-
-    @property
-    def idle_count(self) -> int:
-        """Planners that wait for a request."""
-
-    @property
-    def waiting_count(self) -> int:
-        """Requests that wait for a planner."""
-
-
-class RecorderSource(Protocol):
-    """Recording, as `server.recording.recorder.Recorder`."""
-
-    @property
-    def dropped(self) -> int:
-        """Messages missing in the recording."""
-
-    @property
-    def queued(self) -> int:
-        """Messages that wait for the file."""
-
-    @property
-    def ended(self) -> bool:
-        """True once nothing more is recorded."""
-
-
-class ZenohSource(Protocol):
-    """Member of a zenoh network, as `server.zenoh.bridge.Bridge`."""
-
-    @property
-    def dropped(self) -> int:
-        """Messages that were dropped."""
-
-
-class GoalQueueSource(Protocol):
-    """Queue of goals, as `server.goal_queue.GoalQueue`."""
-
-    @property
-    def waiting_count(self) -> int:
-        """Goals that wait."""
-
-    @property
-    def busy(self) -> str:
-        """Goal in progress, in words; empty if there is none."""
 
 
 @dataclass
@@ -117,12 +49,12 @@ class Sources:
     traffic: Traffic | None = None
     refused_connections: Callable[[], Mapping[str, int]] | None = None
     goal_counters: GoalCounters | None = None
-    queue: GoalQueueSource | None = None
-    arm: ArmSource | None = None
+    queue: GoalQueue[Any] | None = None
+    arm: Arm | None = None
     arm_health: ArmHealth | None = None
-    planners: PlannersSource | None = None
-    recorder: RecorderSource | None = None
-    zenoh: ZenohSource | None = None
+    planners: PlannerPool | None = None
+    recorder: Recorder | None = None
+    zenoh: Bridge | None = None
     started: bool = False
     stopping: bool = False
 
@@ -169,7 +101,7 @@ def check_health(sources: Sources) -> Health:
     return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
 
 
-def _reasons_not_live(arm: ArmSource | None) -> Iterator[str]:
+def _reasons_not_live(arm: Arm | None) -> Iterator[str]:
     if arm is not None and arm.state_age_s > ARM_SILENT_S:
         yield f"the arm process has been silent for more than {ARM_SILENT_S:g} s"
 
@@ -186,7 +118,7 @@ def _reasons_not_ready(sources: Sources) -> Iterator[str]:
         yield from _reasons_planners_are_not_ready(sources.planners)
 
 
-def _reasons_arm_is_not_ready(arm: ArmSource) -> Iterator[str]:
+def _reasons_arm_is_not_ready(arm: Arm) -> Iterator[str]:
     state = arm.state
     if state.fault is not None:
         yield f"the arm has a fault: {state.fault.code.value}"
@@ -198,7 +130,7 @@ def _reasons_arm_is_not_ready(arm: ArmSource) -> Iterator[str]:
         yield f"the last state of the arm is older than {stale_s:g} s"
 
 
-def _reasons_planners_are_not_ready(planners: PlannersSource) -> Iterator[str]:
+def _reasons_planners_are_not_ready(planners: PlannerPool) -> Iterator[str]:
     if planners.load_failure is not None:
         yield "the planners cannot be started"
     elif planners.loaded_count == 0:

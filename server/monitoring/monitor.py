@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from http import HTTPStatus
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from prometheus_client import (
     CollectorRegistry,
@@ -37,16 +37,18 @@ from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
 from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import (
-    ArmSource,
-    GoalQueueSource,
     Health,
-    PlannersSource,
-    RecorderSource,
     Sources,
-    ZenohSource,
     check_health,
 )
 from server.monitoring.systemd import SystemdNotifier
+
+if TYPE_CHECKING:
+    from planners.pool import PlannerPool
+    from robot.arm import Arm
+    from server.execution.queue import GoalQueue
+    from server.recording.recorder import Recorder
+    from server.zenoh.bridge import Bridge
 
 # Upper bounds of buckets [s].
 LOOP_LAG_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
@@ -197,7 +199,7 @@ def refusal_metrics(refused_connections: Callable[[], Mapping[str, int]]) -> Ite
     yield family
 
 
-def zenoh_metrics(zenoh: ZenohSource) -> Iterator[Metric]:
+def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
     """Yield the metrics of the zenoh network."""
     yield CounterMetricFamily(
         "armbridge_zenoh_dropped_messages", "Messages lost because network or server were too slow.", zenoh.dropped
@@ -207,13 +209,13 @@ def zenoh_metrics(zenoh: ZenohSource) -> Iterator[Metric]:
 # Goals, planners, the recording.
 
 
-def queue_metrics(queue: GoalQueueSource) -> Iterator[Metric]:
+def queue_metrics(queue: GoalQueue[Any]) -> Iterator[Metric]:
     """Yield the metrics of goals that are not answered yet."""
     yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
     yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on, 0 or 1.", int(bool(queue.busy)))
 
 
-def planner_metrics(planners: PlannersSource) -> Iterator[Metric]:
+def planner_metrics(planners: PlannerPool) -> Iterator[Metric]:
     """Yield the metrics of planners."""
     for state, count in (("loaded", planners.loaded_count), ("idle", planners.idle_count)):
         yield GaugeMetricFamily(f"armbridge_planners_{state}", f"Planner processes that are {state}.", count)
@@ -222,7 +224,7 @@ def planner_metrics(planners: PlannersSource) -> Iterator[Metric]:
     )
 
 
-def recording_metrics(recorder: RecorderSource) -> Iterator[Metric]:
+def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
     """Yield the metrics of the recording."""
     yield GaugeMetricFamily("armbridge_recording", "Whether messages are recorded.", int(not recorder.ended))
     yield GaugeMetricFamily("armbridge_recording_waiting_messages", "Messages that wait for the file.", recorder.queued)
@@ -234,7 +236,7 @@ def recording_metrics(recorder: RecorderSource) -> Iterator[Metric]:
 # The arm; metrics of devices that an ideal arm does not have are left out.
 
 
-def arm_metrics(arm: ArmSource) -> Iterator[Metric]:
+def arm_metrics(arm: Arm) -> Iterator[Metric]:
     """Yield the metrics of the arm's state."""
     mode = GaugeMetricFamily("armbridge_arm_mode", "1 for what the arm is doing, 0 for all else.", labels=("mode",))
     for each in Mode:

@@ -88,15 +88,14 @@ class Goal(PendingRequest[Result]):
         self._when_canceled: list[Callable[[], None]] = []
 
     def feedback(self, values: object) -> None:
-        """Report progress; fields that the message leaves out get their defaults.
-
-        Nothing happens, not even a check of the values, once the goal has ended or if its sender takes no feedback.
+        """Tell how the goal goes; what the message leaves out gets its default.
 
         Raises:
             MessageError: the values do not fit the action's type.
         """
+        completed = self._message_types.complete(f"{self.type_name}_Feedback", values)
         if self._on_feedback is not None and not self.ended:
-            self._on_feedback(self._message_types.complete(f"{self.type_name}_Feedback", values))
+            self._on_feedback(completed)
 
     def finish(self, status: GoalStatus, values: object) -> None:
         """End the goal with a result message; what it leaves out gets its default.

@@ -16,8 +16,15 @@ import numpy as np
 
 from planners import checks
 from planners.budget import Budget
-from planners.cartesian.following import FollowedPath, PathEnd, PathFollower, TipTracker, leaves_limits
-from planners.cartesian.tip_curve import SplinePath, tip_curve
+from planners.cartesian.following import (
+    FollowedPath,
+    PathEnd,
+    PathFollower,
+    SplinePath,
+    TipTracker,
+    leaves_limits,
+    tip_curve,
+)
 from planners.cartesian.tip_path import TipPath, check_path, check_shape
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel

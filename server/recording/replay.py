@@ -10,7 +10,6 @@ import contextlib
 import itertools
 import logging
 import math
-import signal
 import struct
 from collections.abc import AsyncIterator, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -35,6 +34,7 @@ from server.errors import GraphError, RecordingError
 from server.gateway.listener import Listener
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.lifecycle import stop_signals
 from server.monitoring.systemd import on_hangup
 from server.recording.files import RecordedMessage, is_latched
 from server.rosapi import RosApi
@@ -286,9 +286,7 @@ class ReplayServer:
 
     async def run(self) -> None:
         """Start, play until the end or a signal, stop."""
-        ending = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, ending.set)
+        ending, _hurry = stop_signals()
         on_hangup(self._listener.reload_certificate, ending.set)
         summary = await asyncio.to_thread(self._recording.summary)
         try:

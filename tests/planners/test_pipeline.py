@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planners.cartesian.following import SplinePath
 from planners.cartesian.planning import time_along
-from planners.cartesian.tip_curve import SplinePath
 from planners.checks import START_CONTACT_DEPTH_M
 from planners.geometry.collision import CollisionModel
 from planners.goals import (

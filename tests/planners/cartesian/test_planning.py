@@ -10,6 +10,7 @@ import toppra.algorithm
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planners.cartesian.following import SplinePath
 from planners.cartesian.planning import (
     SAMPLE_PERIOD_S,
     SHORTEST_INTERVAL_S,
@@ -19,7 +20,6 @@ from planners.cartesian.planning import (
     toppra_profile,
     within_limits,
 )
-from planners.cartesian.tip_curve import SplinePath
 from planners.cartesian.tip_path import arc_flaw
 from planners.goals import Constraints, JointConstraint, OrientationConstraint
 from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, RateLimits

@@ -73,6 +73,13 @@ def test_a_python_program_of_the_docs_runs(program: str, simulated_server: Runni
     assert done.stdout
 
 
+@pytest.mark.parametrize("page", ["README.md", "tests/ATTACKS.md", *(f"docs/{page.name}" for page in PAGES)])
+def test_the_modules_that_a_page_names_exist(page: str) -> None:
+    named = set(re.findall(r"`([\w/.-]+\.py)`", (ROOT / page).read_text()))
+    folders = [ROOT / folder for folder in ("", "server", "planners", "robot", "robot/control", "protocol", "tests")]
+    assert [name for name in sorted(named) if not any((folder / name).exists() for folder in folders)] == []
+
+
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_a_command_with_an_example_succeeds(command: str, simulated_server: RunningServer) -> None:
     _, *arguments = shlex.split(command)

@@ -4,8 +4,8 @@ Each step solves the position exactly and uses the remaining freedom for the ori
 "A general framework for managing multiple tasks in highly redundant robotic systems", 1991. placo weighs both
 against each other instead: an arm of five joints would leave the path for the sake of an orientation it cannot have.
 
-The points of a followed path become a smooth curve, a natural cubic spline, on which the tip's deviation between points is
-measured.
+The points of a followed path become a smooth curve, a natural cubic spline, on which the tip's deviation between points
+is measured.
 """
 
 from __future__ import annotations

@@ -84,6 +84,8 @@ class App:
         # The goal queue is among the parts below; a lease is asked for when clients drive.
         access = Access(settings.access, busy=lambda: self._moveit.queue.busy)
 
+        # Before the parts that publish: what they latch belongs into the recording.
+        self._recorder = open_recorder(settings.recording, graph, robot.name)
         # The arm and the planners first: the other parts use them, and they do nothing before their start.
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
         self._pool = PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
@@ -98,7 +100,6 @@ class App:
         offer_level_services(graph)
         self._rosout = Rosout(graph, asyncio.get_running_loop())
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
-        self._recorder = open_recorder(settings.recording, graph, robot.name)
 
         routes: dict[str, Route] = {}
         self._listener = Listener(

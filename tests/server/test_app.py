@@ -10,6 +10,7 @@ from server.app import App, open_recorder
 from server.config import RecordingSettings, ServerSettings, Settings
 from server.errors import StartError
 from server.graph.topics import Graph
+from server.recording.replay import Recording
 from server.zenoh.settings import ZenohSettings
 
 
@@ -30,3 +31,10 @@ async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
     assert app._graph._unregister_timeout_s == 3.0
     assert app._bridge is not None
     assert app._bridge._max_message_bytes == 70_000
+
+
+async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path: Path) -> None:
+    app = App(Settings(recording=RecordingSettings(file=tmp_path / "run.mcap")))
+    await app._close_recording()
+    recorded = {topic.topic for topic in Recording(tmp_path / "run.mcap").summary().topics}
+    assert {"/arm/state", "/arm/joint_limits"} <= recorded

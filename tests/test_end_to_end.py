@@ -393,12 +393,20 @@ def test_a_goal_its_answer_and_the_motion_are_in_the_recording(ended: Ended) -> 
     assert states[0].position != states[-1].position
 
 
+# More than the head of a recording, less than the messages of its first second.
+WITH_MESSAGES_BYTES = 2000
+
+
 async def test_a_killed_server_leaves_an_arm_at_rest_no_process_behind_and_its_recording(tmp_path: Path) -> None:
     log, recording = tmp_path / "writes.jsonl", tmp_path / "run.mcap"
     with RunningServer(f"--port 0 --record {recording}", {"ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
         children = psutil.Process(server.process.pid).children(recursive=True)
         async with frame_client(server.url) as client:
             await client.open_goals()
+            # Messages reach the file once a second, and a quick start takes less.
+            async with asyncio.timeout(30.0):
+                while recording.stat().st_size < WITH_MESSAGES_BYTES:
+                    await asyncio.sleep(0.05)
             await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
             await client.wait_for("/moveit_goal_status", goal_is("executing"))
             await asyncio.to_thread(server.end, signal.SIGKILL)

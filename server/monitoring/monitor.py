@@ -410,7 +410,8 @@ class EventLoopMonitor:
         self._status = ""
 
     async def run(self) -> None:
-        """Check regularly, until cancelled."""
+        """Check at once, so that systemd knows of the start however quick it is, then regularly, until cancelled."""
+        self.check(time.monotonic())
         while True:
             due_s = time.monotonic() + self._period_s
             await asyncio.sleep(self._period_s)

@@ -84,11 +84,21 @@ class App:
         # The goal queue is among the parts below; a lease is asked for when clients drive.
         access = Access(settings.access, busy=lambda: self._moveit.queue.busy)
 
-        # Before the parts that publish: what they latch belongs into the recording.
-        self._recorder = open_recorder(settings.recording, graph, robot.name)
-        # The arm and the planners first: the other parts use them, and they do nothing before their start.
+        # What refuses wrong settings, and what other parts use; none of it does anything before its start.
+        routes: dict[str, Route] = {}
+        self._listener = Listener(
+            graph,
+            settings.server,
+            HttpHandler(robot, routes=routes),
+            access,
+            takes_goals_along=settings.goals.on_disconnect == "stop",
+        )
+        self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
         self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
         self._pool = PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
+
+        # Behind all that may refuse, so that no file is begun in vain; ahead of the parts that latch messages.
+        self._recorder = open_recorder(settings.recording, graph, robot.name)
         self._joint_states = JointStates(graph)
         self._arm_state = ArmStateTopics(graph, robot, self._arm.state)
         self._diagnostics = Diagnostics(graph, robot.name)
@@ -99,16 +109,7 @@ class App:
         self._control = ControlServices(graph, access.lease)
         offer_level_services(graph)
         self._rosout = Rosout(graph, asyncio.get_running_loop())
-        self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
 
-        routes: dict[str, Route] = {}
-        self._listener = Listener(
-            graph,
-            settings.server,
-            HttpHandler(robot, routes=routes),
-            access,
-            takes_goals_along=settings.goals.on_disconnect == "stop",
-        )
         sources = Sources(
             traffic=self._listener.traffic,
             refused_connections=self._listener.refused_connections,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -8,7 +9,7 @@ from protocol.registry import Registry
 from server.access.settings import SessionSettings
 from server.app import App, open_recorder
 from server.config import RecordingSettings, ServerSettings, Settings
-from server.errors import StartError
+from server.errors import ConfigurationError, StartError
 from server.graph.topics import Graph
 from server.recording.replay import Recording
 from server.zenoh.settings import ZenohSettings
@@ -38,3 +39,21 @@ async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path:
     await app._close_recording()
     recorded = {topic.topic for topic in Recording(tmp_path / "run.mcap").summary().topics}
     assert {"/arm/state", "/arm/joint_limits"} <= recorded
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"zenoh": {"mode": "peer", "config_file": "/no/such/file"}},
+        {"server": {"tls_certificate": "/no/such/file", "tls_key": "/no/such/file"}},
+        {"access": {"token_file": "/no/such/file"}},
+        {"arm": {"calibration": "/no/such/file"}},
+        {"emulator": {"write_log": "/no/such/folder/file"}},
+        {"moveit": {"planning_frame": "nowhere"}},
+    ],
+)
+async def test_settings_that_are_refused_leave_no_recording_behind(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    settings = Settings.model_validate({"recording": {"file": tmp_path / "run.mcap"}, **wrong})
+    with pytest.raises(ConfigurationError):
+        App(settings)
+    assert not (tmp_path / "run.mcap").exists()

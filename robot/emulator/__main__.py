@@ -26,7 +26,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m robot.emulator",
         description="Emulate the servo bus of an SO-101 on a pseudo terminal and print the terminal's path.",
-        epilog=f"The control socket or standard input takes:\n\n{control.__doc__}",
+        epilog=f"The control socket or standard input takes:\n\n{control.COMMANDS_HELP}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_options(parser)

@@ -1,4 +1,33 @@
-"""Live commands to a running emulator, one JSON object a line.
+"""Live commands to the emulated servos, one JSON object a line, and rehearsals: live commands at given times.
+
+A script is a text file with one JSON object a line: live commands and their time
+``at_s`` from the start of the script [s]. A line without a command only marks a time, such as the end of a pause::
+
+    {"at_s": 0, "hand": {"3": 2047}}
+    {"at_s": 2.5, "hand": {"3": null}, "push": {"2": 150}}
+    {"at_s": 5, "push": {"2": 0}}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol
+
+from robot.calibration import FREE_TURNING_JOINT, MAX_TICK, Calibration, JointCalibration
+from robot.emulator.faults import PROBABILITIES
+from robot.emulator.plant import HAND_TICKS_S
+from robot.emulator.servo import Servo
+from robot.emulator.servo_bus import ServoBus
+from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import StatusFlag
+
+# For people who call for help at the command line.
+COMMANDS_HELP = """\
+Live commands to a running emulator, one JSON object a line.
 
 ================================== ====================================================================================
 ``{"drop": 0.01}``                 probability that a reply is lost
@@ -36,33 +65,7 @@
 Ticks are those of register PRESENT_POSITION. Every line is answered by ``{"ok": true}``, of "plugged" with the
 port's name as ``port``, or by ``{"error": "..."}``. One object may hold several commands; none of them is carried out
 unless all of them make sense.
-
-Rehearsals: timed live commands, such as the motions of a hand. Pure: time is passed in.
-
-A script is a text file with one JSON object a line: live commands (:mod:`robot.emulator.control`) and their time
-``at_s`` from the start of the script [s]. A line without a command only marks a time, such as the end of a pause::
-
-    {"at_s": 0, "hand": {"3": 2047}}
-    {"at_s": 2.5, "hand": {"3": null}, "push": {"2": 150}}
-    {"at_s": 5, "push": {"2": 0}}
 """
-
-from __future__ import annotations
-
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from types import MappingProxyType
-from typing import Protocol
-
-from robot.calibration import FREE_TURNING_JOINT, MAX_TICK, Calibration, JointCalibration
-from robot.emulator.faults import PROBABILITIES
-from robot.emulator.plant import HAND_TICKS_S
-from robot.emulator.servo import Servo
-from robot.emulator.servo_bus import ServoBus
-from robot.hardware.feetech.registers import Register
-from robot.hardware.interface import StatusFlag
 
 # A controller that sends more bytes than this without a line end is disconnected; a command is short.
 MAX_COMMAND_BYTES = 64 << 10

@@ -1,8 +1,7 @@
-"""USB adapter between host and servo bus, on a pseudo terminal: it can be unplugged, freeze, and deliver in frames.
+"""Process of the emulator: its options, and the loop that serves bus, USB adapter and live commands.
 
-Process of the emulator: its options, and the loop that serves bus, adapter and live commands.
-
-Both ``python -m robot.emulator`` and ``armbridge emulate`` run it.
+The adapter is a pseudo terminal that can be unplugged, freeze, and deliver in frames. Both ``python -m robot.emulator``
+and ``armbridge emulate`` run this process.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""``armbridge serve``: the server.
-
-``armbridge replay``: a recording, published again by a server without an arm.
-
-``armbridge emulate``: an emulated servo bus to try other programs on, or the commands of this one.
-"""
+"""Commands that run until they are ended: ``armbridge serve``, ``replay`` and ``emulate``."""
 
 from __future__ import annotations
 
@@ -179,7 +174,7 @@ def add_emulate_parser(subparsers: Subparsers) -> None:
         help="emulate the servo bus of an arm on a pseudo terminal",
         description="Emulate the six servos of an SO-101 on a pseudo terminal, print its path, and run until told to "
         "end. Other programs, and armbridge's commands with --serial, take the path for a serial port.",
-        epilog=f"Standard input takes:\n\n{control.__doc__}\n{SCRIPTS}\n{EXIT_CODES}",
+        epilog=f"Standard input takes:\n\n{control.COMMANDS_HELP}\n{SCRIPTS}\n{EXIT_CODES}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_options(parser)

@@ -158,6 +158,7 @@ def test_help_lists_options_and_live_commands(capsys: pytest.CaptureFixture[str]
     printed = capsys.readouterr().out
     assert "--lose-instruction" in printed
     assert '{"plugged": "renamed"}' in printed
+    assert ":mod:" not in printed
 
 
 def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: Path) -> None:

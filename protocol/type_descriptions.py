@@ -1,11 +1,11 @@
-"""Message types as rosapi describes them: the full text, as `gendeps --cat` prints it, and its TypeDefs.
+"""Descriptions of interface types: for rosapi as text and TypeDefs, for ROS 2 as the hash of a type's version.
 
-Both are told as one generation of ROS declares the type; a type that exists only in ROS 2 as if ROS 1 had it.
+The text is that of `gendeps --cat`. Text and TypeDefs are those of one generation of ROS; a type that exists only in
+ROS 2 is described as if ROS 1 had it.
 
-The hash by which ROS 2 tells versions of a type apart (REP-2016, "RIHS01"): SHA-256 of the type's description.
-
-The description is JSON with the fields of the type and of all types in it; comments, constants and defaults do not
-count. How it is written, to the blank, is part of the standard (rosidl_generator_type_description).
+The hash (REP-2016, "RIHS01") is the SHA-256 of a description in JSON, with the fields of the type and of all types in
+it; comments, constants and defaults do not count. How it is written, to the blank, is part of the standard
+(rosidl_generator_type_description).
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""The goals of one action as actionlib of ROS 1 keeps account of them: ids, stamps, statuses.
+"""Actions as ROS 1 knows them: the five topics of actionlib before each action of the server.
 
-Actions as ROS 1 knows them: the five topics of actionlib before each action of the server.
-
-A goal on ``NAME/goal`` is sent to the action as anyone's goal; its way is told on ``NAME/status``, ``NAME/feedback``
-and ``NAME/result`` (ROS wiki, actionlib/DetailedDescription).
+A goal on ``NAME/goal`` is sent to the action as anyone's goal; its progress is published on ``NAME/status``,
+``NAME/feedback`` and ``NAME/result`` (ROS wiki, actionlib/DetailedDescription). Ids, stamps and statuses of an
+action's goals are kept as actionlib keeps them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Arrays of a message in binary encodings: octets instead of base64 text, packed numbers instead of lists.
+"""CBOR frames (RFC 8949) of rosbridge's ``cbor`` and ``cbor-raw`` compression, and the arrays of binary encodings.
 
-A type is compiled once into a packing; types without such arrays need none.
-
-CBOR frames (RFC 8949) of rosbridge's ``cbor`` and ``cbor-raw`` compression; they only go out.
+The frames only go out. In binary encodings an array of octets is bytes instead of base64 text, and an array of numbers
+is packed instead of a list. A type is compiled once into a packing; types without such arrays need none.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Diagnosis of an arm from its registers and measured times: one finding with a remedy for each check.
+"""Examination of an arm: findings with a remedy each, from registers and measured times, and experiments on its servos.
 
-Experiments on the properties of the servos that no document states.
-
-An experiment that switches torque uses one servo (:class:`ServoRig`), at a fifth of its torque, within 25 ticks (2 deg)
-of its position, only if it is relaxed, and leaves it relaxed. Nothing that is written outlives a power cut. The arm
-process works with any result, since it reads back what it relies on.
+An experiment asks for a property that no document states. One that switches torque uses one servo (:class:`ServoRig`),
+at a fifth of its torque, within 25 ticks (2 deg) of its position, only if it is relaxed, and leaves it relaxed. Nothing
+that is written outlives a power cut. The arm process works with any result, since it reads back what it relies on.
 """
 
 from __future__ import annotations

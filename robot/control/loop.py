@@ -1,6 +1,4 @@
-"""Hardware sources: from an arm's configuration to its open hardware.
-
-Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages.
+"""Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages.
 
 Nothing else runs in this process, so neither a planner's lock nor a burst of messages can delay a tick. When the server
 asks for the end, or is gone, the arm is brought to its end state and the process ends.

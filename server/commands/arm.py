@@ -1,11 +1,4 @@
-"""``armbridge scan``: who is on the bus, and what is missing.
-
-``armbridge calibrate``: lerobot's calibration procedure, with its file as the result.
-
-``armbridge doctor``: measure the arm, judge it, and say what to do.
-
-``armbridge relax``: lower the arm gently and switch torque off.
-"""
+"""Commands on a real arm: ``armbridge scan``, ``calibrate``, ``doctor`` and ``relax``."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""``armbridge config``: the settings as they are, and where each comes from.
-
-``armbridge systemd-unit``: what systemd needs to run the server as a service.
-"""
+"""Commands about the installation: ``armbridge config`` shows the settings, ``systemd-unit`` a unit of the server."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Options that commands on the arm's bus share, and what they stand for.
-
-Options that change settings, and the settings that come of them.
-"""
+"""Options that commands share: those of the arm's bus, and those that change settings."""
 
 from __future__ import annotations
 

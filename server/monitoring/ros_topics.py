@@ -1,6 +1,6 @@
-"""The topic ``/diagnostics``: health of arm, bus and servos, once a second, for the tools of ROS.
+"""Condition of the server as ROS topics: ``/diagnostics`` once a second, and the log on ``/rosout``.
 
-The log in ROS: records on ``/rosout``, and services for the loggers' levels, as ROS 2 nodes have them.
+Services change the loggers' levels, as ROS 2 nodes have them.
 """
 
 from __future__ import annotations

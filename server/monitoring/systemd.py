@@ -1,6 +1,6 @@
-"""Signals that change a running server: SIGHUP, and SIGUSR1 for debug lines in the log.
+"""Notifications of systemd, as sd_notify(3) for a service of type notify, and the signals of a running server.
 
-Notifications of systemd about a service of type notify, as sd_notify(3): ready, stopping, status, watchdog.
+SIGHUP reads files again; SIGUSR1 switches debug lines in the log.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Reading of MCAP files of ROS 2 messages, also of files that were not ended or are damaged.
+"""Replay of a recording: a reader of MCAP files, a player, and a server without an arm around it.
 
-Replay of a recording: a player that publishes it on a graph, and a server without an arm around it.
+Files of ROS 2 messages are read also when they were not ended or are damaged.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""``/compute_ik``, ``/compute_fk`` and ``/check_state_validity``.
+"""Services of MoveIt's move_group: the list of all, and most of their functions.
 
-Services of MoveIt's move_group: the list of all, and those that plan motions or describe planners and groups.
-
+These plan motions, describe planners and groups, and answer for kinematics and the validity of states.
 Their functions raise RefusedError. Here it is caught, logged and written into the response.
 """
 

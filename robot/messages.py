@@ -42,6 +42,7 @@ class GuardLimits:
         tracking_time_s: time for which that must last to be a fault [s].
         stall_current_a: current above which a servo that all but stands still is stalled [A].
         stall_time_s: time for which that must last to be a fault [s].
+        silent_after_s: age of a servo's last answer beyond which it is silent, which is a fault [s].
         min_voltage_v: voltage below which the supply is a fault [V].
         goal_tolerance_rad: greatest distance of a settled joint from the end of a motion [rad].
         settle_timeout_s: time to settle, from the end of the motion on [s].
@@ -57,6 +58,8 @@ class GuardLimits:
     stall_current_a: float = 1.5
     # Well before the servo's own overload timer of 2 s runs out.
     stall_time_s: float = 0.3
+    # Ten missed cycles; the servos follow their last goals meanwhile.
+    silent_after_s: float = 0.1
     # The electronics of a 7.4 V servo reset not far below.
     min_voltage_v: float = 4.5
     # Backlash (0.9-1.0 deg) plus droop under load (1.8-2.6 deg) of real arms.

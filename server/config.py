@@ -62,6 +62,10 @@ class GuardSettings(SettingsSection):
     """a servo that draws more and all but stands still is stalled, which is a fault, or a grip [A]."""
     stall_time_s: float = Field(default=_DEFAULT.stall_time_s, ge=0.1, le=1.5)
     """for so long it may be; the servo's own protection latches after 2 s [s]."""
+    silent_after_s: float = Field(default=_DEFAULT.silent_after_s, ge=0.05, le=1.0)
+    """a servo that has not answered for so long is a fault; more is for machines that stall, and lets the arm move
+    blindly for as long [s].
+    """
     min_voltage_v: float = Field(default=_DEFAULT.min_voltage_v, ge=4.0, le=11.0)
     """a supply below is a fault; 9 V are right for servos of 12 V [V]."""
     goal_tolerance_rad: float = Field(default=_DEFAULT.goal_tolerance_rad, ge=0.02, le=0.3)

@@ -40,6 +40,8 @@ GUARD_RANGES: Ranges = {
     "stall_current_a": (0.3, 2.7),
     # The servo's own overload timer runs out at 2 s.
     "stall_time_s": (0.1, 1.5),
+    # Single packets get lost, and nothing is known of a joint that does not answer.
+    "silent_after_s": (0.05, 1.0),
     # Servos of 7.4 V need 4 V, those of 12 V run from 9 V on.
     "min_voltage_v": (4.0, 11.0),
     # Backlash keeps a joint from coming any nearer.

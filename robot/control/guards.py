@@ -20,9 +20,6 @@ STALL_LOAD_SHARE = 0.8
 # Backlash and droop under load of real arms: a joint this near its goal counts as being there.
 DROOP_RAD = 0.06
 
-# Ten missed cycles; the servos follow their last goals meanwhile.
-STALE_AFTER_S = 0.1
-
 # Three missed cycles: when every reading is older, the bus is silent, not one servo.
 ALL_SILENT_AFTER_S = 0.03
 
@@ -161,7 +158,7 @@ class Guards:
             *((measured.status & bit != 0, code) for bit, code in status_faults),
             (measured.temperature_c >= self._temperatures.stop_c, FaultCode.OVERHEATED),
             (jumped, FaultCode.POSITION_JUMP),
-            (_silent(measured), FaultCode.SERVO_SILENT),
+            (self._silent_joints(measured), FaultCode.SERVO_SILENT),
             (self._badly_supplied(measured, now_s), FaultCode.VOLTAGE_LOW),
             (self.stalled & ~resisting, FaultCode.STALLED),
             (self.lost & ~resisting, FaultCode.TRACKING_LOST),
@@ -180,7 +177,7 @@ class Guards:
             said.append(f"warm: {measured.temperature_c[joint]:.0f} degC")
         if names := status_names(int(measured.status[joint])):
             said.append(f"the servo complains of {', '.join(names)}")
-        if measured.age_s[joint] > STALE_AFTER_S:
+        if measured.age_s[joint] > self.limits.silent_after_s:
             said.append(f"no answer for {measured.age_s[joint]:.1f} s")
         return tuple(said)
 
@@ -200,11 +197,15 @@ class Guards:
 
     def _silence_fault(self, goal_rad: Vector, measured: Measured) -> Fault | None:
         """Return the fault of silent servos, the same object while the same servos are silent."""
-        silent = [age_s > STALE_AFTER_S for age_s in measured.age_s.tolist()]
+        silent = [age_s > self.limits.silent_after_s for age_s in measured.age_s.tolist()]
         if silent != self._silent:
-            fault = self._fault(FaultCode.SERVO_SILENT, _silent(measured), goal_rad, measured) if any(silent) else None
+            flags = self._silent_joints(measured)
+            fault = self._fault(FaultCode.SERVO_SILENT, flags, goal_rad, measured) if any(silent) else None
             self._silent, self._silent_fault = silent, fault
         return self._silent_fault
+
+    def _silent_joints(self, measured: Measured) -> Flags:
+        return np.asarray(measured.age_s > self.limits.silent_after_s)
 
     def _check_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
         """Find the joints that are stalled, and those too far behind their goals."""
@@ -248,10 +249,6 @@ class Guards:
             least_volts=self.limits.min_voltage_v,
         )
         return Fault(code, sentence, "" if code is FaultCode.BUS_SILENT else self._names[joint], measured.stamp_s)
-
-
-def _silent(measured: Measured) -> Flags:
-    return np.asarray(measured.age_s > STALE_AFTER_S)
 
 
 def _jumped(measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:

@@ -9,7 +9,7 @@ import numpy as np
 
 from robot.control.controller import ArmController
 from robot.control.cycle import ControlCycle
-from robot.control.guards import STALE_AFTER_S, Guards, Temperatures
+from robot.control.guards import Guards, Temperatures
 from robot.errors import NoReply, OrderRefused, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag, Steps, Survey, status_names
@@ -182,7 +182,7 @@ class Orders:
 
     def _check_answers(self) -> None:
         for joint, age_s in enumerate(self._readings().age_s.tolist()):
-            if age_s > STALE_AFTER_S:
+            if age_s > self._config.guard_limits.silent_after_s:
                 raise OrderRefused(f"the servo of joint {self._arm.hardware.label(joint)} does not answer")
 
     def _check_causes(self, fault: Fault) -> None:

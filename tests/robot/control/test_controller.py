@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
-from robot.control.guards import DROOP_RAD, STALE_AFTER_S, Guards, Temperatures
+from robot.control.guards import DROOP_RAD, Guards, Temperatures
 from robot.description import model
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
@@ -165,7 +165,7 @@ def test_a_servo_that_falls_silent_brakes_the_motion() -> None:
     rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
     for _ in range(50):
         rig.tick()
-    ended, seconds = rig.until_end(age_s=STALE_AFTER_S * 1.1)
+    ended, seconds = rig.until_end(age_s=LIMITS.silent_after_s * 1.1)
     assert ended.outcome is Outcome.BUS_LOST
     assert "elbow_flex" in ended.message
     assert seconds < 0.5
@@ -176,7 +176,7 @@ def test_a_bus_that_falls_silent_brakes_the_motion() -> None:
     rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
     for _ in range(50):
         rig.tick()
-    ended, seconds = rig.until_end(age_s=STALE_AFTER_S * 1.1, others_age_s=STALE_AFTER_S * 1.1)
+    ended, seconds = rig.until_end(age_s=LIMITS.silent_after_s * 1.1, others_age_s=LIMITS.silent_after_s * 1.1)
     assert ended.outcome is Outcome.BUS_LOST
     assert "no servo has answered" in ended.message
     assert 0.1 < seconds < 0.5
@@ -186,7 +186,7 @@ def test_a_bus_that_falls_silent_brakes_the_motion() -> None:
 @pytest.mark.parametrize("simulated", [False, True])
 def test_faults_of_a_simulated_arm_are_marked_as_such(simulated: bool) -> None:
     rig = Rig(simulated=simulated)
-    rig.tick(age_s=STALE_AFTER_S * 1.1)
+    rig.tick(age_s=LIMITS.silent_after_s * 1.1)
     assert rig.controller.fault is not None
     assert rig.controller.fault.simulated is simulated
 
@@ -196,7 +196,7 @@ def test_a_simulated_arm_that_brakes_for_a_silent_servo_refuses_motions_without_
     rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
     for _ in range(50):
         rig.tick()
-    rig.tick(age_s=STALE_AFTER_S * 1.1)
+    rig.tick(age_s=LIMITS.silent_after_s * 1.1)
     assert rig.controller.mode is Mode.MOVING
     refused = rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5))))
     assert refused is not None
@@ -417,7 +417,7 @@ def test_heat_takes_the_place_of_a_lesser_fault() -> None:
 def test_a_lesser_fault_does_not_take_the_place_of_an_emergency_stop() -> None:
     rig = Rig()
     rig.controller.latch(Fault(FaultCode.EMERGENCY_STOP, "emergency stop"))
-    rig.tick(age_s=STALE_AFTER_S * 2)
+    rig.tick(age_s=LIMITS.silent_after_s * 2)
     assert rig.controller.fault is not None
     assert rig.controller.fault.code is FaultCode.EMERGENCY_STOP
 

@@ -8,7 +8,6 @@ import pytest
 from robot.control.guards import (
     JUMP_RAD,
     LOW_VOLTAGE_TIME_S,
-    STALE_AFTER_S,
     VOLTAGE_BIT_TIME_S,
     Guards,
 )
@@ -48,7 +47,7 @@ AT_ONCE = {
     FaultCode.OVERLOAD: {"status": at(2, StatusFlag.OVERLOAD)},
     FaultCode.OVERCURRENT: {"status": at(2, StatusFlag.CURRENT)},
     FaultCode.ENCODER_ERROR: {"status": at(2, StatusFlag.ENCODER)},
-    FaultCode.SERVO_SILENT: {"age_s": at(2, STALE_AFTER_S * 1.01)},
+    FaultCode.SERVO_SILENT: {"age_s": at(2, LIMITS.silent_after_s * 1.01)},
 }
 
 
@@ -119,7 +118,11 @@ def test_every_threshold_can_be_set() -> None:
     assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.6), patient) == pytest.approx(0.4)
     assert never(at(1, 0.2), patient, current_a=at(1, -2.0))
     assert seconds_until(FaultCode.STALLED, at(1, 0.2), patient, current_a=at(1, -2.6)) == pytest.approx(0.6)
-    strict = GuardLimits(tracking_error_rad=0.05)
+    strict = GuardLimits(tracking_error_rad=0.05, silent_after_s=0.05)
+    late = at(2, 0.06)
+    assert never(GOAL, age_s=late)
+    assert seconds_until(FaultCode.SERVO_SILENT, GOAL, strict, age_s=late) == 0.0
+    assert never(GOAL, GuardLimits(silent_after_s=1.0), age_s=at(2, 0.9))
     assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.06), strict) == pytest.approx(LIMITS.tracking_time_s)
 
 

@@ -187,8 +187,8 @@ def seconds_for(text):
 @pytest.mark.parametrize("unit", HOSTILE)
 def test_hostile_frames_take_time_in_proportion_to_their_length(unit):
     short, long = (seconds_for(unit * (size // len(unit))) for size in (50_000, 800_000))
-    # Sixteen times the length; a quadratic reader would take 256 times as long. The floor is the clock's noise, and that
-    # only the longer one is decoded in pieces.
+    # Sixteen times the length; a quadratic reader would take 256 times as long. The floor is the clock's noise, and
+    # that only the longer one is decoded in pieces.
     assert long < 64 * max(short, 0.01)
 
 

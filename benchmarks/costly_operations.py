@@ -7,8 +7,8 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-from benchmarks.costly_frames import Attack, call, op
-from protocol.codecs import bson, png
+from benchmarks.costly_frames import Attack, call, op, picture
+from protocol.codecs import bson
 
 # A message type with many nested lists, of which an element of three bytes becomes hundreds of values.
 SCENE_TYPE = "moveit_msgs/PlanningScene"
@@ -71,15 +71,15 @@ def _subscriptions() -> Iterator[Attack]:
 
 def _packed() -> Iterator[Attack]:
     yield Attack("fragments, the last first, of 8 MB", _fragments(call("/nothing", "x" * 8_000_000), 10_000))
-    blanks = op("png", data=png.encode(b" " * 10_000_000))
+    blanks = op("png", data=picture(b" " * 9_990_000))
     yield Attack("fragments of a png of blanks", _fragments(blanks, 1000))
     ids = [op("fragment", id=f"{n % 16}", data="x" * 9000, num=n // 16, total=1000) for n in THOUSAND]
     yield Attack("fragments that are never whole", ids)
-    objects = op("png", data=png.encode(call("/nothing", _objects(MEGA)).encode()))
+    objects = op("png", data=picture(call("/nothing", _objects(MEGA)).encode()))
     yield Attack("png of 9 MB of objects", [objects])
     yield Attack("56 x png of 9 MB of objects", [objects] * 56)
-    yield Attack("56 x png of 9 MB of braces", [op("png", data=png.encode(b"{" * MEGA))] * 56)
-    yield Attack("png of 6 MB of noise", [op("png", data=png.encode(os.urandom(3_000_000).hex().encode()))])
+    yield Attack("56 x png of 9 MB of braces", [op("png", data=picture(b"{" * MEGA))] * 56)
+    yield Attack("png of 6 MB of noise", [op("png", data=picture(os.urandom(3_000_000).hex().encode()))])
     yield Attack("png that is none", [op("png", data="x" * 9000)] * 1000)
 
 

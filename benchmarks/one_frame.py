@@ -22,7 +22,7 @@ from typing import Self
 
 import psutil
 
-from benchmarks.attack_clients import ClientProcess, Order, Outcome, attack, crowd, watch
+from benchmarks.attack_clients import ClientProcess, Observation, Order, Outcome, attack, crowd, watch
 from benchmarks.costly_frames import Attack, Frame, joined, known_attacks
 from benchmarks.costly_operations import operations_of_every_kind
 from benchmarks.costly_requests import FIRST_SHAPES, LARGER_SHAPES, ask_interfaces, requests_of_every_type
@@ -43,7 +43,11 @@ AFTER_S = 10.0
 # A server that is not held up sends states and answers stops within this time.
 RESTED_S = 0.05
 REST_TIMEOUT_S = 300.0
-TIMEOUT_S = 900.0
+TIMEOUT_S = 600.0
+POLL_S = 0.02
+
+# An attack is given up when the server is larger than this, before it takes the machine's memory.
+MAX_MEMORY_MB = 4000.0
 
 CROWD_CLIENTS, CROWD_TOPICS = 10, 1000
 
@@ -125,10 +129,14 @@ class AttackedServer:
         self._watcher = enter(ClientProcess(watch, self.server.url))
         self._attacker = enter(ClientProcess(attack, self.server.url))
         self._crowded = False
-        self._rest()
+        self._rest(REST_TIMEOUT_S)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        # One that is held up takes no signal to end in good order.
+        for process in (self._process, *self._process.children(recursive=True)):
+            process.kill()
+        self.server.process.wait()
         self._stack.close()
 
     @property
@@ -145,7 +153,7 @@ class AttackedServer:
         """Send frames, and measure from the first of them until the server is at rest again.
 
         Raises:
-            TimeoutError: the server does not come to rest.
+            TimeoutError: a client's process does not answer.
             EOFError: the attacking process cannot connect.
         """
         if attacked.crowded and not self._crowded:
@@ -155,18 +163,17 @@ class AttackedServer:
             self._crowded = True
         order = Order(joined(attacked.before), frames, patience.limit_s, patience.quiet_s)
         self._attacker.ask(order, TIMEOUT_S)
-        self._rest()
+        self._rest(REST_TIMEOUT_S)
         before_mb = self.memory_mb
         _reset_peak(self._process.pid)
         self._watcher.ask(True, TIMEOUT_S)
-        outcome: Outcome = self._attacker.ask(True, TIMEOUT_S)
+        outcome = self._outcome(patience)
         time.sleep(SETTLE_S)
         # The attacker has left: what the server still does for it is measured as well.
-        self._rest()
-        observed = self._watcher.ask(False, TIMEOUT_S)
+        observed, is_at_rest = self._rest(patience.limit_s)
         peak_mb = _peak_mb(self._process.pid)
         time.sleep(patience.after_s)
-        end = f"{outcome.end}, lost" if observed.lost else outcome.end
+        end = outcome.end + ", lost" * bool(observed.lost) + ", held up" * (not is_at_rest)
         return Measurement(
             name,
             len(frames),
@@ -180,12 +187,25 @@ class AttackedServer:
             end,
         )
 
-    def _rest(self) -> None:
-        until_s = time.monotonic() + REST_TIMEOUT_S
-        while self._watcher.ask(False, TIMEOUT_S).waiting_s > RESTED_S:
-            if time.monotonic() > until_s:
-                raise TimeoutError(f"the server has not come to rest within {REST_TIMEOUT_S:g} s")
-            time.sleep(0.02)
+    def _outcome(self, patience: Patience) -> Outcome:
+        """Let the attack begin; give it up when the server grows too large."""
+        began_s = time.monotonic()
+        self._attacker.pipe.send(True)
+        while not self._attacker.pipe.poll(POLL_S):
+            if self.memory_mb > MAX_MEMORY_MB or time.monotonic() > began_s + patience.limit_s + TIMEOUT_S:
+                return Outcome(time.monotonic() - began_s, "given up", 0)
+        outcome: Outcome = self._attacker.pipe.recv()
+        return outcome
+
+    def _rest(self, timeout_s: float) -> tuple[Observation, bool]:
+        """Wait until the server is at rest; return the observation, and False when it has not come to rest in time."""
+        until_s = time.monotonic() + timeout_s
+        while True:
+            observed: Observation = self._watcher.ask(False, TIMEOUT_S)
+            is_at_rest = observed.waiting_s < RESTED_S
+            if is_at_rest or time.monotonic() > until_s or self.memory_mb > MAX_MEMORY_MB:
+                return observed, is_at_rest
+            time.sleep(POLL_S)
 
 
 def _reset_peak(pid: int) -> None:

@@ -59,6 +59,7 @@ MAX_VIEW_BYTES = 1_048_576
 # In a search, a server that was held up for so long, or is so large, is replaced before the next attack.
 REPLACED_FROM_MS, REPLACED_FROM_MB = 500.0, 700.0
 TRIED_LARGER = 40
+SLOW_ENOUGH_MS = 2000.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,8 @@ class Patience:
 
 
 THOROUGH = Patience(120.0, 1.0, AFTER_S)
-HASTY = Patience(20.0, 0.1, 0.0)
+HASTY = Patience(5.0, 0.1, 0.0)
+REPEATED = Patience(60.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -262,14 +264,17 @@ def search(role: str, worst: int, only: str = "", results: Path | None = None) -
     recipes = [recipe for recipe in requests_of_every_type(Registry.load(), interfaces) if only in recipe.name]
     tries = [Try(each.name, partial(_itself, each)) for each in operations_of_every_kind() if only in each.name]
     tries += [Try(recipe.name, partial(recipe.make, shape)) for recipe in recipes for shape in recipe.shapes]
-    found = _by_pause(_tried(role, tries, results))
+    found = [*_tried(role, tries, HASTY, results)]
     resizable = {recipe.name: recipe for recipe in recipes if recipe.shapes == FIRST_SHAPES}
-    slow = [name for name in dict.fromkeys(tried.name for tried, _ in found) if name in resizable][:TRIED_LARGER]
-    larger = [Try(name, partial(resizable[name].make, shape)) for name in slow for shape in LARGER_SHAPES]
-    found = _by_pause([*found, *_tried(role, larger, results)])
-    of_name = {tried.name: tried for tried, _ in reversed(found)}
-    again = [of_name[name] for name in dict.fromkeys(tried.name for tried, _ in found)][:worst]
-    repeated = [measured for tried in again for _, measured in _tried(role, [tried], results)]
+    slow = [name for name in _names(found) if name in resizable][:TRIED_LARGER]
+    for shape in LARGER_SHAPES:
+        # Those that hold the server up for seconds need not be larger.
+        known = {tried.name for tried, measured in found if measured.pause_ms > SLOW_ENOUGH_MS}
+        larger = [Try(name, partial(resizable[name].make, shape)) for name in slow if name not in known]
+        found += _tried(role, larger, HASTY, results)
+    of_name = {tried.name: tried for tried, _ in sorted(found, key=_pause_ms)}
+    again = [of_name[name] for name in _names(found)[:worst]]
+    repeated = [measured for tried in again for _, measured in _tried(role, [tried], REPEATED, results)]
     _print(f"The {len(repeated)} worst of {len(found)} attacks of one client ({role})", repeated)
 
 
@@ -285,37 +290,37 @@ def _itself(made: Attack) -> Attack:
     return made
 
 
-def _by_pause(found: Iterable[tuple[Try, Measurement]]) -> list[tuple[Try, Measurement]]:
-    return sorted(found, key=lambda each: max(each[1].pause_ms, each[1].stop_ms), reverse=True)
+def _pause_ms(found: tuple[Try, Measurement]) -> float:
+    return max(found[1].pause_ms, found[1].stop_ms)
 
 
-def _tried(role: str, tries: Iterable[Try], results: Path | None) -> Iterator[tuple[Try, Measurement]]:
+def _names(found: Iterable[tuple[Try, Measurement]]) -> list[str]:
+    """Return the names of attacks, the slowest first."""
+    return [*dict.fromkeys(tried.name for tried, _ in sorted(found, key=_pause_ms, reverse=True))]
+
+
+def _tried(
+    role: str, tries: Iterable[Try], patience: Patience, results: Path | None
+) -> Iterator[tuple[Try, Measurement]]:
     """Try each attack, on servers that are replaced when they have suffered."""
     todo = [*tries][::-1]
     while todo:
-        name = "start"
-        try:
-            with AttackedServer(role) as attacked:
-                fresh = True
-                while todo:
-                    made = todo[-1].make()
-                    name, frames = made.name, joined(made.operations)
-                    if role == "view" and max(map(len, frames)) > MAX_VIEW_BYTES:
-                        todo.pop()
-                        continue
-                    measured = attacked.measure(name, made, frames, HASTY)
-                    suffered = measured.pause_ms > REPLACED_FROM_MS or attacked.memory_mb > REPLACED_FROM_MB
-                    # Work for an attack may go on behind it: a pause counts that comes on a server of its own as well.
-                    if suffered and not fresh:
-                        break
-                    _note(measured, results)
-                    yield todo.pop(), measured
-                    if suffered:
-                        break
-                    fresh = False
-        except (TimeoutError, EOFError, OSError) as error:
-            print(f"{name}: {error!r}", file=sys.stderr)
-            todo.pop()
+        with AttackedServer(role) as attacked:
+            suffered = False
+            while todo and not suffered:
+                tried = todo.pop()
+                made = tried.make()
+                frames = joined(made.operations)
+                if role == "view" and max(map(len, frames)) > MAX_VIEW_BYTES:
+                    continue
+                try:
+                    measured = attacked.measure(made.name, made, frames, patience)
+                except (TimeoutError, EOFError, OSError) as error:
+                    print(f"{made.name}: {error!r}", file=sys.stderr)
+                    break
+                suffered = measured.pause_ms > REPLACED_FROM_MS or attacked.memory_mb > REPLACED_FROM_MB
+                _note(measured, results)
+                yield tried, measured
 
 
 def _note(measured: Measurement, results: Path | None = None) -> None:

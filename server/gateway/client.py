@@ -67,7 +67,7 @@ class ClientTopics:
         """Advertise a topic."""
         topic = qualify(operation.topic)
         self._client.translator.detect_dialect(operation.type, "msg")
-        self._graph.advertise(self._node, topic, operation.type, latch=operation.latch)
+        self._graph.advertise(self._node, topic, operation.type, latch=self._latches(operation))
         try:
             self._session.publications.add(operation)
         except OperationError:
@@ -87,7 +87,17 @@ class ClientTopics:
         """Publish a message."""
         topic = qualify(operation.topic)
         message = self._message(topic, operation)
-        self._graph.publish(self._node, topic, message, latch=operation.latch, lifespan_s=LIFESPAN_S)
+        latch = operation.latch and self._latches(operation)
+        lost = self._graph.publish(self._node, topic, message, latch=latch, lifespan_s=LIFESPAN_S)
+        if lost is not None:
+            self._client.status.tell("warning", operation, lost)
+
+    def _latches(self, operation: Advertise | Publish) -> bool:
+        """Return True for an operation that latches, which a client that may only look cannot do."""
+        if operation.latch and self._node.only_looks:
+            self._client.status.tell("warning", operation, "field latch: has no effect, it needs the role operate")
+            return False
+        return operation.latch
 
     def reject(self, operation: Publish, problem: str) -> None:
         """Have the topic's owner answer a message that the client may not publish."""
@@ -410,7 +420,7 @@ class Client:
         self.received_messages = 0
         self._graph = context.graph
         self._clock = context.clock
-        self._authorizer = auth.access.authorizer(context.node)
+        self._authorizer = auth.access.authorizer(context.node, context.graph)
         self._topics = ClientTopics(context)
         self._services = ClientServices(context)
         self._actions = ClientActions(context)

@@ -137,7 +137,7 @@ class RosApi:
         return {"topics": list(types), "types": list(types.values())}
 
     def _topics_for_type(self, request: Request) -> dict[str, Any]:
-        return {"topics": self._graph.topic_names.of_type(request.values["type"])}
+        return {"topics": sorted(self._graph.topic_names.of_type(request.values["type"]))}
 
     def _topics_and_raw_types(self, dialect: Dialect) -> dict[str, Any]:
         types = self._graph.topic_types().values()
@@ -165,15 +165,14 @@ class RosApi:
     # Services.
 
     def _services_for_type(self, request: Request) -> dict[str, Any]:
-        return {"services": self._services.names.of_type(request.values["type"])}
+        return {"services": sorted(self._services.names.of_type(request.values["type"]))}
 
     def _service_type(self, request: Request) -> dict[str, Any]:
         return {"type": self._services.names.type_of(request.name("service"), request.dialect) or ""}
 
     def _service_providers(self, request: Request) -> dict[str, Any]:
         """Return the providers of a type, which is in the field ``service`` (as in rosapi)."""
-        providers = map(self._services.provider, self._services.names.of_type(request.values["service"]))
-        return {"providers": _node_names({provider for provider in providers if provider is not None})}
+        return {"providers": _node_names(self._services.providers_of_type(request.values["service"]))}
 
     def _service_node(self, request: Request) -> dict[str, Any]:
         provider = self._services.provider(request.name("service"))

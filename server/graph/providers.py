@@ -171,6 +171,10 @@ class ProviderDirectory(Generic[AnyProvider]):
         offer = self._offers.get(name)
         return None if offer is None else offer.node
 
+    def providers_of_type(self, type_name: str) -> set[Node]:
+        """Return the nodes that provide something of a type, in the spelling of either dialect."""
+        return {offer.node for offer in map(self._offers.get, self.names.of_type(type_name)) if offer is not None}
+
     def nodes(self) -> list[Node]:
         """Return all nodes that provide something."""
         return list(self._offers.by_node)

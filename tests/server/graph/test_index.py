@@ -54,7 +54,7 @@ def test_types_are_told_in_either_spelling(names: TypedNames) -> None:
     "wanted", ["rosapi_msgs/srv/Topics", "rosapi_msgs/Topics", "rosapi/Topics", "rosapi/srv/Topics"]
 )
 def test_names_are_found_by_any_spelling_of_their_type(names: TypedNames, wanted: str) -> None:
-    assert names.of_type(wanted) == ["/a", "/b"]
+    assert names.of_type(wanted) == ["/b", "/a"]
 
 
 def test_a_time_is_found_by_the_name_that_either_generation_has_for_it() -> None:

@@ -23,7 +23,7 @@ from server.errors import GraphError
 from server.graph.actions import Actions
 from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
-from server.graph.message_types import MessageTypes
+from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.services import Services
 from server.timers import CallLater, call_later
@@ -270,8 +270,9 @@ class Graph:
         self._add_publisher(topic, node)
         if latch:
             topic.latching.add(node)
+        cost_bytes = message.cost_bytes if isinstance(message, ReceivedMessage) else None
         published = PublishedMessage(
-            topic.name, topic.type_name, completed, self.message_types.registry, received, node
+            topic.name, topic.type_name, completed, self.message_types.registry, received, node, cost_bytes
         )
         for watch in self._watchers:
             watch(published, topic.keeps(node))

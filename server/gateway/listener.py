@@ -40,6 +40,7 @@ from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket, address_of
 from server.gateway.turns import Threads, Turns, call_soon
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -143,20 +144,30 @@ def _check_readable(setting: str, file: Path) -> None:
 COUNT_TOPIC = "/client_count"
 LIST_TOPIC = "/connected_clients"
 
+# Least time between two publications of the list: it names every client, and a thousand may come at once [s].
+LIST_PERIOD_S = 0.25
+
 
 class ClientList:
-    """The connected clients.
+    """The connected clients, published after each change, but no more often than every `LIST_PERIOD_S`.
 
     Args:
         graph: where the topics are.
         wall_clock: seconds since the epoch.
+        call_later: does something after a delay.
     """
 
-    def __init__(self, graph: Graph, wall_clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, graph: Graph, wall_clock: Callable[[], float] = time.time, call_later: CallLater = call_later
+    ) -> None:
         self._graph = graph
         self._wall_clock = wall_clock
+        self._call_later = call_later
         self._node = Node("rosbridge_websocket")
         self._clients: dict[Node, dict[str, Any]] = {}
+        # Runs while the next publication has to wait.
+        self._pause: Timer | None = None
+        self._changed = False
 
     def open(self) -> None:
         """Advertise the topics and say that nobody is there yet."""
@@ -164,16 +175,35 @@ class ClientList:
         self._graph.advertise(self._node, LIST_TOPIC, "rosbridge_msgs/msg/ConnectedClients", latch=True)
         self._publish()
 
+    def close(self) -> None:
+        """Publish no more."""
+        if self._pause is not None:
+            self._pause.cancel()
+
     def add(self, client: Node, address: str) -> None:
         """A client has connected from an address."""
         connected = Stamp.from_seconds(self._wall_clock()).as_message()
         self._clients[client] = {"ip_address": address, "connection_time": connected}
-        self._publish()
+        self._change()
 
     def remove(self, client: Node) -> None:
         """A client has left."""
         self._clients.pop(client, None)
+        self._change()
+
+    def _change(self) -> None:
+        """Publish a change, at once unless there has just been another."""
+        if self._pause is not None:
+            self._changed = True
+            return
         self._publish()
+        self._pause = self._call_later(LIST_PERIOD_S, self._end_pause)
+
+    def _end_pause(self) -> None:
+        self._pause = None
+        if self._changed:
+            self._changed = False
+            self._change()
 
     def _publish(self) -> None:
         self._graph.publish(self._node, COUNT_TOPIC, {"data": len(self._clients)})
@@ -363,6 +393,7 @@ class Listener:
 
     async def close(self) -> None:
         """Close every connection and the port."""
+        self._clients.close()
         for server in self._servers:
             server.close()
         # `close` starts a task, which has stopped the server from accepting when this turn of the loop is over. Clients

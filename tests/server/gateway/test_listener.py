@@ -30,6 +30,7 @@ from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import (
     COUNT_TOPIC,
+    LIST_PERIOD_S,
     LIST_TOPIC,
     SPARE,
     ClientList,
@@ -45,6 +46,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import RosApi
 from tests.conformance.cases import cases, play
+from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, until_empty
 from tests.helpers.resources import Pair, make_pair, openssl
 from tests.helpers.server import ROOT
@@ -256,17 +258,56 @@ def latest(graph: Graph, topic: str) -> Any:
 
 def test_a_late_subscriber_gets_the_list_of_clients() -> None:
     graph = Graph(Registry.load())
-    clients = ClientList(graph, wall_clock=lambda: 7.0)
+    clock = FakeClock()
+    clients = ClientList(graph, lambda: 7.0, clock.call_later)
     clients.open()
     assert latest(graph, COUNT_TOPIC) == {"data": 0}
     first, second = Node("a"), Node("b")
     clients.add(first, "10.0.0.1")
+    assert latest(graph, COUNT_TOPIC) == {"data": 1}
+    clock.advance(LIST_PERIOD_S)
     clients.add(second, "10.0.0.2")
     assert latest(graph, COUNT_TOPIC) == {"data": 2}
+    clock.advance(LIST_PERIOD_S)
     clients.remove(first)
     assert latest(graph, LIST_TOPIC) == {
         "clients": [{"ip_address": "10.0.0.2", "connection_time": {"sec": 7, "nanosec": 0}}]
     }
+
+
+def test_clients_that_come_at_once_are_told_of_together() -> None:
+    graph, clock = Graph(Registry.load()), FakeClock()
+    clients = ClientList(graph, lambda: 7.0, clock.call_later)
+    counts: list[int] = []
+    lengths: list[int] = []
+    clients.open()
+    listening = Node("listening")
+    graph.subscribe(listening, COUNT_TOPIC, None, Subscriber(lambda published: counts.append(published.msg["data"])))
+    graph.subscribe(
+        listening, LIST_TOPIC, None, Subscriber(lambda published: lengths.append(len(published.msg["clients"])))
+    )
+    nodes = [Node(f"client {number}") for number in range(100)]
+    for node in nodes:
+        clients.add(node, "10.0.0.1")
+    assert counts == lengths == [1]
+    clock.advance(LIST_PERIOD_S)
+    assert counts == lengths == [1, 100]
+    for node in nodes:
+        clients.remove(node)
+    clock.advance(LIST_PERIOD_S)
+    assert counts == lengths == [1, 100, 0]
+    clock.advance(10 * LIST_PERIOD_S)
+    assert counts == lengths == [1, 100, 0]
+
+
+def test_a_list_that_is_closed_publishes_no_more() -> None:
+    graph, clock = Graph(Registry.load()), FakeClock()
+    clients = ClientList(graph, lambda: 7.0, clock.call_later)
+    clients.open()
+    for name in ("a", "b"):
+        clients.add(Node(name), "10.0.0.1")
+    clients.close()
+    assert clock.waiting == 0
 
 
 REGISTRY = Registry.load()

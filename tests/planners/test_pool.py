@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import errno
 import math
 import os
 import signal
@@ -46,8 +47,10 @@ from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.servo.question import JointVelocities, ServoQuestion
 from robot.channel import MAX_MESSAGE_BYTES
 from robot.description import model
+from robot.processes import Child
 from tests.helpers import broken_planner
 from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
+from tests.helpers.resources import no_descriptors_left
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
 
@@ -394,6 +397,35 @@ async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: py
             await asyncio.sleep(0.01)
     assert isinstance(await pool.ask(EASY), Plan)
     await pool.close()
+
+
+async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both_idle: PlannerPool) -> None:
+    kill_all(both_idle)
+    with no_descriptors_left():
+        async with asyncio.timeout(60.0):
+            while sum(worker.usable for worker in both_idle._idle) < 2:
+                await asyncio.sleep(0.01)
+
+
+async def test_a_worker_that_cannot_be_read_is_ended_and_replaced(
+    both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect, failed = Child.connect, []
+
+    async def fail_once(child: Child) -> None:
+        if not failed:
+            failed.append(child)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        await connect(child)
+
+    monkeypatch.setattr(Child, "connect", fail_once)
+    kill_all(both_idle)
+    async with asyncio.timeout(60.0):
+        while sum(worker.usable for worker in both_idle._idle) < 2:
+            await asyncio.sleep(0.01)
+    assert failed
+    assert len(both_idle.pids) == 2
+    await failed[0].kill()
 
 
 async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:

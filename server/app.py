@@ -236,11 +236,14 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
         robot_name: for whoever reads the file.
 
     Raises:
+        ConfigurationError: at its path is something else than a file.
         StartError: the file cannot be written.
     """
     if settings.file is None:
         return None
     # Imported when it is needed: most servers record nothing, and start without the library.
+    from server.recording.files import check_path
     from server.recording.recorder import Recorder
 
+    check_path(settings.file)
     return Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})

@@ -392,12 +392,11 @@ class Arm:
         last = self._last_connected
         hardware = self._config.hardware.resumed(_position_rad(last), driven=last.driven)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
-        # Python 3.11's wait_for may swallow the cancellation (bpo-37658).
-        while not self._closing:
-            delay_s = self._restart_delay.after(ran_s)
-            await asyncio.sleep(delay_s)
+        while True:
+            await asyncio.sleep(self._restart_delay.after(ran_s))
+            # Python 3.11's wait_for may swallow the cancellation (bpo-37658).
             if self._closing or await self._launched_again():
-                break
+                return
             ran_s = 0.0
 
     async def _launched_again(self) -> bool:

@@ -200,6 +200,7 @@ class Child:
         except BaseException:
             self._process.kill()
             self._socket.close()
+            await has_ended(self._process, KILL_TIMEOUT_S)
             raise
         logs.follow(self)
 

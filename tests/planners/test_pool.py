@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -47,7 +48,6 @@ from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.servo.question import JointVelocities, ServoQuestion
 from robot.channel import MAX_MESSAGE_BYTES
 from robot.description import model
-from robot.processes import Child
 from tests.helpers import broken_planner
 from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 from tests.helpers.resources import no_descriptors_left
@@ -405,27 +405,29 @@ async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both
         async with asyncio.timeout(60.0):
             while sum(worker.usable for worker in both_idle._idle) < 2:
                 await asyncio.sleep(0.01)
+    assert isinstance(await both_idle.ask(EASY), Plan)
 
 
 async def test_a_worker_that_cannot_be_read_is_ended_and_replaced(
     both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    connect, failed = Child.connect, []
+    loop = asyncio.get_running_loop()
+    connect, failed = loop.create_unix_connection, []
 
-    async def fail_once(child: Child) -> None:
+    async def fail_once(*arguments: Any, **options: Any) -> Any:
         if not failed:
-            failed.append(child)
+            failed.append(arguments)
             raise OSError(errno.ENOSPC, "No space left on device")
-        await connect(child)
+        return await connect(*arguments, **options)
 
-    monkeypatch.setattr(Child, "connect", fail_once)
+    monkeypatch.setattr(loop, "create_unix_connection", fail_once)
     kill_all(both_idle)
     async with asyncio.timeout(60.0):
         while sum(worker.usable for worker in both_idle._idle) < 2:
             await asyncio.sleep(0.01)
     assert failed
     assert len(both_idle.pids) == 2
-    await failed[0].kill()
+    assert isinstance(await both_idle.ask(EASY), Plan)
 
 
 async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -239,7 +239,8 @@ FREE_PORT_TRIES = 5
 # The address is not there on this machine: without IPv6, ``localhost`` is 127.0.0.1 alone.
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 
-# Besides the clients: planners, the bus, files.
+# Files besides the clients': planners, the arm, recordings, the page, connections that are refused, and those whose
+# TLS handshake is not done. A server that may open few files keeps half of them for that.
 SPARE = 256
 
 
@@ -347,7 +348,9 @@ class Listener:
         """Begin to serve clients."""
         if not self._sockets:
             raise AssertionError("open before bind")
-        raise_file_limit(self._settings.max_clients)
+        possible = raise_file_limit(self._settings.max_clients)
+        if possible < self._settings.max_clients:
+            self._limiter.reduce(possible)
         self._clients.open()
         WEBSOCKETS_LOG.addFilter(tells_of_more_than_http)
         for listening in self._sockets:
@@ -542,26 +545,32 @@ def _reason(host: str, port: int, error: OSError | UnicodeError) -> str:
     return f"cannot listen on {where}: {error.strerror or error}"
 
 
-def raise_file_limit(max_clients: int) -> None:
+def raise_file_limit(max_clients: int) -> int:
     """Raise this process's limit of open files as far as it may, and tell when that is not enough.
 
     Args:
-        max_clients: connections at a time.
+        max_clients: connections at a time that are wanted.
+
+    Returns:
+        Connections at a time for which there are files.
     """
     wanted = max_clients + SPARE
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft >= wanted or soft == resource.RLIM_INFINITY:
-        return
+        return max_clients
     possible = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
     resource.setrlimit(resource.RLIMIT_NOFILE, (possible, hard))
-    if possible < wanted:
-        log.warning(
-            "the system lets the server open %d files, which is enough for %d clients, not for server.max_clients = %d;"
-            " raise the hard limit (ulimit -Hn, LimitNOFILE=), or lower the setting",
-            possible,
-            max(0, possible - SPARE),
-            max_clients,
-        )
+    if possible == wanted:
+        return max_clients
+    clients = min(max_clients, max(possible - SPARE, possible // 2))
+    log.warning(
+        "the system lets the server open %d files, so it serves %d clients at a time, not server.max_clients = %d;"
+        " raise the hard limit (ulimit -Hn, LimitNOFILE=), or lower the setting",
+        possible,
+        clients,
+        max_clients,
+    )
+    return clients
 
 
 def tells_of_more_than_http(record: logging.LogRecord) -> bool:

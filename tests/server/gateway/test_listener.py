@@ -47,7 +47,7 @@ from server.graph.topics import Graph, Subscriber
 from server.rosapi import RosApi
 from tests.conformance.cases import cases, play
 from tests.helpers.clock import FakeClock
-from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, until_empty
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, status, until_empty
 from tests.helpers.resources import Pair, make_pair, openssl
 from tests.helpers.server import ROOT
 
@@ -588,7 +588,7 @@ def test_the_limit_is_raised_as_far_as_is_needed(
     monkeypatch: pytest.MonkeyPatch, hard: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     limit = Limit(monkeypatch, 1024, hard)
-    raise_file_limit(1000)
+    assert raise_file_limit(1000) == 1000
     assert limit.value == (1000 + SPARE, hard)
     assert not caplog.records
 
@@ -596,17 +596,30 @@ def test_the_limit_is_raised_as_far_as_is_needed(
 @pytest.mark.parametrize("soft", [1024, resource.RLIM_INFINITY])
 def test_a_limit_that_is_high_enough_stays(monkeypatch: pytest.MonkeyPatch, soft: int) -> None:
     limit = Limit(monkeypatch, soft, 4096)
-    raise_file_limit(100)
+    assert raise_file_limit(100) == 100
     assert limit.value == (soft, 4096)
 
 
-def test_one_that_cannot_be_raised_enough_is_told(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("hard", "clients"), [(2048, 2048 - SPARE), (300, 150)])
+def test_one_that_cannot_be_raised_enough_reduces_the_number_of_clients(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, hard: int, clients: int
 ) -> None:
-    limit = Limit(monkeypatch, 1024, 2048)
-    raise_file_limit(5000)
-    assert limit.value == (2048, 2048)
-    assert f"enough for {2048 - SPARE} clients, not for server.max_clients = 5000" in caplog.text
+    limit = Limit(monkeypatch, 256, hard)
+    assert raise_file_limit(5000) == clients
+    assert limit.value == (hard, hard)
+    assert f"it serves {clients} clients at a time, not server.max_clients = 5000" in caplog.text
+
+
+async def test_clients_beyond_the_files_that_the_system_allows_are_refused_and_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    Limit(monkeypatch, 2, 4)
+    async with listening(ServerSettings(port=0, max_clients=3, max_clients_per_address=3)) as listener:
+        url = f"ws://127.0.0.1:{listener.port}"
+        async with connect(url), connect(url):
+            answer = await exchange(listener.port, request())
+    assert status(answer) == 503
+    assert "the limit is 2 (server.max_clients, reduced to the files that the system lets the server open)" in answer
 
 
 def listener_of(server: ServerSettings, access: AccessSettings | None = None) -> Listener:

@@ -115,7 +115,7 @@ class MoveItInterface:
 
         # Goals of clients that know only topics.
         states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
-        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.save)
+        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.change)
         self._named_states = NamedStatesServices(graph, robot, states, self._current)
         translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
         self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)

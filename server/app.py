@@ -82,7 +82,7 @@ class App:
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
         # The goal queue is among the parts below; a lease is asked for when clients drive.
-        access = Access(settings.access, busy=lambda: self._moveit.queue.busy)
+        access = Access(settings.access, busy=lambda: self._moveit.running)
 
         # What refuses wrong settings, and what other parts use; none of it does anything before its start.
         routes: dict[str, Route] = {}

@@ -17,7 +17,7 @@ from server.execution.executor import GoalExecutor
 from server.execution.failures import FailedGoals
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion
-from server.execution.queue import Answer, GoalQueue, QueuedGoal
+from server.execution.queue import Answer, GoalQueue, QueuedGoal, RunningGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -79,7 +79,10 @@ class MoveItInterface:
 
         # The way of a goal: from a topic or an action to the queue, and from there to the arm.
         time_limits = TimeLimits(
-            moveit.allowed_execution_duration_scaling, moveit.allowed_goal_duration_margin, goals.max_paused_s
+            moveit.allowed_execution_duration_scaling,
+            moveit.allowed_goal_duration_margin,
+            goals.max_paused_s,
+            goals.max_trajectory_duration_s,
         )
         directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, max_files)
@@ -132,7 +135,7 @@ class MoveItInterface:
             torque_limit = settings.arm.guards.gripper_torque_limit
             self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)
             GripperActions(graph, joint, self._gripper)
-        self._actions = MotionActions(graph, self._context, arm, self.queue)
+        self._actions = MotionActions(graph, self._context, arm, self.queue, time_limits)
 
     def start(self) -> None:
         """Take requests; goals wait until arm and planners have started."""
@@ -153,6 +156,14 @@ class MoveItInterface:
         self._transforms.take_state(state)
         self._executor.recorder.take_state(state)
         self._actions.take_state(state)
+
+    @property
+    def running(self) -> RunningGoal | None:
+        """The goal that occupies the arm or its gripper; None when there is none."""
+        remaining_s = None if self._gripper is None else self._gripper.remaining_s
+        return self.queue.running or (
+            None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
+        )
 
     def stop(self, reason: str) -> None:
         """End the active goal and all that wait, and stop every motion."""

@@ -178,7 +178,7 @@ class NamedStates:
 
     def _usable(self, states: Mapping[str, Positions]) -> dict[str, Positions]:
         """Return the states of this arm: a file may have those of another arm of the same name."""
-        usable = {}
+        usable: dict[str, Positions] = {}
         for name, positions_rad in states.items():
             with contextlib.suppress(ServiceError):
                 self._check(name, positions_rad)

@@ -209,6 +209,15 @@ class GoalSettings(SettingsSection):
     """where saved states are kept; None for a file in the user's data directory."""
 
 
+class SceneSettings(SettingsSection):
+    """The planning scene from one start of the server to the next."""
+
+    keep: bool = True
+    """keep what clients add to the planning scene, and restore it at the next start."""
+    file: Path | None = None
+    """where it is kept; None for a file in the user's data directory. Each server needs one of its own."""
+
+
 class RecordingSettings(SettingsSection):
     """The recording of every message that is published."""
 
@@ -254,6 +263,7 @@ class Settings(BaseSettings):
     arm: ArmSettings = ArmSettings()
     moveit: MoveItParameters = MoveItParameters()
     goals: GoalSettings = GoalSettings()
+    scene: SceneSettings = SceneSettings()
     planning: PlanningSettings = PlanningSettings()
     recording: RecordingSettings = RecordingSettings()
     zenoh: ZenohSettings = ZenohSettings()

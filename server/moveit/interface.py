@@ -33,6 +33,7 @@ from server.moveit.parameters import PlannerParameters
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.interface import SceneInterface
+from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
@@ -73,6 +74,10 @@ class MoveItInterface:
         frames = Frames(robot, self._scene)
         assumed = AssumedStates(robot)
         self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, self._current, moveit)
+        self._saved_scene: SavedScene | None = None
+        if settings.scene.keep:
+            file = SceneFile(settings.scene.file or default_path("planning_scene", robot, os.environ))
+            self._saved_scene = SavedScene(file, self._scene, robot, graph.message_types)
         self._description = RobotDescription(graph, robot, keep_parameter)
         self._display = DisplayTopics(graph, robot)
         self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
@@ -117,7 +122,7 @@ class MoveItInterface:
         )
 
         # Goals of clients that know only topics.
-        states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
+        states_file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
         states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.change)
         self._named_states = NamedStatesServices(graph, robot, states, self._current)
         translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
@@ -136,6 +141,16 @@ class MoveItInterface:
             self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)
             GripperActions(graph, joint, self._gripper)
         self._actions = MotionActions(graph, self._context, arm, self.queue, time_limits)
+
+    async def restore_scene(self) -> None:
+        """Restore the planning scene of the run before, and keep its changes from now on."""
+        if self._saved_scene is not None:
+            await self._saved_scene.start()
+
+    async def keep_scene(self) -> None:
+        """Write the last changes of the planning scene."""
+        if self._saved_scene is not None:
+            await self._saved_scene.close()
 
     def start(self) -> None:
         """Take requests; goals wait until arm and planners have started."""

@@ -224,10 +224,11 @@ class _Content(BaseModel):
     states: States
 
 
-def default_path(robot: RobotModel, environment: Mapping[str, str]) -> Path:
-    """Return the default path of a robot's states, in the XDG base directory for data.
+def default_path(content: str, robot: RobotModel, environment: Mapping[str, str]) -> Path:
+    """Return the default path of a file that the server keeps of a robot, in the XDG base directory for data.
 
     Args:
+        content: beginning of the file's name.
         robot: the arm, whose name is in that of the file.
         environment: environment variables.
     """
@@ -235,7 +236,7 @@ def default_path(robot: RobotModel, environment: Mapping[str, str]) -> Path:
         Path(environment.get("HOME", "~")).expanduser() / ".local/share"
     )
     safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
-    return Path(data_home) / "armbridge" / f"named_states_{safe}.json"
+    return Path(data_home) / "armbridge" / f"{content}_{safe}.json"
 
 
 class NamedStatesFile:

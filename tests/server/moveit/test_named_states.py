@@ -297,7 +297,9 @@ def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytes
     ("environment", "directory"), [({"XDG_DATA_HOME": "/data"}, "/data"), ({"HOME": "/me"}, "/me/.local/share")]
 )
 def test_states_are_kept_in_the_users_data_directory(environment: dict[str, str], directory: str) -> None:
-    assert default_path(model.builtin(), environment) == Path(directory, "armbridge", "named_states_so101.json")
+    assert default_path("named_states", model.builtin(), environment) == Path(
+        directory, "armbridge", "named_states_so101.json"
+    )
 
 
 class Office:

@@ -42,9 +42,25 @@ DELAY_S = 1.0
 # Share of its time that a slow disk may spend on the scene.
 WRITING_SHARE = 0.1
 
-# The lists of a mesh are encoded so many elements at a time, a millisecond: the encoder holds the interpreter's lock,
-# which the event loop needs.
-MESH_LISTS = ("vertices", "triangles")
+# Fields of a planning scene that may be long are encoded by themselves, their lists so many elements at a time, a
+# millisecond: the encoder holds the interpreter's lock, which the event loop needs.
+LONG_FIELDS = {
+    "allowed_collision_matrix",
+    "attached_collision_objects",
+    "collision_objects",
+    "detach_posture",
+    "enabled",
+    "entry_values",
+    "fixed_frame_transforms",
+    "meshes",
+    "object",
+    "object_colors",
+    "points",
+    "robot_state",
+    "triangles",
+    "vertices",
+    "world",
+}
 SLICE = 500
 
 
@@ -99,6 +115,8 @@ class SceneFile:
         """
         pieces, size = [], 0
         for piece in encoded(message):
+            # Give the interpreter's lock to the event loop, if that waits for it, and not only every 5 ms.
+            time.sleep(0)
             pieces.append(piece)
             size += len(piece)
             if size > MAX_FILE_BYTES:
@@ -261,29 +279,24 @@ class SavedScene:
 def encoded(value: Any) -> Iterator[bytes]:
     """Encode a message as JSON, in pieces each of which takes a millisecond at most."""
     if isinstance(value, dict):
-        opening = b"{"
-        for key, each in value.items():
-            yield opening + json.dumps(key).encode() + b":"
-            yield from _slices(each) if key in MESH_LISTS else encoded(each)
-            opening = b","
-        yield b"}" if value else b"{}"
+        short = {key: each for key, each in value.items() if key not in LONG_FIELDS}
+        yield json.dumps(short).encode()[:-1]
+        opening = b", " if short else b""
+        for key in LONG_FIELDS & value.keys():
+            yield opening + json.dumps(key).encode() + b": "
+            yield from encoded(value[key])
+            opening = b", "
+        yield b"}"
     elif isinstance(value, list) and value and isinstance(value[0], dict):
+        step = 1 if LONG_FIELDS & value[0].keys() else SLICE
         opening = b"["
-        for each in value:
+        for first in range(0, len(value), step):
             yield opening
-            yield from encoded(each)
-            opening = b","
+            yield from encoded(value[first]) if step == 1 else (json.dumps(value[first : first + step]).encode()[1:-1],)
+            opening = b", "
         yield b"]"
     else:
         yield json.dumps(value).encode()
-
-
-def _slices(elements: list[Any]) -> Iterator[bytes]:
-    opening = b"["
-    for first in range(0, len(elements), SLICE):
-        yield opening + json.dumps(elements[first : first + SLICE]).encode()[1:-1]
-        opening = b","
-    yield b"]" if elements else b"[]"
 
 
 def _taken(content: dict[str, Any], part: str, field: str) -> tuple[list[Any], dict[str, Any]]:

@@ -49,10 +49,9 @@ class TimeLimits:
             RefusedError: it is longer than the limit, or no number.
         """
         if not duration_s <= self.trajectory_s:
-            limit = f"goals.max_trajectory_duration_s = {self.trajectory_s:g}"
-            details = {"duration_s": duration_s, "limit_s": self.trajectory_s}
-            text = f"{field} is {duration_s:.6g} s, longer than {limit}{advice}"
-            raise RefusedError(PlanningFailure(code, text, details))
+            limit_s = self.trajectory_s
+            text = f"{field} is {duration_s:.6g} s, longer than goals.max_trajectory_duration_s = {limit_s:g}{advice}"
+            raise RefusedError(PlanningFailure(code, text, {"duration_s": duration_s, "limit_s": limit_s}))
 
 
 class TimedArm(Protocol):

@@ -76,12 +76,12 @@ class SceneFile:
         self._lock = files.FileLock(path)
 
     def open(self) -> None:
-        """Take the file for this process.
+        """Take the file for this process; a server that is just ending is waited for.
 
         Raises:
-            OSError: another process has it, or its directory cannot be written.
+            OSError: another process has it for longer, or its directory cannot be written.
         """
-        self._lock.acquire()
+        self._lock.acquire(files.LOCK_TIMEOUT_S)
 
     def close(self) -> None:
         """Give the file back."""
@@ -164,7 +164,7 @@ class SavedScene:
         """Restore the scene, and keep its changes from now on; nothing that is wrong with the file prevents a start."""
         path = self._file.path
         try:
-            self._file.open()
+            await asyncio.to_thread(self._file.open)
         except files.FileLockedError as error:
             remedy = "give one of the two servers a scene.file of its own"
             log.warning("the planning scene is not kept: %s %s; %s", path, error.strerror, remedy)

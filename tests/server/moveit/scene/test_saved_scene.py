@@ -249,9 +249,22 @@ async def test_a_disk_that_was_full_is_written_to_at_the_next_change(
         assert run.written() == ["a", "b"]
 
 
+async def test_a_server_that_is_just_ending_is_waited_for(path: Path) -> None:
+    first = Run(path)
+    await first.saved.start()
+    first.add("wall")
+    second = asyncio.create_task(Run(path).__aenter__())
+    await asyncio.sleep(0.05)
+    await first.saved.close()
+    run = await second
+    assert list(run.state.contents.objects) == ["wall"]
+    await run.saved.close()
+
+
 async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(
-    path: Path, caplog: pytest.LogCaptureFixture
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    monkeypatch.setattr(files, "LOCK_TIMEOUT_S", 0.0)
     async with Run(path) as first:
         first.add("wall")
         await first.pass_time(DELAY_S)

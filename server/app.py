@@ -84,7 +84,7 @@ class App:
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
         # The goal queue is among the parts below; a lease is asked for when clients drive.
-        access = Access(settings.access, busy=lambda: self._moveit.queue.busy)
+        access = Access(settings.access, busy=lambda: self._moveit.running)
 
         # What refuses wrong settings, and what other parts use; none of it does anything before its start.
         routes: dict[str, Route] = {}
@@ -162,6 +162,8 @@ class App:
         relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
         parts = [
             Part("the monitor", monitor.start, monitor.stop),
+            # Restored before anybody can see it, and written when nobody can change it any more.
+            Part("the planning scene", self._moveit.restore_scene, self._moveit.keep_scene, 0.4),
             # The port before the processes: none of them, and no arm, is needed when it is taken.
             Part("clients", self._listener.bind, self._close_clients, 0.6),
             Part("planners", self._pool.start, self._pool.close, 0.4),

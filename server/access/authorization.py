@@ -24,6 +24,7 @@ from server.access.control_lease import ControlLease
 from server.access.permissions import Identity, NameFilter, Role
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
+from server.execution.queue import RunningGoal
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -356,7 +357,7 @@ class Access:
         settings: the section ``access``.
         clock: monotonic time [s].
         wall_clock: seconds since the epoch.
-        busy: returns something true while a goal is worked on.
+        busy: returns the goal that is worked on.
 
     Attributes:
         settings: as given.
@@ -376,7 +377,7 @@ class Access:
         settings: AccessSettings,
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
-        busy: Callable[[], object] = lambda: False,
+        busy: Callable[[], RunningGoal | None] = lambda: None,
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
         self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock, busy)

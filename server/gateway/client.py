@@ -459,6 +459,7 @@ class Client:
         self.session = context.session
         self.status = context.status
         self.received_messages = 0
+        self._context = context
         self._graph = context.graph
         self._authorizer = auth.access.authorizer(context.node, context.graph)
         self._topics = ClientTopics(context)
@@ -475,6 +476,8 @@ class Client:
     def leave(self) -> None:
         """Take the client out of the graph."""
         self.inbox.close()
+        # The calls and goals that end now would each be answered.
+        self._context.left = True
         self._authorizer.leave()
         self._graph.remove(self.node)
         if self.session.dropped:

@@ -202,9 +202,10 @@ class ClientContext:
     Attributes:
         translator: translator of its messages.
         status: its status messages.
+        left: True once the client has left; nothing is sent any more.
     """
 
-    __slots__ = ("clock", "graph", "node", "send_at_once", "session", "status", "translator", "wake")
+    __slots__ = ("clock", "graph", "left", "node", "send_at_once", "session", "status", "translator", "wake")
 
     def __init__(
         self,
@@ -217,6 +218,7 @@ class ClientContext:
     ) -> None:
         self.node = node
         self.graph = graph
+        self.left = False
         self.session = session
         self.clock = clock
         self.wake = wake
@@ -237,8 +239,9 @@ class ClientContext:
             field: the field with the message.
             type_name: type of the message; a name that the registry does not know for what is sent as it is.
         """
-        self.session.reply(self._translated(fields, field, type_name))
-        self.wake()
+        if not self.left:
+            self.session.reply(self._translated(fields, field, type_name))
+            self.wake()
 
     def send_request(self, fields: dict[str, Any], type_name: str) -> bool:
         """Send the client a call or a goal; return False when the client has no room for it.
@@ -247,6 +250,8 @@ class ClientContext:
             fields: the operation, with the message in the field ``args``.
             type_name: type of the message.
         """
+        if self.left:
+            return False
         has_room = self.session.ask(self._translated(fields, "args", type_name))
         self.wake()
         return has_room
@@ -258,8 +263,9 @@ class ClientContext:
             fields: the operation, with the message in the field ``values``.
             type_name: type of the message.
         """
-        self.session.feedback(self._translated(fields, "values", type_name))
-        self.wake()
+        if not self.left:
+            self.session.feedback(self._translated(fields, "values", type_name))
+            self.wake()
 
     def _translated(self, fields: dict[str, Any], field: str, type_name: str) -> Mapping[str, Any] | LaterFields:
         """Translate the message of an operation; a large one later."""

@@ -5,6 +5,7 @@ A request is ended once, by its provider, its deadline or its caller's departure
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeAlias, TypeVar
@@ -15,6 +16,8 @@ from server.errors import GraphError
 from server.graph.index import Index, TypedNames
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+
+log = logging.getLogger("armbridge.graph")
 
 End = TypeVar("End")
 
@@ -39,7 +42,10 @@ class PendingRequest(Generic[End]):
             return
         self.ended = True
         for callback in self._when_ended:
-            callback(end)
+            try:
+                callback(end)
+            except Exception:  # whoever hears of it first must not keep it from the others, of whom one stops the arm
+                log.exception("the end of a request could not be told to everybody")
 
 
 ProvidedKind: TypeAlias = Literal["service", "action"]

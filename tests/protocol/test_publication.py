@@ -15,7 +15,15 @@ from websockets.streams import StreamReader
 from protocol.codecs import png
 from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp, complete
-from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame, PublishedMessage, pack
+from protocol.publication import (
+    FRAME_OVERHEAD_BYTES,
+    LARGE_BYTES,
+    EncodedMessage,
+    Frame,
+    PublishedMessage,
+    encoding_cost_bytes,
+    pack,
+)
 from protocol.registry import Registry
 from tests.helpers.messages import deserialize
 
@@ -190,3 +198,38 @@ def test_a_publications_size_is_that_of_its_message_as_it_went_out_and_else_as_j
     sent = published(msg={"data": "x" * 1000})
     sent.frame("chatter", "cbor")
     assert 1000 < sent.size_bytes < len(sent.frame("chatter", "cbor").data)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_large_message_is_encoded_later_and_then_as_a_small_one(encoding):
+    text = "x" * LARGE_BYTES
+    large = published(msg={"data": text}).encoded("/chatter", encoding, "ros2", None)
+    assert not large.ready
+    large.encode()
+    assert large.ready
+    if encoding != "cbor-raw":
+        assert decoded(large.frames[0], encoding)["msg"] == {"data": text}
+
+
+def test_a_small_message_is_encoded_at_once():
+    assert published().encoded("/chatter", "none", "ros2", None).ready
+
+
+def test_the_fragments_of_a_large_message_are_made_later_too():
+    large = published(msg={"data": "x" * LARGE_BYTES}).encoded("/chatter", "none", "ros2", 10_000)
+    large.encode()
+    assert len(large.frames) == 7
+
+
+@given(
+    st.recursive(st.integers() | st.text(max_size=5), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner))
+)
+def test_the_cost_of_encoding_is_estimated_without_looking_at_everything(value):
+    assert 0 <= encoding_cost_bytes(value) <= LARGE_BYTES
+
+
+@pytest.mark.parametrize(
+    "value", [[0.5] * 10_000, {"data": "x" * LARGE_BYTES}, [{"x": 1.0, "y": 1.0}] * 3000, [["x" * 100] * 10] * 100]
+)
+def test_what_is_large_is_found_to_be(value):
+    assert encoding_cost_bytes(value) == LARGE_BYTES

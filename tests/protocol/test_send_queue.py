@@ -2,6 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.errors import MessageError
 from protocol.limits import Limits
 from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame
 from protocol.send_queue import SendQueue
@@ -294,3 +295,45 @@ def test_messages_dropped_by_a_clients_own_throttle_are_counted_apart():
     assert (box.dropped, box.throttled) == (2, 2)
     put_all(box, Subscription("/free"), frames(3))
     assert box.dropped > box.throttled
+
+
+def later(*frames: bytes) -> EncodedMessage:
+    return EncodedMessage.later(lambda: encoded(*frames), 100)
+
+
+def test_what_is_behind_a_message_that_is_still_to_be_encoded_waits_for_it() -> None:
+    queue = SendQueue(Limits())
+    large = later(b"large")
+    queue.put_reply(large)
+    queue.put_reply(encoded(b"small"))
+    assert queue.take_unready() == [large]
+    assert queue.take_unready() == []
+    assert queue.take_due(0.0, 1000) == []
+    assert queue.next_due(0.0) is None
+    large.encode()
+    assert queue.next_due(0.0) == 0.0
+    assert [frame.data for frame in queue.take_due(0.0, 1000)] == [b"large", b"small"]
+    assert queue.empty
+    assert queue.size_bytes == 0
+
+
+def test_topic_data_that_is_still_to_be_encoded_waits_alone_too() -> None:
+    queue = SendQueue(Limits())
+    large = later(b"large")
+    queue.put_topic_data(Subscription("/a"), large)
+    assert queue.take_due(0.0, 1000) == []
+    assert queue.next_due(0.0) is None
+    large.encode()
+    assert [frame.data for frame in queue.take_due(0.0, 1000)] == [b"large"]
+
+
+def test_a_message_that_could_not_be_encoded_holds_nobody_up() -> None:
+    def fail() -> EncodedMessage:
+        raise MessageError("a number", "nothing")
+
+    queue, broken = SendQueue(Limits()), EncodedMessage.later(fail, 100)
+    queue.put_reply(broken)
+    queue.put_reply(encoded(b"next"))
+    with pytest.raises(MessageError):
+        broken.encode()
+    assert [frame.data for frame in queue.take_due(0.0, 1000)] == [b"next"]

@@ -3,7 +3,9 @@ from __future__ import annotations
 import pytest
 
 from protocol.limits import Limits
+from server.access.permissions import Identity, Role
 from server.graph.node import Node
+from server.graph.services import Call
 from tests.helpers.gateway import InProcess
 
 TYPE = "std_srvs/SetBool"
@@ -119,3 +121,43 @@ async def test_a_service_that_does_not_answer_in_the_time_that_is_set_fails() ->
     (response,) = world.heard("c")
     assert not response["result"]
     assert "did not answer in 3 s" in response["values"]
+
+
+@pytest.mark.parametrize(("role", "limit"), [(Role.VIEW, 16), (Role.OPERATE, 64), (Role.ADMIN, 64)])
+def test_calls_of_services_that_plan_are_limited_by_role(role: Role, limit: int) -> None:
+    world = InProcess()
+    started: list[Call] = []
+    world.graph.services.offer_calls(Node("planner"), "/check_goals", "std_srvs/srv/Trigger", started.append)
+    world.enter("c", Identity("c", role))
+    for number in range(limit + 1):
+        world.say("c", op="call_service", service="/check_goals", id=number)
+    assert len(started) == limit
+    (refused,) = world.heard("c")
+    assert (refused["id"], refused["result"]) == (limit, False)
+    assert f"the limit of its role is {limit}" in refused["values"]
+    started[0].succeed({})
+    world.say("c", op="call_service", service="/check_goals", id="next")
+    assert len(started) == limit + 1
+
+
+def test_a_client_that_has_left_is_answered_nothing() -> None:
+    world = InProcess()
+    started: list[Call] = []
+    world.graph.services.offer_calls(Node("slow"), "/slow", "std_srvs/srv/Trigger", started.append)
+    world.say("c", op="call_service", service="/slow")
+    client = world.client("c")
+    client.leave()
+    assert started[0].ended
+    assert not client.session.waiting
+
+
+def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
+    world = InProcess(Limits(max_calls_in_flight=1))
+    started: list[Call] = []
+    world.graph.services.offer_calls(Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append)
+    poses = {"poses": [{}] * 1500}
+    world.say("c", op="call_service", service="/check_goals", args=poses)
+    assert len(started) == 1
+    started[0].fail("busy")
+    world.say("c", op="call_service", service="/check_goals", args={})
+    assert len(started) == 2

@@ -4,8 +4,17 @@ import pytest
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.messages import Stamp
+from protocol.publication import LARGE_BYTES
 from protocol.registry import Registry
-from server.graph.message_types import MessageTypes
+from server.graph.message_types import (
+    BYTES_AT_ONCE,
+    FREE_VALUES,
+    ROS1_BYTES_AT_ONCE,
+    VALUES_AT_ONCE,
+    MessageTypes,
+    PostponedError,
+    ReceivedMessage,
+)
 
 REGISTRY = Registry.load()
 
@@ -70,3 +79,57 @@ def test_too_many_arguments_are_refused_with_the_names_there_are() -> None:
 def test_arguments_in_order_need_a_known_type() -> None:
     with pytest.raises(MessageError, match="as an object"):
         RELAYING.complete_arguments("acme_msgs/srv/Do_Request", [1])
+
+
+POSES = "geometry_msgs/msg/PoseArray"
+
+
+def test_a_small_message_of_a_client_is_completed_at_once() -> None:
+    received = ReceivedMessage({"poses": [{}] * 10}, 50)
+    assert len(STRICT.complete(POSES, received)["poses"]) == 10
+    assert received.cost_bytes == 50
+
+
+@pytest.mark.parametrize(
+    ("received", "why"),
+    [
+        (ReceivedMessage({"poses": [{}] * (VALUES_AT_ONCE // 7 + 1)}, 2000), "many values"),
+        (ReceivedMessage({"poses": []}, BYTES_AT_ONCE + 1), "many bytes"),
+        (ReceivedMessage({"poses": []}, ROS1_BYTES_AT_ONCE + 1, "ros1"), "to be translated"),
+    ],
+)
+def test_a_large_message_of_a_client_is_completed_in_the_background_first(received: ReceivedMessage, why: str) -> None:
+    with pytest.raises(PostponedError) as postponed:
+        STRICT.complete(POSES, received)
+    assert postponed.value.message is received
+    received.complete(STRICT, postponed.value.type_name)
+    assert STRICT.complete(POSES, received) is STRICT.complete(POSES, received)
+    assert received.cost_bytes >= LARGE_BYTES
+
+
+def test_a_message_that_was_completed_for_another_type_is_not_taken() -> None:
+    received = ReceivedMessage({"poses": []}, BYTES_AT_ONCE + 1)
+    received.complete(STRICT, POSES)
+    with pytest.raises(PostponedError):
+        STRICT.complete("geometry_msgs/msg/Polygon", received)
+
+
+def test_an_error_in_the_background_is_raised_when_the_message_is_used() -> None:
+    received = ReceivedMessage({"poses": [{"position": 1}]}, BYTES_AT_ONCE + 1)
+    received.complete(STRICT, POSES)
+    with pytest.raises(MessageError, match="position"):
+        STRICT.complete(POSES, received)
+
+
+def test_a_message_grows_by_what_came_and_a_little_no_more() -> None:
+    elements = FREE_VALUES // 7 + 1
+    received = ReceivedMessage({"poses": [{}] * elements}, 0)
+    with pytest.raises(MessageError, match=f"at most {FREE_VALUES} values"):
+        STRICT.complete(POSES, received)
+    longer = ReceivedMessage({"poses": [{}] * elements}, 7)
+    longer.complete(STRICT, POSES)
+    assert len(STRICT.complete(POSES, longer)["poses"]) == elements
+
+
+def test_messages_of_the_server_itself_are_completed_at_once_however_large() -> None:
+    assert len(STRICT.complete(POSES, {"poses": [{}] * FREE_VALUES})["poses"]) == FREE_VALUES

@@ -20,6 +20,16 @@ def test_the_first_end_is_told_once_to_all_in_order_of_asking() -> None:
     assert pending.ended
 
 
+def test_an_error_of_one_that_is_told_of_the_end_keeps_it_from_no_other(caplog: pytest.LogCaptureFixture) -> None:
+    heard: list[str] = []
+    pending: PendingRequest[str] = PendingRequest()
+    pending.when_ended(lambda _end: heard[1])
+    pending.when_ended(heard.append)
+    pending._end("stopped")
+    assert heard == ["stopped"]
+    assert "could not be told" in caplog.text
+
+
 INTERFACES = MessageTypes(Registry.load())
 SERVER, CLIENT, OTHER = Node("server"), Node("client", remote=True), Node("other", remote=True)
 

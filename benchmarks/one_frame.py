@@ -57,8 +57,8 @@ ADMIN_TOKEN = "0123456789abcdef"
 MAX_VIEW_BYTES = 1_048_576
 
 # In a search, a server that was held up for so long, or is so large, is replaced before the next attack.
-REPLACED_FROM_MS, REPLACED_FROM_MB = 500.0, 700.0
-TRIED_LARGER = 40
+REPLACED_FROM_MS, REPLACED_FROM_MB = 2000.0, 700.0
+TRIED_LARGER = 20
 SLOW_ENOUGH_MS = 2000.0
 
 

@@ -29,8 +29,8 @@ LARGER_SHAPES: tuple[Shape, ...] = (
 # Texts deeper than this are not made long: there are hundreds in a scene, and the server treats them alike.
 MAX_TEXT_DEPTH = 2
 
-# A list of a type is not looked for again deeper than this.
-MAX_DEPTH = 8
+# Lists deeper than this are not made long either: a scene has the same ones in several places.
+MAX_DEPTH = 4
 
 # An action without topics of actionlib, from which the types of the others are read.
 MORE_ACTIONS = {"/parallel_gripper_controller/gripper_cmd": "control_msgs/ParallelGripperCommand"}
@@ -41,7 +41,7 @@ _MARK = "@"
 
 @dataclass(frozen=True)
 class Interfaces:
-    """Services, topics and actions of a server, with their types."""
+    """Services, topics that the server has subscribed to, and actions of a server, with their types."""
 
     services: Mapping[str, str]
     topics: Mapping[str, str]
@@ -64,7 +64,7 @@ def ask_interfaces(ask: Callable[..., dict[str, Any]]) -> Interfaces:
     }
     return Interfaces(
         {name: ask("/rosapi/service_type", {"service": name})["type"] for name in services},
-        types,
+        {name: of for name, of in types.items() if ask("/rosapi/subscribers", {"topic": name})["subscribers"]},
         {**actions, **MORE_ACTIONS},
     )
 
@@ -137,7 +137,7 @@ def _long(path: Path, element: str | None, spell: Spell, size_bytes: int) -> str
 
 
 def _long_fields(registry: Registry, type_name: str, outer: Path = ()) -> Iterator[tuple[Path, str | None]]:
-    if len(outer) > MAX_DEPTH:
+    if len(outer) == MAX_DEPTH:
         return
     for field in registry.message(type_name).fields:
         here = (*outer, (field.name, field.array is not None))

@@ -57,8 +57,8 @@ ADMIN_TOKEN = "0123456789abcdef"
 MAX_VIEW_BYTES = 1_048_576
 
 # In a search, a server that was held up for so long, or is so large, is replaced before the next attack.
-REPLACED_FROM_MS, REPLACED_FROM_MB = 500.0, 700.0
-TRIED_LARGER = 40
+REPLACED_FROM_MS, REPLACED_FROM_MB = 2000.0, 700.0
+TRIED_LARGER = 20
 SLOW_ENOUGH_MS = 2000.0
 
 
@@ -113,6 +113,14 @@ class AttackedServer:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
+        try:
+            self._start()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def _start(self) -> None:
         enter = self._stack.enter_context
         folder = enter(tempfile.TemporaryDirectory(prefix="one_frame"))
         settings = {
@@ -127,19 +135,21 @@ class AttackedServer:
         self.server = enter(RunningServer(settings=settings))
         self._stack.callback(DrainedLog(self.server).close)
         self._process = psutil.Process(self.server.process.pid)
+        self._stack.callback(self._kill)
         time.sleep(WARM_UP_S)
         self._watcher = enter(ClientProcess(watch, self.server.url))
         self._attacker = enter(ClientProcess(attack, self.server.url))
         self._crowded = False
         self._rest(REST_TIMEOUT_S)
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        self._stack.close()
+
+    def _kill(self) -> None:
         # One that is held up takes no signal to end in good order.
         for process in (self._process, *self._process.children(recursive=True)):
             process.kill()
         self.server.process.wait()
-        self._stack.close()
 
     @property
     def admin_url(self) -> str:

@@ -70,12 +70,17 @@ class DisplayTopics:
             start_rad: position of every movable joint where the first one begins [rad].
         """
         root = self._robot.root_link
-        message = {
-            "model_id": self._robot.name,
-            "trajectory": [to_message(motion, root) for motion in motions],
-            "trajectory_start": state_message(dict(start_rad), root, 0.0),
-        }
-        self._graph.publish(self._node, PATH_TOPIC, message)
+        self.trajectories([to_message(motion, root) for motion in motions], state_message(dict(start_rad), root, 0.0))
+
+    def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
+        """Show planned motions, one after the other, that are written already.
+
+        Args:
+            trajectories: moveit_msgs/RobotTrajectory of each.
+            start: moveit_msgs/RobotState where the first one begins.
+        """
+        message = {"model_id": self._robot.name, "trajectory": list(trajectories), "trajectory_start": start}
+        self._graph.publish(self._node, PATH_TOPIC, message, as_it_is=True)
 
     def pipeline(self, request: Message, response: Message) -> None:
         """Publish a request to the planners and its response, if there are subscribers.

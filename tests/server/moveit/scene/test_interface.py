@@ -290,7 +290,7 @@ class Watched:
         return [published.msg for published in self.graph.subscribe(Node("client"), MONITORED_TOPIC, None, subscriber)]
 
     def add(self, name):
-        self.state.apply_collision_object(collision_object(**box(name)), BENT)
+        self.state.apply(self.state.collision_object(collision_object(**box(name))), BENT)
 
 
 def ids(message):
@@ -333,7 +333,7 @@ def test_a_change_that_is_reverted_in_time_is_not_published():
     watched.add("cup")
     watched.clock.advance(0.0)
     watched.add("pen")
-    watched.state.apply_collision_object(collision_object(id="pen", operation=1), BENT)
+    watched.state.apply(watched.state.collision_object(collision_object(id="pen", operation=1)), BENT)
     watched.clock.advance(PERIOD_S)
     assert len(watched.heard) == 1
 

@@ -99,14 +99,14 @@ def test_with_diff_does_not_change_the_scene():
 
 def test_a_world_replaces_the_one_before_and_keeps_attached_objects():
     state = scene_state(box("cup"), box("pen"))
-    state.apply_attached_object(held("cup"), BENT)
-    state.apply_world(message("PlanningSceneWorld", collision_objects=[box("new")]), BENT)
+    state.apply(state.attached_object(held("cup")), BENT)
+    state.apply(state.world(message("PlanningSceneWorld", collision_objects=[box("new")])), BENT)
     assert (list(state.contents.objects), list(state.contents.attached)) == (["new"], ["cup"])
 
 
 def test_single_objects_are_taken():
     state = SceneState(ROBOT)
-    state.apply_collision_object(collision_object(**box("cup")), None)
+    state.apply(state.collision_object(collision_object(**box("cup"))), None)
     assert [thing.name for thing in state.scene.objects] == ["cup"]
 
 
@@ -120,19 +120,22 @@ def test_single_objects_are_taken():
 )
 def test_names_that_are_taken_or_empty_are_refused(objects, code):
     state = scene_state()
-    state.apply_attached_object(held("held", **box("held")), BENT)
+    state.apply(state.attached_object(held("held", **box("held"))), BENT)
     assert rejection(state.apply_diff, diff(world={"collision_objects": objects}), BENT).code is code
 
 
 def test_an_unknown_touch_link_is_refused():
     state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
-    assert rejection(state.apply_attached_object, touching, BENT).code is MoveItErrorCode.INVALID_LINK_NAME
+    assert rejection(state.apply, state.attached_object(touching), BENT).code is MoveItErrorCode.INVALID_LINK_NAME
 
 
 def test_more_shapes_than_a_scene_holds_are_refused_bit_by_bit_as_well():
     half = [{"type": 2, "dimensions": [0.1]}] * (MAX_SHAPES // 2)
     state = scene_state({"id": "a", "primitives": half}, {"id": "b", "primitives": half})
-    assert rejection(state.apply_collision_object, collision_object(**box("c")), BENT).details["limit"] == MAX_SHAPES
+    assert (
+        rejection(state.apply, state.collision_object(collision_object(**box("c"))), BENT).details["limit"]
+        == MAX_SHAPES
+    )
 
 
 def test_a_scene_for_another_robot_is_taken_with_a_warning(caplog):

@@ -16,6 +16,7 @@ from benchmarks import (
     goal_latency,
     idle_connections,
     joint_states,
+    one_frame,
     page,
     planner_processes,
     planning,
@@ -49,6 +50,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "start": start.run,
     "idle_connections": idle_connections.run,
     "floods": floods.run,
+    "one_frame": one_frame.run,
     "soak": soak.run,
     "planning_scene_services": planning_scene_services.run,
 }

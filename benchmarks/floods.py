@@ -52,7 +52,7 @@ class Phase:
 def run(seconds: float = SECONDS, kinds: tuple[str, ...] = tuple(FLOODS)) -> None:
     """Flood a server in each way in turn."""
     with RunningServer() as server:
-        log = _Drained(server)
+        log = DrainedLog(server)
         process = psutil.Process(server.process.pid)
         time.sleep(WARM_UP_S)
         rows = [_measured(kind, server, process, seconds) for kind in kinds]
@@ -65,7 +65,7 @@ def run(seconds: float = SECONDS, kinds: tuple[str, ...] = tuple(FLOODS)) -> Non
     print(f"Goal: at most {GOAL:g} times the quiet p99, and memory that does not grow.")
 
 
-class _Drained:
+class DrainedLog:
     """Thread that trims the kept log lines of the server, which would grow in this process during a flood."""
 
     def __init__(self, server: RunningServer) -> None:

@@ -3,6 +3,7 @@
 ProtocolError
 ├── InterfaceError    a type name that the interface tables do not know
 ├── MessageError      a message that does not fit its type
+├── LargeMessageError a message that takes longer to complete than everybody may be kept waiting
 ├── OperationError    an operation that is unknown, incomplete or senseless
 │   └── NothingToDoError    one that withdraws what is not there
 └── FrameError        a frame that cannot be decoded
@@ -61,6 +62,13 @@ class MessageError(ProtocolError):
         # An index follows its field without a dot.
         separator = "" if not self.path or self.path.startswith("[") else "."
         return MessageError(self.wanted, self.got, f"{step}{separator}{self.path}")
+
+
+class LargeMessageError(ProtocolError):
+    """A message of more values than may be completed while everybody waits; complete it in the background."""
+
+    def __init__(self, type_name: str) -> None:
+        super().__init__(f"a message of type {type_name} is too large to be completed at once")
 
 
 class OperationError(ProtocolError):

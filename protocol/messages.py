@@ -27,12 +27,13 @@ from __future__ import annotations
 
 import functools
 import itertools
+import threading
 from binascii import b2a_base64
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from protocol import values
-from protocol.errors import MessageError, describe, shorten
+from protocol.errors import LargeMessageError, MessageError, describe, shorten
 from protocol.registry import ArrayBounds, Field, MessageType, Registry
 
 # Values of the elements of all lists of messages in one message. The largest mesh that is taken into a scene has half
@@ -40,30 +41,41 @@ from protocol.registry import ArrayBounds, Field, MessageType, Registry
 MAX_VALUES = 1_000_000
 
 
-class MessageBudget:
-    """Budget of one message, in values; messages are completed one after the other."""
-
-    __slots__ = ("_left",)
+class MessageBudget(threading.local):
+    """Budget of one message, in values; each thread completes its messages one after the other."""
 
     def __init__(self) -> None:
-        self._left = MAX_VALUES
+        self.renew("", MAX_VALUES, MAX_VALUES)
 
-    def renew(self) -> None:
-        """Begin with a message."""
-        self._left = MAX_VALUES
+    def renew(self, type_name: str, max_values: int, max_values_at_once: int) -> None:
+        """Begin with a message.
+
+        Args:
+            type_name: type of the message, for the error.
+            max_values: values that it may have.
+            max_values_at_once: values beyond which it is not completed now.
+        """
+        self._type_name = type_name
+        self._max_values = self._left = max_values
+        self._at_once_left = max_values_at_once
 
     def take(self, count: int) -> None:
         """Take so many values.
 
         Raises:
             MessageError: there are not so many left.
+            LargeMessageError: there are, but the message is too large to be completed at once.
         """
         self._left -= count
+        self._at_once_left -= count
         if self._left < 0:
-            raise MessageError(f"at most {MAX_VALUES} values in all lists of messages, as they are complete", "more")
+            wanted = f"at most {self._max_values} values in all lists of messages, as they are complete"
+            raise MessageError(wanted, "more")
+        if self._at_once_left < 0:
+            raise LargeMessageError(self._type_name)
 
 
-# One for all, for a message that is completed waits for nothing.
+# One for all of a thread, for a message that is completed waits for nothing.
 BUDGET = MessageBudget()
 
 
@@ -123,7 +135,14 @@ class _Shape(Protocol):
         """Return what stands in for a value that is missing; nothing of it is shared."""
 
 
-def complete(registry: Registry, type_name: str, value: object, received: Stamp) -> dict[str, Any]:
+def complete(
+    registry: Registry,
+    type_name: str,
+    value: object,
+    received: Stamp,
+    max_values: int = MAX_VALUES,
+    max_values_at_once: int = MAX_VALUES,
+) -> dict[str, Any]:
     """Validate a message and fill in what it leaves out.
 
     Missing fields get their defaults. A header that is omitted, or has no stamp, gets the time of receipt; a
@@ -134,16 +153,20 @@ def complete(registry: Registry, type_name: str, value: object, received: Stamp)
         type_name: name of a message type, in two parts or three.
         value: the message as it was decoded.
         received: the time of receipt.
+        max_values: values that the elements of all its lists of messages may have, at most `MAX_VALUES`.
+        max_values_at_once: such values beyond which the message is left to the background.
 
     Raises:
         InterfaceError: the type is unknown.
         MessageError: the value does not fit the type.
+        LargeMessageError: it has more values than are completed at once.
     """
-    BUDGET.renew()
-    quick = quick_way(registry, type_name)(value)
+    quick_function = quick_way(registry, type_name)
+    BUDGET.renew(type_name, max_values, max_values_at_once)
+    quick = quick_function(value)
     if quick is not None:
         return quick
-    BUDGET.renew()
+    BUDGET.renew(type_name, max_values, max_values_at_once)
     return _message_shape(registry, type_name).complete(value, received)
 
 

@@ -9,7 +9,7 @@ import functools
 import math
 import struct
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 from protocol.codecs import bson, cbor, cdr, json, png
@@ -28,6 +28,34 @@ _TEXT, _BINARY = 0x81, 0x82
 
 # In place of a length from 0 to 125: the length follows in two bytes, or in eight (RFC 6455, 5.2).
 _TWO_BYTE_LENGTH, _EIGHT_BYTE_LENGTH = 126, 127
+
+
+# Messages of this size on are encoded by a thread. The slowest encodings, those in Python, take 1 ms for 10 kB.
+LARGE_BYTES = 65_536
+
+# JSON of a value of a message: a number with its comma, and with the name of its field where it has one.
+_VALUE_BYTES = 12
+
+
+def encoding_cost_bytes(value: object) -> int:
+    """Estimate the JSON of a message, reading no further than `LARGE_BYTES` of it [bytes]."""
+    cost_bytes, stack = 0, [value]
+    while stack and cost_bytes < LARGE_BYTES:
+        each = stack.pop()
+        if type(each) is dict:
+            cost_bytes += len(each) * _VALUE_BYTES
+            stack.extend([member for member in each.values() if type(member) in _COSTLY])
+        elif type(each) is list:
+            cost_bytes += len(each) * _VALUE_BYTES
+            # Elements of a list are of one kind. A list of messages or texts counts as far as the limit.
+            if each and type(each[0]) in _COSTLY:
+                stack.extend(each[: LARGE_BYTES // _VALUE_BYTES])
+        elif type(each) is str or type(each) is bytes:
+            cost_bytes += len(each)
+    return min(cost_bytes, LARGE_BYTES)
+
+
+_COSTLY = frozenset((dict, list, str, bytes))
 
 
 class Frame(NamedTuple):
@@ -58,19 +86,51 @@ class EncodedMessage:
         frames: one frame, or the fragments of one, in order.
 
     Attributes:
-        frames: as given.
-        size_bytes: what it costs while it waits.
+        frames: as given; none while the message is still to be encoded, or when it cannot be.
+        size_bytes: what it costs while it waits; an estimate for a message that is encoded later.
+        ready: False while it is still to be encoded.
     """
 
-    __slots__ = ("_on_wire", "frames", "size_bytes")
+    __slots__ = ("_encode", "_on_wire", "frames", "ready", "size_bytes")
 
     def __init__(self, *frames: Frame) -> None:
         self.frames = frames
+        self.ready = True
         self.size_bytes = 0
         # One frame, as a message mostly has, is not worth the set-up of a sum.
         for frame in frames:
             self.size_bytes += len(frame.data) + FRAME_OVERHEAD_BYTES
         self._on_wire: bytes | None = None
+        self._encode: Callable[[], EncodedMessage] | None = None
+
+    @classmethod
+    def later(cls, encode: Callable[[], EncodedMessage], size_bytes: int) -> EncodedMessage:
+        """Return a message that :meth:`encode` is still to encode.
+
+        Args:
+            encode: returns it encoded.
+            size_bytes: estimate of its size.
+        """
+        encoded = cls()
+        encoded.ready = False
+        encoded.size_bytes = size_bytes
+        encoded._encode = encode
+        return encoded
+
+    def encode(self) -> None:
+        """Encode a message of :meth:`later`, in any thread; it is ready then, without frames when that fails.
+
+        Raises:
+            ProtocolError: the message cannot be encoded so.
+        """
+        if self._encode is None:
+            return
+        try:
+            encoded = self._encode()
+            self._on_wire, self.frames = encoded.on_wire, encoded.frames
+        finally:
+            self._encode = None
+            self.ready = True
 
     @property
     def on_wire(self) -> bytes:
@@ -118,9 +178,20 @@ class PublishedMessage:
         registry: where the type is looked up.
         received: when the message came.
         publisher: who published it, for those whom it concerns.
+        cost_bytes: what to encode it costs, as an amount of JSON [bytes]; None to find out.
     """
 
-    __slots__ = ("_by_key", "_encoded", "_registry", "msg", "publisher", "received", "topic", "type_name")
+    __slots__ = (
+        "_by_key",
+        "_cost_bytes",
+        "_encoded",
+        "_registry",
+        "msg",
+        "publisher",
+        "received",
+        "topic",
+        "type_name",
+    )
 
     def __init__(
         self,
@@ -130,12 +201,14 @@ class PublishedMessage:
         registry: Registry,
         received: Stamp,
         publisher: object = None,
+        cost_bytes: int | None = None,
     ) -> None:
         self.topic = topic
         self.type_name = type_name
         self.msg = msg
         self.publisher = publisher
         self._registry = registry
+        self._cost_bytes = cost_bytes
         self.received = received
         # Subscribers spell a topic with or without its leading slash: two spellings of each encoding and dialect.
         self._by_key: dict[_Key, EncodedMessage] = {}
@@ -144,10 +217,27 @@ class PublishedMessage:
 
     @property
     def size_bytes(self) -> int:
-        """Size of the message as it was encoded for subscribers; as JSON while it has none [bytes]."""
+        """Size of the message as it was encoded for subscribers; as JSON while it has none [bytes].
+
+        That of a large message is estimated.
+        """
+        if self.large:
+            return self.cost_bytes
         if not self._encoded:
             self._encoded["none", "ros2"] = self._encode("none", "ros2")
         return max(map(len, self._encoded.values()))
+
+    @property
+    def cost_bytes(self) -> int:
+        """Cost of encoding the message, as an amount of JSON, up to `LARGE_BYTES` where nobody has said it [bytes]."""
+        if self._cost_bytes is None:
+            self._cost_bytes = encoding_cost_bytes(self.msg)
+        return self._cost_bytes
+
+    @property
+    def large(self) -> bool:
+        """True for a message that is encoded later, for that takes longer than everybody may be kept waiting."""
+        return self.cost_bytes >= LARGE_BYTES
 
     def frame(self, spelled_topic: str, encoding: Encoding = "none", dialect: Dialect = "ros2") -> Frame:
         """Return the frame for subscribers that spell the topic like this and want this encoding and dialect.
@@ -155,19 +245,27 @@ class PublishedMessage:
         A message of a type that the registry does not know goes out as it came, and as ``cbor`` instead of
         ``cbor-raw``.
         """
-        return self.encoded(spelled_topic, encoding, dialect, None).frames[0]
+        encoded = self.encoded(spelled_topic, encoding, dialect, None)
+        encoded.encode()
+        return encoded.frames[0]
 
     def encoded(
         self, spelled_topic: str, encoding: Encoding, dialect: Dialect, fragment_size: int | None
     ) -> EncodedMessage:
         """Return the frame, or its fragments where it is longer than ``fragment_size`` [characters].
 
+        A large message is not ready yet: it is still to be encoded.
+
         The other arguments are those of :meth:`frame`.
         """
         key = spelled_topic, encoding, dialect, fragment_size
         encoded = self._by_key.get(key)
         if encoded is None:
-            encoded = self._by_key[key] = self._pack(key)
+            if self.large:
+                encoded = EncodedMessage.later(functools.partial(self._pack, key), self.cost_bytes)
+            else:
+                encoded = self._pack(key)
+            self._by_key[key] = encoded
         return encoded
 
     def _pack(self, key: _Key) -> EncodedMessage:
@@ -175,11 +273,11 @@ class PublishedMessage:
         if fragment_size is None:
             return EncodedMessage(self._frame(spelled_topic, encoding, dialect))
         # All clients get the fragments under this id, which no other frame has.
-        return pack(self.frame(spelled_topic, encoding, dialect), fragment_size, uuid.uuid4().hex)
+        return pack(self._frame(spelled_topic, encoding, dialect), fragment_size, uuid.uuid4().hex)
 
     def _frame(self, spelled_topic: str, encoding: Encoding, dialect: Dialect) -> Frame:
         if encoding == "png":
-            picture = png.encode(self.frame(spelled_topic, "none", dialect).data)
+            picture = png.encode(self._frame(spelled_topic, "none", dialect).data)
             return Frame(json.encode({"op": "png", "data": picture}), text=True)
         encoded_msg = self._encoded.get((encoding, dialect))
         if encoded_msg is None:

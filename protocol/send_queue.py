@@ -46,11 +46,19 @@ class SendQueue:
         self._topic_data: OrderedDict[int, tuple[EncodedMessage, Subscription]] = OrderedDict()
         self._topic_bytes = 0
         self._waiting: dict[Subscription, deque[int]] = {}
+        # Messages that hold up those behind them until they are encoded, and those whose encoding has not begun.
+        self._unready: set[EncodedMessage] = set()
+        self._to_encode: list[EncodedMessage] = []
 
     @property
     def empty(self) -> bool:
         """True when nothing waits."""
         return not self._topic_data and not self._replies
+
+    @property
+    def reply_bytes(self) -> int:
+        """Size of the replies that wait [bytes]."""
+        return self._reply_bytes
 
     @property
     def size_bytes(self) -> int:
@@ -62,6 +70,7 @@ class SendQueue:
         if self._reply_bytes and self._reply_bytes + encoded.size_bytes > self._limits.max_queued_reply_bytes:
             self.overflowed = True
             return
+        self._note_unready(encoded)
         self._replies[next(self._sequence)] = encoded
         self._reply_bytes += encoded.size_bytes
 
@@ -74,6 +83,7 @@ class SendQueue:
         size_bytes = self._request_bytes + encoded.size_bytes
         if self._requests and size_bytes > self._limits.max_queued_request_bytes:
             return False
+        self._note_unready(encoded)
         sequence = next(self._sequence)
         self._replies[sequence] = encoded
         self._requests.add(sequence)
@@ -84,6 +94,7 @@ class SendQueue:
         """Queue topic data that its subscription has admitted, and drop what is then too much."""
         while 0 < subscription.queue_length <= len(self._waiting.get(subscription, ())):
             self._drop(self._waiting[subscription][0])
+        self._note_unready(encoded)
         sequence = next(self._sequence)
         self._waiting.setdefault(subscription, deque()).append(sequence)
         self._topic_data[sequence] = encoded, subscription
@@ -91,6 +102,16 @@ class SendQueue:
         # The newest always stays, even one that is larger than the bound: else it could never be delivered.
         while self._topic_bytes > self._limits.max_queued_topic_bytes and len(self._topic_data) > 1:
             self._drop(next(iter(self._topic_data)))
+
+    def take_unready(self) -> list[EncodedMessage]:
+        """Take the messages that are still to be encoded; each is returned once."""
+        to_encode, self._to_encode = self._to_encode, []
+        return to_encode
+
+    def _note_unready(self, encoded: EncodedMessage) -> None:
+        if not encoded.ready:
+            self._unready.add(encoded)
+            self._to_encode.append(encoded)
 
     def take_due(self, now: float, budget_bytes: int) -> list[Frame]:
         """Take out what may leave now, in order of queuing, until the budget is used up.
@@ -104,6 +125,8 @@ class SendQueue:
         due: list[Frame] = []
         taken_bytes = 0
         for sequence in self._due(now):
+            if self._unready and self._waits_for_encoding(sequence):
+                break
             encoded = self._take_reply(sequence) if sequence in self._replies else self._take_sent(sequence, now)
             taken_bytes += encoded.size_bytes
             due += encoded.frames
@@ -112,7 +135,14 @@ class SendQueue:
         return due
 
     def next_due(self, now: float) -> float | None:
-        """Return when the next message may leave [s]: `now` when one is due, None when nothing waits."""
+        """Return when the next message may leave [s]: `now` when one is due, None when nothing waits.
+
+        None as well when the first that is due is still to be encoded.
+        """
+        if self._unready:
+            first = next(self._due(now), None)
+            if first is not None and self._waits_for_encoding(first):
+                return None
         if self._replies:
             return now
         return min((max(now, subscription.due_s) for subscription in self._waiting), default=None)
@@ -120,7 +150,7 @@ class SendQueue:
     def _take_only(self, now: float) -> list[Frame]:
         """Take out the one message that waits, as mostly with a client that keeps up, if it may leave."""
         ((sequence, (encoded, subscription)),) = self._topic_data.items()
-        if not subscription.closed and not subscription.due_count(1, now):
+        if not subscription.closed and not (encoded.ready and subscription.due_count(1, now)):
             return []
         self._take(sequence)
         subscription.sent(now)
@@ -135,6 +165,11 @@ class SendQueue:
             if count:
                 lanes.append(list(itertools.islice(waiting, count)))
         return iter(lanes[0]) if len(lanes) == 1 else heapq.merge(*lanes)
+
+    def _waits_for_encoding(self, sequence: int) -> bool:
+        encoded = self._replies[sequence] if sequence in self._replies else self._topic_data[sequence][0]
+        self._unready = {each for each in self._unready if not each.ready}
+        return not encoded.ready
 
     def _forget_closed(self) -> None:
         for subscription in [one for one in self._waiting if one.closed]:

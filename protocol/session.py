@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from protocol import framing, operations
 from protocol.codecs import bson, json, png
@@ -20,7 +20,7 @@ from protocol.errors import FrameError, OperationError
 from protocol.framing import FrameReader
 from protocol.limits import Limits
 from protocol.operations import Fragment, Operation, Png
-from protocol.publication import EncodedMessage, Encoding, Frame, PublishedMessage, pack
+from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
 from protocol.send_queue import SendQueue
 from protocol.subscriptions import Publications, Subscription, Subscriptions
 
@@ -30,8 +30,8 @@ SEND_BUDGET_BYTES = 65_536
 # A client that is too slow gets slower by every message about it.
 DROPS_TOLD_EVERY_S = 1.0
 
-# Operations that hold another one.
-_PACKED = (Fragment, Png)
+# Returns the fields of an operation whose message is large.
+LaterFields: TypeAlias = Callable[[], Mapping[str, Any]]
 
 # Each level tells what the ones before it tell.
 LEVELS = ("none", "error", "warning", "info")
@@ -50,6 +50,33 @@ class Refusal:
     op: str | None
     id: str | int | None
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """Operation that is packed into another one; to unpack it takes a while.
+
+    Attributes:
+        packing: the operation that holds it.
+        data: text or base64 text that :meth:`Session.unpack` reads.
+    """
+
+    packing: Fragment | Png
+    data: str
+
+    @property
+    def op(self) -> str:
+        """Name of the operation that holds it."""
+        return self.packing.op
+
+    @property
+    def id(self) -> str | int | None:
+        """Id of the operation that holds it."""
+        return self.packing.id
+
+
+# A client's next operations wait while replies of this share of their bound wait to be read.
+CONGESTED_SHARE = 0.25
 
 
 class Session:
@@ -87,11 +114,12 @@ class Session:
 
     # What comes from the client.
 
-    def receive_frame(self, frame: str | bytes, now: float) -> list[Operation | Refusal]:
+    def receive_frame(self, frame: str | bytes, now: float) -> list[Operation | Refusal | Packed]:
         """Read one frame; text and binary frames carry the same JSON, binary ones BSON as well.
 
-        Carry out the operations in this order, and log the refusals; the connection lives on after each of
-        them. Nothing that a client sends makes this raise.
+        Carry out the operations in this order, unpack what is packed in its place, and log the refusals; the
+        connection lives on after each of them. Nothing that a client sends makes this raise. A thread may read a
+        long frame, while no other frame of this client is read.
 
         Args:
             frame: as it came.
@@ -107,27 +135,31 @@ class Session:
             return self._read(found[0], now)
         return [item for value in found for item in self._read(value, now)]
 
-    def _read(self, value: object, now: float) -> list[Operation | Refusal]:
-        item = self._parse(value)
-        if not isinstance(item, _PACKED):
-            return [item]
+    def unpack(self, packed: Packed) -> Operation | Refusal:
+        """Read what was packed into fragments or a picture, in any thread."""
+        packing = packed.packing
         try:
-            packed = self._packed(item, now)
-            inner = None if packed is None else json.decode(packed)
-        except OperationError as error:
-            return [Refusal(error.op, item.id, str(error))]
+            value = json.decode(png.decode(packed.data) if isinstance(packing, Png) else packed.data)
         except FrameError as error:
-            return [Refusal(item.op, item.id, f"{item.op}: field data: {error}")]
-        return [] if packed is None else [self._read_packed(inner, item)]
-
-    def _read_packed(self, value: object, packing: Fragment | Png) -> Operation | Refusal:
-        """Read what was packed into fragments or a picture."""
+            return Refusal(packing.op, packing.id, f"{packing.op}: field data: {error}")
         item = self._parse(value)
         # Fragments of fragments serve nobody, and each layer would cost the work of a whole message.
         if isinstance(item, Fragment | Png):
             problem = f"{packing.op}: field data: wanted an operation inside, got another {item.op}"
             return Refusal(packing.op, packing.id, problem)
         return item
+
+    def _read(self, value: object, now: float) -> list[Operation | Refusal | Packed]:
+        item = self._parse(value)
+        if isinstance(item, Png):
+            return [Packed(item, item.data)]
+        if not isinstance(item, Fragment):
+            return [item]
+        try:
+            text = self._reassembly.add(item, now)
+        except OperationError as error:
+            return [Refusal(error.op, item.id, str(error))]
+        return [] if text is None else [Packed(item, text)]
 
     def _parse(self, value: object) -> Operation | Refusal:
         if isinstance(value, FrameError):
@@ -139,9 +171,6 @@ class Session:
         if operation.fragment_size is not None:
             self._fragment_size = operation.fragment_size
         return operation
-
-    def _packed(self, operation: Fragment | Png, now: float) -> str | bytes | None:
-        return png.decode(operation.data) if isinstance(operation, Png) else self._reassembly.add(operation, now)
 
     # What goes to the client.
 
@@ -175,30 +204,36 @@ class Session:
             encoding = "bson"
         size = subscription.fragment_size or self._fragment_size
         encoded = published.encoded(subscription.spelled_topic, encoding, self.dialect, size)
-        if subscription.paced or not self._send_queue.empty or not send_at_once(encoded):
+        at_once = encoded.ready and not subscription.paced and self._send_queue.empty
+        if not at_once or not send_at_once(encoded):
             self._send_queue.put_topic_data(subscription, encoded)
             return True
         return False
 
-    def reply(self, fields: Mapping[str, Any]) -> None:
+    def reply(self, fields: Mapping[str, Any] | LaterFields) -> None:
         """Queue an operation, which is never dropped; afterwards look at `overflowed`.
 
         Args:
-            fields: the operation, with the values of its message in the client's dialect.
+            fields: the operation, with the values of its message in the client's dialect; for a large one a function
+                that returns it, called by :meth:`EncodedMessage.encode`.
         """
         self._send_queue.put_reply(self._encode_message(fields))
 
-    def ask(self, fields: Mapping[str, Any]) -> bool:
-        """Queue a call or goal of somebody else, which is never dropped.
+    def ask(self, fields: Mapping[str, Any] | LaterFields) -> bool:
+        """Queue a call or goal of somebody else, which is never dropped; ``fields`` as in :meth:`reply`.
 
         Returns:
             False when too much of it waits already: then nothing is queued.
         """
         return self._send_queue.put_request(self._encode_message(fields))
 
-    def feedback(self, fields: Mapping[str, Any]) -> None:
-        """Queue an action_feedback, which is dropped when the client reads too slowly."""
+    def feedback(self, fields: Mapping[str, Any] | LaterFields) -> None:
+        """Queue an action_feedback, dropped when the client reads too slowly; ``fields`` as in :meth:`reply`."""
         self._send_queue.put_topic_data(self._feedback, self._encode_message(fields))
+
+    def take_unready(self) -> list[EncodedMessage]:
+        """Take the queued messages that are still to be encoded, by a thread; each is returned once."""
+        return self._send_queue.take_unready()
 
     def status(self, level: Literal["error", "warning", "info"], text: str, mark: str | int | None) -> None:
         """Queue a status message, if the client has asked for this level.
@@ -248,6 +283,11 @@ class Session:
         return self._reader.last_was_bson
 
     @property
+    def congested(self) -> bool:
+        """True while so many replies wait that the client's next operations had better wait for them to be read."""
+        return self._send_queue.reply_bytes > CONGESTED_SHARE * self.limits.max_queued_reply_bytes
+
+    @property
     def overflowed(self) -> bool:
         """True when replies have piled up beyond ``max_queued_reply_bytes``: close the connection."""
         return self._send_queue.overflowed
@@ -270,8 +310,11 @@ class Session:
             return Frame(bson.encode(fields), text=False)
         return Frame(json.encode(fields), text=True)
 
-    def _encode_message(self, fields: Mapping[str, Any]) -> EncodedMessage:
-        return pack(self._encode(fields), self._fragment_size, f"reply:{next(self._fragment_ids)}")
+    def _encode_message(self, fields: Mapping[str, Any] | LaterFields) -> EncodedMessage:
+        fragment_size, mark = self._fragment_size, f"reply:{next(self._fragment_ids)}"
+        if isinstance(fields, Mapping):
+            return pack(self._encode(fields), fragment_size, mark)
+        return EncodedMessage.later(lambda: pack(self._encode(fields()), fragment_size, mark), LARGE_BYTES)
 
 
 def with_id(fields: dict[str, Any], mark: str | int | None) -> dict[str, Any]:

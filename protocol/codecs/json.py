@@ -13,6 +13,7 @@ from typing import Any, AnyStr
 
 import orjson
 
+from protocol.codecs.long_json import PIECE_BYTES, decode_in_pieces
 from protocol.errors import FrameError
 
 # The deepest message of the interface tables nests 15 levels; a service and its envelope add three.
@@ -35,8 +36,10 @@ def decode(frame: str | bytes) -> object:
         frame: JSON text; bytes are UTF-8.
 
     Raises:
-        FrameError: invalid UTF-8, not JSON, or nested deeper than `MAX_NESTING_DEPTH`.
+        FrameError: invalid UTF-8, not JSON, nested deeper than `MAX_NESTING_DEPTH`, or too many lists and objects.
     """
+    if len(frame) > 2 * PIECE_BYTES:
+        return decode_in_pieces(_utf8(frame), _decode_piece, MAX_NESTING_DEPTH)
     try:
         # It takes bytes as they came and checks their UTF-8 on the way.
         value = orjson.loads(frame)
@@ -60,19 +63,33 @@ def encode(value: object) -> bytes:
     return _NOT_ASCII.sub(lambda run: json.dumps(run[0])[1:-1], encoded.decode()).encode("ascii")
 
 
-def _text(frame: str | bytes) -> str:
+def _decode_piece(piece: bytes, offset: int) -> object:
     try:
-        return frame.decode() if isinstance(frame, bytes) else str(frame.encode(), "utf-8")
-    except UnicodeDecodeError as error:
-        raise FrameError("invalid UTF-8", error.start) from error
+        return orjson.loads(piece)
+    except orjson.JSONDecodeError as error:
+        return _decode_beyond_json(_text(piece), error, offset)
+
+
+def _utf8(frame: str | bytes) -> bytes:
+    if isinstance(frame, bytes):
+        return frame
+    try:
+        return frame.encode()
     except UnicodeEncodeError as error:
         raise FrameError("text with a lone surrogate", error.start) from error
 
 
-def _decode_beyond_json(text: str, strict_error: orjson.JSONDecodeError) -> object:
+def _text(frame: str | bytes) -> str:
+    try:
+        return _utf8(frame).decode()
+    except UnicodeDecodeError as error:
+        raise FrameError("invalid UTF-8", error.start) from error
+
+
+def _decode_beyond_json(text: str, strict_error: orjson.JSONDecodeError, offset: int = 0) -> object:
     """Decode text that strict JSON refused, if only for its ``NaN`` and ``Infinity``."""
     # The strict error is reported in every case: the lenient one would name a place further on.
-    not_json = FrameError(f"not JSON, {strict_error.msg}", strict_error.pos)
+    not_json = FrameError(f"not JSON, {strict_error.msg}", strict_error.pos + offset)
     if "NaN" not in text and "Infinity" not in text:
         raise not_json
     try:

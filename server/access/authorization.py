@@ -150,6 +150,23 @@ SERVICES: Mapping[str, Rule] = {
     "/set_planner_params": CONFIGURING,
 }
 
+# Services whose answer takes a planner; the calls of one client that wait for it are limited.
+PLANNING_SERVICES = frozenset(
+    (
+        "/check_goals",
+        "/check_state_validity",
+        "/compute_cartesian_path",
+        "/compute_ik",
+        "/plan_kinematic_path",
+        "/plan_sequence_path",
+    )
+)
+
+# Names that stop the arm: they go ahead of everything that waits. On the topic for events only one of them does.
+STOP_SERVICES = frozenset(("/arm/emergency_stop", "/arm/stop", "/servo_node/stop_servo"))
+STOP_TOPICS = frozenset(("/emergency_stop", "/stop", "/trajectory_execution_event"))
+EVENT_TOPIC, STOP_EVENT = "/trajectory_execution_event", "stop"
+
 # Rules of publishing; to subscribe needs LOOKING alone.
 TOPICS: Mapping[str, Rule] = {
     "/arm/speed_factor": SWITCHING,

@@ -34,11 +34,24 @@ from protocol.operations import (
     qualify,
 )
 from protocol.publication import PublishedMessage
-from protocol.session import Refusal, with_id
+from protocol.session import Packed, Refusal, with_id
+from server.access.authorization import (
+    EVENT_TOPIC,
+    PLANNING_SERVICES,
+    STOP_EVENT,
+    STOP_SERVICES,
+    STOP_TOPICS,
+    rule_of_action,
+    rule_of_service,
+    rule_of_topic,
+)
+from server.access.permissions import Role
 from server.errors import GraphError
 from server.gateway.client_auth import AuthContext, ClientAuth
 from server.gateway.client_context import ClientContext
+from server.gateway.inbox import Inbox, Reader, Scheduling
 from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.services import Call, Response
 from server.graph.topics import Subscriber
 
@@ -47,6 +60,10 @@ log = logging.getLogger("armbridge.gateway")
 # rosbridge_server's lifespan of messages that are published without latch (rosbridge_library, internal/publishers.py):
 # clients publish right after they have advertised, when nobody has had the time to subscribe.
 LIFESPAN_S = 1.0
+
+# Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,
+# each for up to seconds.
+MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.OPERATE: 64, Role.ADMIN: 64}
 
 
 class ClientTopics:
@@ -83,21 +100,21 @@ class ClientTopics:
         if implicit or self._session.publications.remove(operation.topic, operation.id):
             self._graph.unadvertise(self._node, topic)
 
-    def publish(self, operation: Publish) -> None:
+    def publish(self, operation: Publish, message: ReceivedMessage) -> None:
         """Publish a message."""
+        received = self._client.translator.from_client(message)
         topic = qualify(operation.topic)
-        message = self._message(topic, operation)
-        self._graph.publish(self._node, topic, message, latch=operation.latch, lifespan_s=LIFESPAN_S)
+        self._graph.publish(self._node, topic, received, latch=operation.latch, lifespan_s=LIFESPAN_S)
 
     def reject(self, operation: Publish, problem: str) -> None:
         """Have the topic's owner answer a message that the client may not publish."""
+        received = self._client.translator.from_client(ReceivedMessage(operation.msg, 0))
         topic = qualify(operation.topic)
-        self._graph.turn_away(self._node, topic, self._message(topic, operation), problem)
-
-    def _message(self, topic: str, operation: Publish) -> object:
-        if self._session.dialect == "ros1":
-            return self._client.translator.from_client(self._graph.topic_type(topic), operation.msg)
-        return operation.msg
+        try:
+            self._graph.turn_away(self._node, topic, received, problem)
+        except PostponedError:
+            # Of what is so large nothing is answered but that it is refused.
+            self._graph.turn_away(self._node, topic, None, problem)
 
     def subscribe(self, operation: Subscribe) -> None:
         """Subscribe to a topic; messages that were published before the subscription follow at once."""
@@ -155,6 +172,7 @@ class ClientServices:
         self._requested: dict[str | int | None, Call] = {}
         self._numbers = itertools.count(1)
         self._calls_in_flight = 0
+        self._planning_calls = 0
 
     # As a provider.
 
@@ -190,20 +208,17 @@ class ClientServices:
         id_ = f"service_request:{spelled_service}:{next(self._numbers)}"
         self._requested[id_] = call
         call.when_ended(lambda _response: self._requested.pop(id_))
-        arguments = self._client.translator.to_client(f"{call.type_name}_Request", call.request)
-        if not self._client.send_request(
-            {"op": "call_service", "id": id_, "service": spelled_service, "args": arguments}
-        ):
+        fields = {"op": "call_service", "id": id_, "service": spelled_service, "args": call.request}
+        if not self._client.send_request(fields, f"{call.type_name}_Request"):
             call.fail(f"Service {call.service}: its provider does not read its calls quickly enough")
 
-    def respond(self, operation: ServiceResponse) -> None:
+    def respond(self, operation: ServiceResponse, message: ReceivedMessage) -> None:
         """Answer a call that the client got."""
         call = self._requested.get(operation.id)
         if call is None:
             raise OperationError(operation.op, "id", "no call of this id waits for a response")
         if operation.result:
-            values = {} if operation.values is None else operation.values
-            call.succeed(self._client.translator.from_client(f"{call.type_name}_Response", values))
+            call.succeed(self._client.translator.from_client(message))
         else:
             call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
 
@@ -221,23 +236,28 @@ class ClientServices:
         fields = {"op": "service_response", "service": operation.service, "values": problem, "result": False}
         self._client.send(with_id(fields, id_))
 
-    def call(self, operation: CallService) -> None:
-        """Call a service."""
+    def call(self, operation: CallService, message: ReceivedMessage) -> None:
+        """Call a service.
+
+        Raises:
+            PostponedError: the request is to be completed in the background first.
+        """
         name, id_ = _name_and_id(operation)
         self._client.translator.detect_dialect(operation.type, "srv")
-        type_name = self._services.type_of(name)
+        type_name, plans = self._services.type_of(name), name in PLANNING_SERVICES
 
         def answer(response: Response) -> None:
-            values = (
-                self._client.translator.to_client(f"{type_name}_Response", response.values)
-                if response.ok
-                else response.values
-            )
-            fields = {"op": "service_response", "service": operation.service, "values": values, "result": response.ok}
-            self._client.send(with_id(fields, id_))
+            fields = {
+                "op": "service_response",
+                "service": operation.service,
+                "values": response.values,
+                "result": response.ok,
+            }
+            self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Response" if response.ok else "")
 
         def end(response: Response) -> None:
             self._calls_in_flight -= 1
+            self._planning_calls -= plans
             if response.reason:
                 self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
             answer(response)
@@ -245,9 +265,23 @@ class ClientServices:
         if self._calls_in_flight >= self._limits.max_calls_in_flight:
             answer(Response(ok=False, values=f"{self._calls_in_flight} calls of this client wait, which is the limit"))
             return
+        if plans and self._planning_calls >= (limit := self._max_planning_calls()):
+            problem = f"{self._planning_calls} calls of this client that plan wait, the limit of its role is {limit}"
+            answer(Response(ok=False, values=problem))
+            return
         self._calls_in_flight += 1
-        arguments = self._client.translator.from_client(f"{type_name}_Request", operation.args)
-        self._services.call(self._node, name, arguments, end, operation.timeout, self._client.translator.dialect)
+        self._planning_calls += plans
+        arguments, spelling = self._client.translator.from_client(message), self._client.translator.dialect
+        try:
+            self._services.call(self._node, name, arguments, end, operation.timeout, spelling)
+        except PostponedError:
+            self._calls_in_flight -= 1
+            self._planning_calls -= plans
+            raise
+
+    def _max_planning_calls(self) -> int:
+        identity = self._node.identity
+        return MAX_PLANNING_CALLS[Role.VIEW if identity is None else identity.role]
 
 
 def _name_and_id(operation: CallService) -> tuple[str, str | int | None]:
@@ -312,26 +346,24 @@ class ClientActions:
             "id": id_,
             "action": offer.action,
             "action_type": offer.type,
-            "args": self._client.translator.to_client(f"{goal.type_name}_Goal", goal.request),
+            "args": goal.request,
             "feedback": True,
         }
-        if not self._client.send_request(fields):
+        if not self._client.send_request(fields, f"{goal.type_name}_Goal"):
             goal.fail(f"Action {goal.action}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
             return
         goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": offer.action}))
 
-    def report_feedback(self, operation: ActionFeedback) -> None:
+    def report_feedback(self, operation: ActionFeedback, message: ReceivedMessage) -> None:
         """Pass feedback on a goal of the client on to its sender."""
-        goal = self._goal(operation)
-        goal.feedback(self._client.translator.from_client(f"{goal.type_name}_Feedback", operation.values))
+        self._goal(operation).feedback(self._client.translator.from_client(message))
 
-    def finish(self, operation: ActionResult) -> None:
+    def finish(self, operation: ActionResult, message: ReceivedMessage) -> None:
         """End a goal of the client with its result."""
         goal = self._goal(operation)
         if operation.result:
             status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
-            values = {} if operation.values is None else operation.values
-            goal.finish(status, self._client.translator.from_client(f"{goal.type_name}_Result", values))
+            goal.finish(status, self._client.translator.from_client(message))
         else:
             values = f"Action {goal.action} failed" if operation.values is None else operation.values
             goal.fail(values, operation.status)
@@ -350,29 +382,32 @@ class ClientActions:
 
     # As a sender.
 
-    def send_goal(self, operation: SendActionGoal) -> None:
+    def send_goal(self, operation: SendActionGoal, message: ReceivedMessage) -> None:
         """Send a goal."""
         self._client.translator.detect_dialect(operation.action_type, "action")
         name = qualify(operation.action)
         type_name = self._actions.type_of(name)
 
         def on_result(result: Result) -> None:
-            values = (
-                self._client.translator.to_client(f"{type_name}_Result", result.values) if result.ok else result.values
-            )
-            fields = {"op": "action_result", "action": operation.action, "values": values, "status": int(result.status)}
-            self._client.send(with_id({**fields, "result": result.ok}, operation.id))
+            fields = {
+                "op": "action_result",
+                "action": operation.action,
+                "values": result.values,
+                "status": int(result.status),
+                "result": result.ok,
+            }
+            message_type = f"{type_name}_Result" if result.ok else ""
+            self._client.send_message(with_id(fields, operation.id), "values", message_type)
 
-        def on_feedback(message: dict[str, Any]) -> None:
-            values = self._client.translator.to_client(f"{type_name}_Feedback", message)
-            fields = {"op": "action_feedback", "action": operation.action, "values": values}
-            self._client.send_feedback(with_id(fields, operation.id))
+        def on_feedback(feedback: dict[str, Any]) -> None:
+            fields = {"op": "action_feedback", "action": operation.action, "values": feedback}
+            self._client.send_feedback(with_id(fields, operation.id), f"{type_name}_Feedback")
 
         if len(self._sent) >= self._limits.max_calls_in_flight:
             problem = f"{len(self._sent)} goals of this client are on their way, which is the limit"
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
             return
-        arguments = self._client.translator.from_client(f"{type_name}_Goal", operation.args)
+        arguments = self._client.translator.from_client(message)
         listener = on_feedback if operation.feedback else None
         goal = self._actions.send_goal(self._node, name, operation.action_type, arguments, on_result, listener)
         if goal is not None and not goal.ended:
@@ -397,61 +432,115 @@ class Client:
     Args:
         context: the parts that its topics, services, actions and authentication share.
         auth: authentication as its connection provides it.
+        scheduling: turns and threads, which all clients share.
+        reader: the client's socket.
 
     Attributes:
         node: the client in the graph.
         session: state of the protocol.
         status: its status messages.
+        inbox: what waits to be carried out.
         received_messages: frames received.
     """
 
-    def __init__(self, context: ClientContext, auth: AuthContext) -> None:
+    def __init__(self, context: ClientContext, auth: AuthContext, scheduling: Scheduling, reader: Reader) -> None:
         self.node = context.node
         self.session = context.session
         self.status = context.status
         self.received_messages = 0
         self._graph = context.graph
-        self._clock = context.clock
         self._authorizer = auth.access.authorizer(context.node)
         self._topics = ClientTopics(context)
         self._services = ClientServices(context)
         self._actions = ClientActions(context)
         self._auth = ClientAuth(context, auth, self._authorizer)
+        self.inbox = Inbox(self, context.session, context.graph.message_types, scheduling, reader, context.clock)
 
     def receive_frame(self, frame: str | bytes) -> None:
-        """Carry out the operations in a frame; nothing in it can raise."""
+        """Take a frame, to be carried out in the client's turn; nothing in it can raise."""
         self.received_messages += 1
-        # Until a client has authenticated, nothing else is read of it.
-        if self.node.identity is None and not self._auth.check_first_frame(frame):
-            return
-        items = self.session.receive_frame(frame, self._clock())
-        if self.node.identity is None and not self._auth.check_first_operation(items):
-            return
-        for item in items:
-            if isinstance(item, Refusal):
-                self._refuse(item)
-            else:
-                self._receive_operation(item)
-            if self.node.identity is None:
-                return
+        self.inbox.receive_frame(frame)
 
     def leave(self) -> None:
         """Take the client out of the graph."""
+        self.inbox.close()
         self._authorizer.leave()
         self._graph.remove(self.node)
         if self.session.dropped:
             log.warning("%s: %d messages were dropped because it read too slowly", self.node, self.session.dropped)
 
-    def _receive_operation(self, operation: Operation) -> None:
+    # As the inbox's handler.
+
+    @property
+    def identified(self) -> bool:
+        """False while nothing but the op ``auth`` is read of the client."""
+        return self.node.identity is not None
+
+    def admit_frame(self, frame: str | bytes) -> bool:
+        """Check a frame before it is read; return False when it is not to be read."""
+        return self.identified or self._auth.check_first_frame(frame)
+
+    def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
+        """Check the operations of a frame of a client that is not identified; return False for none of them."""
+        return self._auth.check_first_operation(items)
+
+    def is_stop(self, operation: Operation) -> bool:
+        """Return True for an operation that stops the arm."""
+        match operation:
+            case Publish():
+                name = qualify(operation.topic)
+                return name in STOP_TOPICS and (name != EVENT_TOPIC or operation.msg.get("data") == STOP_EVENT)
+            case CallService():
+                return qualify(operation.service.partition("#")[0]) in STOP_SERVICES
+            case _:
+                return False
+
+    def is_driving(self, operation: Operation) -> bool:
+        """Return True for an operation that may move the arm."""
+        match operation:
+            case Publish():
+                return rule_of_topic(qualify(operation.topic)).drives
+            case CallService():
+                return rule_of_service(qualify(operation.service.partition("#")[0])).drives
+            case SendActionGoal():
+                return rule_of_action(qualify(operation.action)).drives
+            case _:
+                return False
+
+    def carry_out(self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None) -> None:
+        """Carry an operation out, or tell of a refusal; as `OperationHandler.carry_out`."""
+        if isinstance(item, Refusal):
+            self._refuse(item)
+        else:
+            self._carry_out(item, message or _message_of(item, size_bytes))
+        if self.node.identity is None:
+            self.inbox.close()
+
+    def reject(self, operation: Operation, reason: str) -> None:
+        """Tell of an operation that is not carried out; an operation with an answer gets it."""
+        self.status.reject(operation, reason)
+        match operation:
+            case Publish():
+                self._topics.reject(operation, reason)
+            case CallService():
+                self._services.reject(operation, reason)
+            case SendActionGoal():
+                self._actions.reject(operation, reason)
+            case _:
+                pass
+
+    def _carry_out(self, operation: Operation, message: ReceivedMessage) -> None:
         dialect = self.session.dialect
         try:
             refusal = self._authorizer.refusal(operation)
             if refusal is not None:
-                self._reject(operation, refusal)
+                self.reject(operation, refusal)
                 return
-            self._carry_out(operation)
+            self._serve(operation, message)
         except (ProtocolError, GraphError) as error:
             self.status.refuse_error(operation.op, error, operation.id)
+        except PostponedError:
+            raise
         except Exception:  # a bug in serving one operation must not take the client with it
             log.exception("%s: %s failed", self.node, operation.op)
         else:
@@ -461,21 +550,21 @@ class Client:
                 "info", operation, "its type exists only in ROS 1, whose spelling this client gets from now on"
             )
 
-    def _carry_out(self, operation: Operation) -> None:
+    def _serve(self, operation: Operation, message: ReceivedMessage) -> None:
         # The most frequent first.
         match operation:
             case Publish():
-                self._topics.publish(operation)
+                self._topics.publish(operation, message)
             case CallService():
-                self._services.call(operation)
+                self._services.call(operation, message)
             case ServiceResponse():
-                self._services.respond(operation)
+                self._services.respond(operation, message)
             case ActionFeedback():
-                self._actions.report_feedback(operation)
+                self._actions.report_feedback(operation, message)
             case ActionResult():
-                self._actions.finish(operation)
+                self._actions.finish(operation, message)
             case SendActionGoal():
-                self._actions.send_goal(operation)
+                self._actions.send_goal(operation, message)
             case CancelActionGoal():
                 self._actions.cancel(operation)
             case Subscribe():
@@ -511,15 +600,18 @@ class Client:
         elif refusal.op == "action_result":
             self._actions.fail(refusal.id, refusal.text)
 
-    def _reject(self, operation: Operation, reason: str) -> None:
-        """Tell of an operation that the client may not do; an operation with an answer gets it."""
-        self.status.reject(operation, reason)
-        match operation:
-            case Publish():
-                self._topics.reject(operation, reason)
-            case CallService():
-                self._services.reject(operation, reason)
-            case SendActionGoal():
-                self._actions.reject(operation, reason)
-            case _:
-                pass
+
+def _message_of(operation: Operation, size_bytes: int) -> ReceivedMessage:
+    """Return the message in an operation; an empty one for operations without."""
+    match operation:
+        case Publish():
+            return ReceivedMessage(operation.msg, size_bytes)
+        case CallService() | SendActionGoal():
+            return ReceivedMessage(operation.args, size_bytes)
+        case ServiceResponse() | ActionResult() | ActionFeedback():
+            return ReceivedMessage({} if operation.values is None else operation.values, size_bytes)
+        case _:
+            return _NO_MESSAGE
+
+
+_NO_MESSAGE = ReceivedMessage({}, 0)

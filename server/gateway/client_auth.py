@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from protocol.operations import Auth, Operation
-from protocol.session import Refusal
+from protocol.session import Packed, Refusal
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access, Authorizer
 from server.access.permissions import display_name
@@ -61,7 +61,7 @@ class ClientAuth:
             self._disconnect(_NOT_FIRST)
         return not self._disconnected
 
-    def check_first_operation(self, items: Sequence[Operation | Refusal]) -> bool:
+    def check_first_operation(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
         """Check the operations in the first frame; return True when the first of them is ``auth``."""
         first = items[0] if items else None
         if isinstance(first, Refusal) and first.op == "auth":

@@ -27,11 +27,12 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import EncodedMessage
+from protocol.publication import LARGE_BYTES, EncodedMessage, encoding_cost_bytes
 from protocol.registry import Kind, Registry
-from protocol.session import Refusal, Session
+from protocol.session import LaterFields, Refusal, Session
 from robot.logs import LogLimiter
 from server.errors import GraphError
+from server.graph.message_types import ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -181,16 +182,10 @@ class MessageTranslator:
             msg = cbor.with_octets(self._registry, type_name, msg)
         return dialect.to_ros1(self._registry, type_name, msg) if self._session.dialect == "ros1" else msg
 
-    def from_client(self, type_name: str | None, value: object) -> object:
-        """Translate a message of the client to the dialect of ROS 2, to be validated.
-
-        Args:
-            type_name: as for :meth:`to_client`, None when it is not known.
-            value: the message as it was decoded.
-        """
-        if self._session.dialect == "ros2" or type_name is None or not self._registry.knows(type_name):
-            return value
-        return dialect.from_ros1(self._registry, type_name, value)
+    def from_client(self, message: ReceivedMessage) -> ReceivedMessage:
+        """Note the dialect of a message of the client, to be translated when it is completed."""
+        message.dialect = self._session.dialect
+        return message
 
 
 class ClientContext:
@@ -230,17 +225,46 @@ class ClientContext:
         self.status = ClientStatus(node, session, clock, wake)
 
     def send(self, fields: dict[str, Any]) -> None:
-        """Send the client an operation, which is never dropped."""
+        """Send the client an operation without a message, which is never dropped."""
         self.session.reply(fields)
         self.wake()
 
-    def send_request(self, fields: dict[str, Any]) -> bool:
-        """Send the client a call or a goal; return False when the client has no room for it."""
-        has_room = self.session.ask(fields)
+    def send_message(self, fields: dict[str, Any], field: str, type_name: str) -> None:
+        """Send the client an operation with a message, which is never dropped.
+
+        Args:
+            fields: the operation, its message complete in ROS 2 spelling.
+            field: the field with the message.
+            type_name: type of the message; a name that the registry does not know for what is sent as it is.
+        """
+        self.session.reply(self._translated(fields, field, type_name))
+        self.wake()
+
+    def send_request(self, fields: dict[str, Any], type_name: str) -> bool:
+        """Send the client a call or a goal; return False when the client has no room for it.
+
+        Args:
+            fields: the operation, with the message in the field ``args``.
+            type_name: type of the message.
+        """
+        has_room = self.session.ask(self._translated(fields, "args", type_name))
         self.wake()
         return has_room
 
-    def send_feedback(self, fields: dict[str, Any]) -> None:
-        """Send an operation that may be dropped when the client reads too slowly."""
-        self.session.feedback(fields)
+    def send_feedback(self, fields: dict[str, Any], type_name: str) -> None:
+        """Send an operation that may be dropped when the client reads too slowly.
+
+        Args:
+            fields: the operation, with the message in the field ``values``.
+            type_name: type of the message.
+        """
+        self.session.feedback(self._translated(fields, "values", type_name))
         self.wake()
+
+    def _translated(self, fields: dict[str, Any], field: str, type_name: str) -> Mapping[str, Any] | LaterFields:
+        """Translate the message of an operation; a large one later."""
+
+        def translated() -> Mapping[str, Any]:
+            return {**fields, field: self.translator.to_client(type_name, fields[field])}
+
+        return translated if encoding_cost_bytes(fields[field]) >= LARGE_BYTES else translated()

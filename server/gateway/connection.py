@@ -22,7 +22,8 @@ from server.access.permissions import Role, display_name
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
-from server.gateway.transport import TURN_S, WebSocket, address_of
+from server.gateway.inbox import Scheduling
+from server.gateway.transport import WebSocket, address_of
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -33,6 +34,13 @@ POLICY_VIOLATION = 1008
 
 # Time for a client that does not read to receive the reason why it is closed.
 CLOSE_TIMEOUT_S = 1.0
+
+# Time in which a client whose operations wait for its replies to be read has to read something [s].
+UNREAD_TIMEOUT_S = 10.0
+
+# Time for what a client has sent before it left, and how often it is looked whether it is done [s].
+LEAVE_TIMEOUT_S = 10.0
+LEAVE_POLL_S = 0.005
 
 # RFC 6455 5.5: size of the reason in a close frame [bytes].
 MAX_REASON_BYTES = 123
@@ -91,6 +99,7 @@ class Connection:
         limits: limits of the client.
         access: authentication and authorization.
         auth_throttle: throttle of guesses.
+        scheduling: turns and threads, which all clients share.
         takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
 
     Attributes:
@@ -104,6 +113,7 @@ class Connection:
         limits: Limits,
         access: Access,
         auth_throttle: AuthThrottle,
+        scheduling: Scheduling,
         *,
         takes_goals_along: bool,
     ) -> None:
@@ -114,6 +124,7 @@ class Connection:
         self.address, port = address_of(websocket)
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
+        self._congested: asyncio.TimerHandle | None = None
         asked = _query(websocket).get("on_disconnect", [""])[-1]
         node = Node(
             display_name(websocket.identity, place),
@@ -126,7 +137,10 @@ class Connection:
         self._client = Client(
             ClientContext(node, graph, session, time.monotonic, self._wake_up, websocket.send_at_once),
             AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),
+            scheduling,
+            websocket,
         )
+        self._background = scheduling.background
         self._max_message_bytes = websocket.protocol.max_message_size
         self._limit_messages()
         websocket.forget_handshake()
@@ -162,9 +176,12 @@ class Connection:
         try:
             self._websocket.start_delivery(self._client.receive_frame)
             await self._read()
+            await self._finish_work()
         finally:
             if waiting is not None:
                 waiting.cancel()
+            if self._congested is not None:
+                self._congested.cancel()
             self._websocket.stop_delivery()
             await self._end_writer()
             self._client.leave()
@@ -176,15 +193,18 @@ class Connection:
             with contextlib.suppress(asyncio.CancelledError, OSError):
                 await self._writer
 
+    async def _finish_work(self) -> None:
+        """Carry out what a client that leaves has sent before, unless it would have to read its replies first."""
+        ends_s = time.monotonic() + LEAVE_TIMEOUT_S
+        inbox, session = self._client.inbox, self._client.session
+        # No event tells of it, for nearly every client has nothing waiting when it leaves.
+        while not inbox.empty and not session.congested and time.monotonic() < ends_s:  # noqa: ASYNC110
+            await asyncio.sleep(LEAVE_POLL_S)
+
     async def _read(self) -> None:
-        turn_began_s = time.monotonic()
         try:
             async for frame in self._websocket:
                 self._client.receive_frame(frame)
-                # A client that floods us gets its turn, no more: others are served between its frames.
-                if time.monotonic() - turn_began_s > TURN_S:
-                    await asyncio.sleep(0)
-                    turn_began_s = time.monotonic()
         except ConnectionClosed as closed:
             log.warning("%s: connection closed: %s", self._client.node, closed)
         else:
@@ -201,13 +221,33 @@ class Connection:
     def _wake_up(self) -> None:
         """Send the messages that are due, or wake the writer; disconnect a client that does not read its replies."""
         session = self._client.session
+        for encoded in session.take_unready():
+            self._background.encode(encoded, self._wake_up)
         if not session.overflowed:
             self._flush()
             if session.waiting:
                 self._wake_writer()
+            if session.congested and self._congested is None:
+                self._expect_reading()
         elif self._closing is None:
-            log.warning("%s: does not read its replies; closing", self._client.node)
-            self._disconnect("replies are not read")
+            self._give_up()
+
+    def _expect_reading(self) -> None:
+        """Look later whether the client has read anything of its replies."""
+        loop, sent_bytes = asyncio.get_running_loop(), self._websocket.sent_bytes
+        self._congested = loop.call_later(UNREAD_TIMEOUT_S, self._check_reading, sent_bytes)
+
+    def _check_reading(self, sent_bytes: int) -> None:
+        self._congested = None
+        if self._client.session.congested and self._closing is None:
+            if self._websocket.sent_bytes == sent_bytes:
+                self._give_up()
+            else:
+                self._expect_reading()
+
+    def _give_up(self) -> None:
+        log.warning("%s: does not read its replies; closing", self._client.node)
+        self._disconnect("replies are not read")
 
     def _wake_writer(self) -> None:
         if self._wake is None:
@@ -230,6 +270,7 @@ class Connection:
             self._disconnect(f"the op auth is wanted within {AUTH_TIMEOUT_S:g} s")
 
     def _disconnect(self, reason: str) -> None:
+        self._client.inbox.close()
         if self._closing is None:
             self._closing = asyncio.create_task(self._close(reason), name=f"close {self._client.node}")
 
@@ -247,6 +288,7 @@ class Connection:
             if not frames:
                 return
             self._websocket.send_at_once(EncodedMessage(*frames))
+            self._client.inbox.resume()
 
     async def _until_something_is_due(self, wake: asyncio.Event) -> None:
         now_s = time.monotonic()

@@ -35,7 +35,9 @@ from server.gateway.admission import (
 )
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler, HttpResponse, names
+from server.gateway.inbox import Scheduling
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket, address_of
+from server.gateway.turns import Threads, Turns, call_soon
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -271,6 +273,8 @@ class Listener:
         # Each connection from its `connection_made` to its `connection_lost`.
         self._connections: set[WebSocket] = set()
         self._clients = ClientList(graph)
+        self._threads = Threads()
+        self._scheduling = Scheduling(Turns(call_soon, time.monotonic), self._threads)
         self.traffic = Traffic()
 
     @property
@@ -372,6 +376,7 @@ class Listener:
                     await server.wait_closed()
         for each in self._sockets:
             each.close()
+        self._threads.close()
 
     async def _process_request(self, connection: ServerConnection, request: Request) -> Response | None:
         websocket = cast(WebSocket, connection)
@@ -400,6 +405,7 @@ class Listener:
             self._limits,
             self._access,
             self.admission.auth_throttle,
+            self._scheduling,
             takes_goals_along=self._takes_goals_along,
         )
         self._clients.add(connection.node, connection.address)

@@ -23,6 +23,7 @@ from websockets.server import ServerProtocol
 from protocol.publication import EncodedMessage
 from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
+from server.gateway.turns import TURN_S
 
 # Looking a member of an enumeration up takes as long as calling a function.
 _OPEN, _TEXT, _BINARY = State.OPEN, Opcode.TEXT, Opcode.BINARY
@@ -34,9 +35,6 @@ BURST_S = 0.0001
 # While more than this waits for the socket to take it, the rest waits where it can be dropped. It is where websockets'
 # writer has itself paused (its default write_limit), so `drain` waits exactly then.
 WRITE_LIMIT_BYTES = 32_768
-
-# Messages of one client are carried out for no longer than this before others have their turn.
-TURN_S = 0.0005
 
 # What the socket has received, up to 256 kB, is read in pieces of this size: of small frames each takes a millisecond
 # or two at most, and smaller pieces cost a flood a quarter of its rate. A piece without a message's end is followed by
@@ -80,6 +78,7 @@ class WebSocket(ServerConnection):
         "_connections",
         "_full",
         "_heard",
+        "_held",
         "_last_sent_s",
         "_limiter",
         "_on_message",
@@ -115,9 +114,11 @@ class WebSocket(ServerConnection):
         self.sent_messages = 0
         self.sent_bytes = 0
         self._turn_ends_s = 0.0
-        # Bytes still to be read, a queue of messages that is full, and a message that ended in the latest piece.
+        # Bytes still to be read, a queue of messages that is full, an inbox that is, and a message that ended in the
+        # latest piece.
         self._unread = b""
         self._full = False
+        self._held = False
         self._heard = False
         self._last_sent_s = -math.inf
         self._unsent: list[bytes] = []
@@ -219,7 +220,7 @@ class WebSocket(ServerConnection):
         if self.slot is None:
             return
         self.received_bytes += len(data)
-        if self._unread or self._full:
+        if self._unread or not self._may_read:
             self._unread += data
         else:
             self._take(data)
@@ -228,7 +229,7 @@ class WebSocket(ServerConnection):
         """Read until the turn is over; the rest waits for the next turn, and the socket with it."""
         self._turn_ends_s = time.monotonic() + TURN_S
         begin, size = 0, PIECE_BYTES
-        while begin < len(data) and not self._full:
+        while begin < len(data) and self._may_read:
             self._heard = False
             super().data_received(data[begin : begin + size] if begin or size < len(data) else data)
             begin += size
@@ -238,16 +239,32 @@ class WebSocket(ServerConnection):
         self._unread = data[begin:]
         if self._unread:
             self._stop_reading()
-            if not self._full:
+            if self._may_read:
                 self.loop.call_soon(self._go_on)
 
     def _go_on(self) -> None:
+        if not self._may_read:
+            return
         data, self._unread = self._unread, b""
         if self.transport.is_closing():
             return
         self._take(data)
-        if not self._unread and not self._full:
+        if not self._unread and self._may_read:
             self.transport.resume_reading()
+
+    @property
+    def _may_read(self) -> bool:
+        return not (self._full or self._held)
+
+    def hold_reading(self) -> None:
+        """Read nothing more for now, because the client's inbox is full."""
+        self._held = True
+        self._stop_reading()
+
+    def release_reading(self) -> None:
+        """Read again."""
+        self._held = False
+        self.loop.call_soon(self._go_on)
 
     def _pause_reading(self) -> None:
         """Stop reading while too many messages wait."""
@@ -268,7 +285,8 @@ class WebSocket(ServerConnection):
         # The first event is the request.
         if self._request_timer is not None:
             self._end_request_timer()
-        if self._on_message is None or not _is_message(event) or not self._may_go_first():
+        # What websockets' queue holds goes first.
+        if self._on_message is None or not _is_message(event) or len(self.recv_messages.frames):
             super().process_event(event)
             return
         try:
@@ -278,9 +296,6 @@ class WebSocket(ServerConnection):
             super().process_event(event)
             return
         self._on_message(message)
-
-    def _may_go_first(self) -> bool:
-        return not len(self.recv_messages.frames) and time.monotonic() < self._turn_ends_s
 
 
 def address_of(websocket: ServerConnection) -> tuple[str, int]:

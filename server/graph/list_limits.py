@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 from protocol.errors import MessageError
 from protocol.messages import values_in
 from protocol.registry import Field, Registry
+from server.graph.message_types import ReceivedMessage
 
 # To complete and to read a value takes up to 2 us. A planning request with constraints has some hundred values.
 MAX_VALUES = 5_000
@@ -44,8 +45,14 @@ class ListLimits:
         names = tuple(each.name for each in registry.message(type_name).fields)
 
         def check(message: object) -> None:
-            by_name = dict(zip(names, message, strict=False)) if isinstance(message, list) else message
+            value = message.value if isinstance(message, ReceivedMessage) else message
+            # One that was completed in the background comes again.
+            if isinstance(message, ReceivedMessage) and message.checked:
+                return
+            by_name = dict(zip(names, value, strict=False)) if isinstance(value, list) else value
             _check(by_name, counted, self.max_values)
+            if isinstance(message, ReceivedMessage):
+                message.checked = True
 
         return check
 

@@ -1,4 +1,4 @@
-"""The types of what goes through the graph: looks them up, and completes messages of them."""
+"""Types of the messages in the graph, and their completion, at once or in the background."""
 
 from __future__ import annotations
 
@@ -6,10 +6,90 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from protocol import messages
-from protocol.errors import InterfaceError, MessageError, describe
-from protocol.messages import Stamp
+from protocol import dialect, messages
+from protocol.dialect import Dialect
+from protocol.errors import InterfaceError, LargeMessageError, MessageError, describe
+from protocol.messages import MAX_VALUES, Stamp
+from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
+
+# Values of the lists of one client's message beyond which a thread completes it: 10 ms at the slowest.
+VALUES_AT_ONCE = 4_000
+
+# Size from which a thread completes a message in any case [bytes]; in ROS 1 spelling it is translated as well.
+BYTES_AT_ONCE = 32_768
+ROS1_BYTES_AT_ONCE = 8_192
+
+# An element of a list may be sent as `{}` and stand for hundreds of values. A message may have so many, and one for
+# each byte that came.
+FREE_VALUES = 20_000
+
+
+class ReceivedMessage:
+    """Message as a client has sent it, until it is completed.
+
+    Args:
+        value: as it was decoded.
+        size_bytes: size of the frame that it came in.
+        dialect: spelling of the message.
+
+    Attributes:
+        value: as given.
+        size_bytes: as given.
+        dialect: as given.
+        are_arguments: True for a request or a goal, whose fields may come in order of declaration.
+        checked: True once its lists have been found to be within their limits.
+    """
+
+    __slots__ = ("_completed", "_type_name", "are_arguments", "checked", "dialect", "size_bytes", "value")
+
+    def __init__(self, value: object, size_bytes: int, dialect: Dialect = "ros2") -> None:
+        self.value = value
+        self.size_bytes = size_bytes
+        self.dialect = dialect
+        self.are_arguments = False
+        self.checked = False
+        self._type_name: str | None = None
+        self._completed: dict[str, Any] | MessageError | None = None
+
+    @property
+    def cost_bytes(self) -> int:
+        """Cost of encoding the completed message, as an amount of JSON [bytes]."""
+        return self.size_bytes if self._completed is None else max(self.size_bytes, LARGE_BYTES)
+
+    def completed(self, type_name: str) -> dict[str, Any] | None:
+        """Return the message as a thread has completed it for a type; None when none has.
+
+        Raises:
+            MessageError: it does not fit the type.
+        """
+        if self._completed is None or self._type_name != type_name:
+            return None
+        if isinstance(self._completed, MessageError):
+            raise self._completed
+        return self._completed
+
+    def complete(self, types: MessageTypes, type_name: str) -> None:
+        """Complete the message for a type, in any thread."""
+        try:
+            completed: dict[str, Any] | MessageError = types.complete_received(type_name, self, types.now(), MAX_VALUES)
+        except MessageError as error:
+            completed = error
+        self._completed, self._type_name = completed, type_name
+
+
+class PostponedError(Exception):
+    """A message of a client takes longer to complete than everybody may be kept waiting; nothing has been done yet.
+
+    Attributes:
+        message: complete it in the background, and do it again.
+        type_name: type to complete it for.
+    """
+
+    def __init__(self, message: ReceivedMessage, type_name: str) -> None:
+        super().__init__(f"a message of type {type_name} is to be completed in the background")
+        self.message = message
+        self.type_name = type_name
 
 
 class MessageTypes:
@@ -55,19 +135,24 @@ class MessageTypes:
 
         Args:
             type_name: canonical name of a message type, or of a member such as ``std_srvs/srv/SetBool_Request``.
-            value: the message.
+            value: the message; of a client a `ReceivedMessage`.
             received: when it came, None for now.
 
         Raises:
             MessageError: the value does not fit the type.
+            PostponedError: a client's message is too large to be completed at once.
         """
+        if not isinstance(value, ReceivedMessage):
+            return self._complete(type_name, value, received or self.now(), MAX_VALUES, MAX_VALUES)
+        completed = value.completed(type_name)
+        if completed is not None:
+            return completed
+        if value.size_bytes > (BYTES_AT_ONCE if value.dialect == "ros2" else ROS1_BYTES_AT_ONCE):
+            raise PostponedError(value, type_name)
         try:
-            return messages.complete(self.registry, type_name, value, received or self.now())
-        except InterfaceError:
-            # Only types that `canonical` let through get here: nothing is known that could be checked.
-            if not isinstance(value, dict):
-                raise MessageError(type_name, describe(value)) from None
-            return value
+            return self.complete_received(type_name, value, received or self.now(), VALUES_AT_ONCE)
+        except LargeMessageError:
+            raise PostponedError(value, type_name) from None
 
     def complete_arguments(self, type_name: str, arguments: object) -> dict[str, Any]:
         """Complete a request or a goal, given as rosbridge's ``args``.
@@ -78,12 +163,53 @@ class MessageTypes:
 
         Raises:
             MessageError: the arguments do not fit the type.
+            PostponedError: as for :meth:`complete`.
         """
-        if isinstance(arguments, list):
-            return self.complete(type_name, self._by_name(type_name, arguments))
-        return self.complete(type_name, arguments if isinstance(arguments, dict) else {})
+        if isinstance(arguments, ReceivedMessage):
+            arguments.are_arguments = True
+            return self.complete(type_name, arguments)
+        return self.complete(type_name, self._by_name(type_name, arguments))
 
-    def _by_name(self, type_name: str, arguments: list[Any]) -> dict[str, Any]:
+    def complete_received(
+        self, type_name: str, message: ReceivedMessage, received: Stamp, max_values_at_once: int
+    ) -> dict[str, Any]:
+        """Complete a message of a client, in any thread.
+
+        Args:
+            type_name: as for :meth:`complete`.
+            message: the message.
+            received: when it came.
+            max_values_at_once: values beyond which it is left to the background.
+
+        Raises:
+            MessageError: the message does not fit the type.
+            LargeMessageError: it has more values than are completed at once.
+        """
+        value = message.value
+        if message.dialect == "ros1" and self.registry.knows(type_name):
+            value = dialect.from_ros1(self.registry, type_name, value)
+        if message.are_arguments:
+            value = self._by_name(type_name, value)
+        max_values = min(MAX_VALUES, FREE_VALUES + message.size_bytes)
+        return self._complete(type_name, value, received, max_values, max_values_at_once)
+
+    def _complete(
+        self, type_name: str, value: object, received: Stamp, max_values: int, max_values_at_once: int
+    ) -> dict[str, Any]:
+        try:
+            return messages.complete(self.registry, type_name, value, received, max_values, max_values_at_once)
+        except InterfaceError:
+            # Only types that `canonical` let through get here: nothing is known that could be checked.
+            if not isinstance(value, dict):
+                raise MessageError(type_name, describe(value)) from None
+            return value
+
+    def _by_name(self, type_name: str, arguments: object) -> dict[str, Any]:
+        """Return arguments by name."""
+        if isinstance(arguments, dict):
+            return arguments
+        if not isinstance(arguments, list):
+            return {}
         try:
             names = [field.name for field in self.registry.message(type_name).fields]
         except InterfaceError:

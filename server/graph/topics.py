@@ -24,7 +24,7 @@ from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph.actions import Actions
 from server.graph.list_limits import CheckLists
-from server.graph.message_types import MessageTypes
+from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.services import Services
 from server.timers import CallLater, call_later
@@ -336,8 +336,9 @@ class Graph:
         topic.publishers.add(node)
         if latch:
             topic.latching.add(node)
+        cost_bytes = message.cost_bytes if isinstance(message, ReceivedMessage) else None
         published = PublishedMessage(
-            topic.name, topic.type_name, completed, self.message_types.registry, received, node
+            topic.name, topic.type_name, completed, self.message_types.registry, received, node, cost_bytes
         )
         for watch in self._watchers:
             watch(published, topic.keeps(node))

@@ -5,13 +5,16 @@ from __future__ import annotations
 from protocol.limits import Limits
 from protocol.operations import Operation
 from protocol.registry import Registry
-from protocol.session import Refusal, Session
+from protocol.session import Packed, Refusal, Session
 from server.access.authorization import unlimited
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
+from server.gateway.inbox import Scheduling
+from server.gateway.turns import Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.topics import Graph
+from tests.helpers.gateway import AtOnce, UnreadSocket
 
 REGISTRY = Registry.load()
 
@@ -38,7 +41,8 @@ def run_session(data: bytes) -> None:
             control, frame = part[-1], part[:-1]
             now_s += control >> 4
             for item in session.receive_frame(_frame(frame, binary=bool(control & 2)), now_s):
-                assert isinstance(item, Operation | Refusal)
+                read = session.unpack(item) if isinstance(item, Packed) else item
+                assert isinstance(read, Operation | Refusal)
 
 
 def run_world(data: bytes) -> None:
@@ -47,15 +51,22 @@ def run_world(data: bytes) -> None:
     graph = Graph(REGISTRY, lambda: now_s, lambda: now_s, lambda _delay_s, _action: NoTimer())
     nodes = [Node(name, remote=True) for name in ("a", "b")]
     contexts = [ClientContext(node, graph, Session(LIMITS), lambda: now_s, lambda: None) for node in nodes]
-    clients = [Client(context, AuthContext(unlimited())) for context in contexts]
+    scheduling = Scheduling(
+        Turns(lambda callback: callback(), lambda: now_s), AtOnce(), lambda _delay_s, _action: NoTimer()
+    )
+    clients = [Client(context, AuthContext(unlimited()), scheduling, UnreadSocket()) for context in contexts]
     for part in data.split(SEPARATOR):
         if not part:
             continue
         control, frame = part[-1], part[:-1]
         now_s += control >> 4
         clients[control & 1].receive_frame(_frame(frame, binary=bool(control & 2)))
+        client = clients[control & 1]
+        for encoded in client.session.take_unready():
+            encode_or_log(encoded)
         if control & 4:
-            queued = sum(len(one.data) for one in clients[control & 1].session.data_to_send(now_s))
+            queued = sum(len(one.data) for one in client.session.data_to_send(now_s))
+            client.inbox.resume()
             assert queued <= 2 * (LIMITS.max_queued_topic_bytes + LIMITS.max_queued_reply_bytes) + len(data) * 8
     for client in clients:
         client.leave()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
 from protocol.limits import Limits
-from protocol.publication import Frame
+from protocol.publication import EncodedMessage, Frame
 from protocol.registry import Registry
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
@@ -23,13 +23,43 @@ from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
 from server.gateway.http import HttpHandler
+from server.gateway.inbox import Scheduling
 from server.gateway.listener import Listener
+from server.gateway.turns import Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock
 
 REGISTRY = Registry.load()
+
+
+class AtOnce:
+    """Background that works in the foreground."""
+
+    def run(self, job: Callable[[], Any], done: Callable[[Any, float], None], failed: Callable[[], None]) -> None:
+        done(job(), 0.0)
+
+    def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
+        encode_or_log(encoded)
+        ready()
+
+
+class UnreadSocket:
+    """Socket of a client, as an inbox sees it.
+
+    Attributes:
+        held: True while it is not read.
+    """
+
+    def __init__(self) -> None:
+        self.held = False
+
+    def hold_reading(self) -> None:
+        self.held = True
+
+    def release_reading(self) -> None:
+        self.held = False
 
 
 class InProcess:
@@ -52,6 +82,7 @@ class InProcess:
         self.busy = False
         self.access = Access(access or AccessSettings(control="shared"), self.clock, self.clock, lambda: self.busy)
         self.closed: dict[str, str] = {}
+        self.scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
         self._limits = limits or Limits()
         self._clients: dict[str, Client] = {}
         self._frames: dict[str, deque[Frame]] = {}
@@ -63,7 +94,8 @@ class InProcess:
         """A client that was admitted as somebody, or as nobody yet."""
         auth = AuthContext(self.access, throttle=throttle, disconnect=lambda reason: self.closed.update({name: reason}))
         node, session = Node(name, remote=True, identity=identity), Session(self._limits)
-        self._clients[name] = Client(ClientContext(node, self.graph, session, self.clock, lambda: None), auth)
+        context = ClientContext(node, self.graph, session, self.clock, lambda: None)
+        self._clients[name] = Client(context, auth, self.scheduling, UnreadSocket())
         self._frames[name] = deque()
         return self._clients[name]
 
@@ -103,8 +135,11 @@ class InProcess:
 
     def _collect(self) -> None:
         for name, client in self._clients.items():
+            for encoded in client.session.take_unready():
+                encode_or_log(encoded)
             while frames := client.session.data_to_send(self.clock()):
                 self._frames[name] += frames
+                client.inbox.resume()
 
 
 TIMEOUT_S = 30.0

@@ -187,8 +187,9 @@ def seconds_for(text):
 @pytest.mark.parametrize("unit", HOSTILE)
 def test_hostile_frames_take_time_in_proportion_to_their_length(unit):
     short, long = (seconds_for(unit * (size // len(unit))) for size in (50_000, 800_000))
-    # Sixteen times the length; a quadratic reader would take 256 times as long. The floor is the clock's noise.
-    assert long < 64 * max(short, 0.001)
+    # Sixteen times the length; a quadratic reader would take 256 times as long. The floor is the clock's noise, and
+    # that only the longer one is decoded in pieces.
+    assert long < 64 * max(short, 0.01)
 
 
 def test_an_object_in_very_many_frames_takes_time_in_proportion_to_its_length():

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import copy
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -9,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol import messages
-from protocol.errors import MessageError
-from protocol.messages import MAX_VALUES, MessageBudget, Stamp, complete, quick_way, values_in
+from protocol.errors import LargeMessageError, MessageError
+from protocol.messages import BUDGET, MAX_VALUES, MessageBudget, Stamp, complete, quick_way, values_in
 from protocol.registry import Registry
 
 REGISTRY = Registry.load()
@@ -61,7 +62,24 @@ def test_spent_budget_is_gone_until_the_next_message() -> None:
     budget.take(MAX_VALUES)
     with pytest.raises(MessageError):
         budget.take(1)
-    budget.renew()
+    budget.renew("", MAX_VALUES, MAX_VALUES)
+    budget.take(1)
+
+
+def test_a_message_too_large_to_be_completed_at_once_is_left_to_the_background() -> None:
+    poses = {"poses": [{}] * 100}
+    complete(REGISTRY, "geometry_msgs/PoseArray", poses, Stamp(1, 2), max_values_at_once=700)
+    with pytest.raises(LargeMessageError, match="geometry_msgs/PoseArray"):
+        complete(REGISTRY, "geometry_msgs/PoseArray", poses, Stamp(1, 2), max_values_at_once=699)
+    with pytest.raises(MessageError, match="at most 699 values"):
+        complete(REGISTRY, "geometry_msgs/PoseArray", poses, Stamp(1, 2), max_values=699, max_values_at_once=699)
+
+
+def test_threads_have_budgets_of_their_own() -> None:
+    budget = MessageBudget()
+    budget.renew("", 1, 1)
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(budget.take, 2).result(10.0)
     budget.take(1)
 
 
@@ -100,10 +118,12 @@ odd_values = st.sampled_from(
 
 
 def quick(type_name, value):
+    BUDGET.renew(type_name, MAX_VALUES, MAX_VALUES)
     return quick_way(REGISTRY, type_name)(value)
 
 
 def slow(type_name, value):
+    BUDGET.renew(type_name, MAX_VALUES, MAX_VALUES)
     return messages._message_shape(REGISTRY, type_name).complete(value, RECEIVED)
 
 

@@ -11,13 +11,14 @@ from protocol.messages import Stamp
 from protocol.operations import OPERATIONS, Operation, Publish, Subscribe
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
-from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Refusal, Session
+from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Packed, Refusal, Session
 
 REGISTRY = Registry.load()
 
 
 def read(session, frame, now=1.0):
-    return session.receive_frame(frame, now)
+    items = session.receive_frame(frame, now)
+    return [session.unpack(item) if isinstance(item, Packed) else item for item in items]
 
 
 def receive(session, **fields):

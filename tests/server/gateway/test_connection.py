@@ -151,15 +151,26 @@ async def test_a_call_that_runs_does_not_hold_up_what_the_client_says_next(graph
         assert json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))["service"] == "/slow"
 
 
-async def test_a_client_that_does_not_read_its_replies_is_closed(url: str, caplog: pytest.LogCaptureFixture) -> None:
+async def send_forever(client: ClientConnection, message: str) -> None:
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            for _ in range(100):
+                await client.send(message)
+            await asyncio.sleep(0)
+
+
+async def test_a_client_that_does_not_read_its_replies_is_closed(
+    url: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 0.2)
     deaf = await connect(url, max_size=None)
     deaf.transport.pause_reading()
     call = json.dumps({"op": "call_service", "service": "/nobody", "id": "x" * 500})
     async with asyncio.timeout(TIMEOUT_S):
+        sending = asyncio.create_task(send_forever(deaf, call))
         while "does not read its replies" not in caplog.text:
-            for _ in range(100):
-                await deaf.send(call)
-            await asyncio.sleep(0)
+            await asyncio.sleep(0.01)
+        sending.cancel()
         while "connection closed" not in caplog.text:
             await asyncio.sleep(0.05)
     deaf.transport.abort()

@@ -6,6 +6,7 @@ import pytest
 from protocol.registry import Registry
 from protocol.session import Session
 from server.gateway.client_context import MessageTranslator
+from server.graph.message_types import MessageTypes, ReceivedMessage
 
 REGISTRY = Registry.load()
 
@@ -27,7 +28,7 @@ def translator(session: Session) -> MessageTranslator:
 
 def test_a_client_of_ros2_is_spelled_to_as_the_server_does(translator: MessageTranslator) -> None:
     assert translator.to_client(HEADER, ROS2) is ROS2
-    assert translator.from_client(HEADER, ROS2) is ROS2
+    assert translator.from_client(ReceivedMessage(ROS2, 0)).dialect == "ros2"
 
 
 def test_a_client_of_ros1_is_understood_and_spelled_to_in_its_way(
@@ -35,7 +36,8 @@ def test_a_client_of_ros1_is_understood_and_spelled_to_in_its_way(
 ) -> None:
     session.dialect = "ros1"
     assert translator.to_client(HEADER, ROS2) == ROS1
-    assert translator.from_client(HEADER, ROS1) == ROS2
+    received = translator.from_client(ReceivedMessage(ROS1, 0))
+    assert MessageTypes(REGISTRY).complete(HEADER, received) == ROS2
 
 
 @pytest.mark.parametrize(
@@ -69,5 +71,5 @@ def test_messages_of_unknown_types_stay_as_they_are(
 ) -> None:
     session.dialect = "ros1"
     assert translator.to_client(type_name, {"a": 1}) == {"a": 1}
-    assert translator.from_client(type_name, {"a": 1}) == {"a": 1}
-    assert translator.from_client(None, {"a": 1}) == {"a": 1}
+    received = translator.from_client(ReceivedMessage({"a": 1}, 0))
+    assert MessageTypes(REGISTRY, relay_unknown_types=True).complete(type_name, received) == {"a": 1}

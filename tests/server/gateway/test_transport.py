@@ -80,17 +80,28 @@ async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
         assert await link.received(1000) == NUMBERS
 
 
-async def test_frames_after_the_clients_turn_wait_and_are_not_overtaken(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_frames_behind_a_fragmented_one_wait_and_do_not_overtake_it() -> None:
     frame = Frame(Opcode.TEXT, b"{}").serialize(mask=True)
+    pieces = Frame(Opcode.TEXT, b"{", fin=False).serialize(mask=True) + Frame(Opcode.CONT, b"}").serialize(mask=True)
     async with linked() as link:
         await link.subscribe()
-        carried_out: list[str | bytes] = []
-        link.server.start_delivery(carried_out.append)
-        for turn_s in (60.0, 0.0, 60.0):
-            monkeypatch.setattr(transport, "TURN_S", turn_s)
-            link.server.data_received(frame)
-        assert carried_out == ["{}"]
-        assert len(link.server.recv_messages.frames) == 2
+        delivered: list[str | bytes] = []
+        link.server.start_delivery(delivered.append)
+        for data in (frame, pieces, frame):
+            link.server.data_received(data)
+        assert delivered == ["{}"]
+        assert len(link.server.recv_messages.frames) == 3
+
+
+async def test_a_connection_that_is_held_reads_on_where_it_stopped() -> None:
+    async with linked() as link:
+        await link.subscribe()
+        link.server.hold_reading()
+        flood = flood_of(1000)
+        link.server.data_received(flood)
+        assert link.server._unread == flood
+        link.server.release_reading()
+        assert await link.received(1000) == NUMBERS
 
 
 async def test_text_that_is_no_utf8_ends_the_connection_with_its_code() -> None:
@@ -143,8 +154,6 @@ async def test_of_a_flood_that_comes_at_once_only_a_turns_worth_is_read(monkeypa
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
         await link.subscribe()
-        # As if there were time for each message, so that no queue of them fills up first.
-        monkeypatch.setattr(WebSocket, "_may_go_first", lambda _websocket: True)
         flood = flood_of(1000)
         link.server.data_received(flood)
         assert len(link.server._unread) == len(flood) - transport.PIECE_BYTES

@@ -1,0 +1,326 @@
+"""Inbox of one client: frames and operations that wait for their turn, in order; stops go ahead of all of them.
+
+What comes while nothing waits is carried out at once, as far as the client's turn reaches. The rest waits, and while
+much waits the client's socket is not read. Long frames are read, and large messages completed, by a thread.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from protocol.operations import Operation
+from protocol.session import Packed, Refusal, Session
+from server.gateway.turns import Background, Turns
+from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
+from server.timers import CallLater, call_later
+
+log = logging.getLogger("armbridge.gateway")
+
+# Frames of this size and more are read by a thread: a thousand operations in a frame of 40 kB take 7 ms.
+LONG_FRAME_BYTES = 16_384
+
+# Room for what waits; beyond it the client's socket is not read. Enough for a stop to get past what a page sends when
+# it opens, and few enough that it matters little when each of them is slow.
+MAX_WAITING = 64
+MAX_WAITING_BYTES = 262_144
+
+# Messages of different types for which one message is completed in the background, before it is given up.
+MAX_COMPLETIONS = 3
+
+_STOPPED = "a stop of this client has come after it"
+
+
+@dataclass(frozen=True)
+class Scheduling:
+    """Turns and threads, which all clients share.
+
+    Attributes:
+        turns: turns of all clients.
+        background: threads for long frames and large messages.
+        call_later: does something after a delay.
+    """
+
+    turns: Turns
+    background: Background
+    call_later: CallLater = call_later
+
+
+class OperationHandler(Protocol):
+    """Client that carries operations out."""
+
+    @property
+    def identified(self) -> bool:
+        """False while nothing but the op ``auth`` is read of the client."""
+
+    def admit_frame(self, frame: str | bytes) -> bool:
+        """Check a frame before it is read; return False when it is not to be read."""
+
+    def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
+        """Check the operations of a frame of a client that is not identified; return False for none of them."""
+
+    def carry_out(self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None) -> None:
+        """Carry an operation out, or tell of a refusal.
+
+        Args:
+            item: the operation or the refusal.
+            size_bytes: size of the frame that it came in.
+            message: its message, when that has been completed in the background.
+
+        Raises:
+            PostponedError: its message is to be completed in the background first.
+        """
+
+    def is_stop(self, operation: Operation) -> bool:
+        """Return True for an operation that stops the arm."""
+
+    def is_driving(self, operation: Operation) -> bool:
+        """Return True for an operation that may move the arm."""
+
+    def reject(self, operation: Operation, reason: str) -> None:
+        """Tell of an operation that is not carried out; an operation with an answer gets it."""
+
+
+class Reader(Protocol):
+    """Socket of the client, as far as it can be left unread for a while."""
+
+    def hold_reading(self) -> None:
+        """Read nothing more for now."""
+
+    def release_reading(self) -> None:
+        """Read again."""
+
+
+@dataclass(slots=True, eq=False)
+class _Waiting:
+    """A frame that is to be read, or what was read of one.
+
+    Attributes:
+        item: the frame, or an operation of it.
+        size_bytes: size of the frame.
+        stopped: True when a stop has come after it: it moves nothing any more.
+        message: message of the operation, once it has been completed in the background.
+        completions: times that this has been done.
+    """
+
+    item: str | bytes | Operation | Refusal | Packed
+    size_bytes: int
+    stopped: bool = False
+    message: ReceivedMessage | None = None
+    completions: int = 0
+
+
+class Inbox:
+    """Frames and operations of one client that wait.
+
+    Args:
+        handler: carries the operations out.
+        session: state of the protocol.
+        types: types of the messages.
+        scheduling: turns and threads, which all clients share.
+        reader: the client's socket.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        handler: OperationHandler,
+        session: Session,
+        types: MessageTypes,
+        scheduling: Scheduling,
+        reader: Reader,
+        clock: Callable[[], float],
+    ) -> None:
+        self._handler = handler
+        self._session = session
+        self._types = types
+        self._turns = scheduling.turns
+        self._background = scheduling.background
+        self._call_later = scheduling.call_later
+        self._reader = reader
+        self._clock = clock
+        self._waiting: deque[_Waiting] = deque()
+        self._waiting_bytes = 0
+        # What was the first, while a thread works on it.
+        self._in_progress: tuple[_Waiting, ...] = ()
+        self._holds_reader = False
+        # A client has the threads for half of the time at most.
+        self._next_job_s = 0.0
+        self._closed = False
+
+    @property
+    def empty(self) -> bool:
+        """True when nothing waits."""
+        return not self._waiting and not self._in_progress
+
+    def close(self) -> None:
+        """Carry nothing out any more."""
+        self._closed = True
+        self._waiting.clear()
+        self._waiting_bytes = 0
+        self._turns.remove(self)
+
+    def resume(self) -> None:
+        """Go on, after the client has read its replies."""
+        if self._may_go_on():
+            self._turns.add(self)
+
+    def receive_frame(self, frame: str | bytes) -> None:
+        """Take a frame; nothing in it can raise."""
+        if self._closed:
+            return
+        until_s = self._turns.until_s() if self.empty and not self._session.congested else None
+        if len(frame) >= LONG_FRAME_BYTES or (until_s is None and not self._handler.identified):
+            self._add(_Waiting(frame, len(frame)))
+        elif until_s is None:
+            self._add_operations(frame)
+        else:
+            self._begin(frame, until_s)
+
+    def work(self, until_s: float) -> bool:
+        """Carry out what waits until a time; return True when there is more to do now."""
+        while self._may_go_on():
+            self._take_step()
+            if self._clock() >= until_s:
+                break
+        self._hold_or_release()
+        return self._may_go_on()
+
+    def _may_go_on(self) -> bool:
+        return bool(self._waiting) and not self._in_progress and not self._session.congested
+
+    def _hold_or_release(self) -> None:
+        """Leave the client's socket unread while much waits."""
+        full = len(self._waiting) > MAX_WAITING or self._waiting_bytes > MAX_WAITING_BYTES
+        if full and not self._holds_reader:
+            self._reader.hold_reading()
+        elif self._holds_reader and not full:
+            self._reader.release_reading()
+        self._holds_reader = full
+
+    def _begin(self, frame: str | bytes, until_s: float) -> None:
+        """Read a frame before which nothing waits, and carry it out as far as the turn reaches."""
+        items = self._read(frame)
+        if len(items) == 1 and not isinstance(items[0], Packed):
+            # The quick way of nearly every frame.
+            try:
+                self._handler.carry_out(items[0], len(frame), None)
+            except PostponedError as postponed:
+                self._complete(_Waiting(items[0], len(frame)), postponed)
+            return
+        self._put_first([_Waiting(item, len(frame)) for item in items])
+        if self.work(until_s):
+            self._turns.add(self)
+
+    def _add(self, waiting: _Waiting) -> None:
+        """Let a frame or an operation wait behind the others."""
+        self._waiting.append(waiting)
+        self._waiting_bytes += waiting.size_bytes
+        self._hold_or_release()
+        if not self._in_progress:
+            self._turns.add(self)
+
+    def _put_first(self, waiting: Sequence[_Waiting]) -> None:
+        """Let operations of one frame wait before all others; stops among them are carried out now.
+
+        What waits before a stop moves nothing any more.
+        """
+        self._waiting.extendleft(reversed(waiting))
+        self._waiting_bytes += sum(each.size_bytes for each in waiting)
+        if not self._handler.identified:
+            return
+        for place, stop in enumerate(waiting):
+            item = stop.item
+            if isinstance(item, Operation) and self._handler.is_stop(item):
+                for each in waiting[:place]:
+                    each.stopped = True
+                self._waiting.remove(stop)
+                self._waiting_bytes -= stop.size_bytes
+                self._carry_out(stop, item)
+
+    def _add_operations(self, frame: str | bytes) -> None:
+        """Let the operations of a short frame wait; stops are carried out now, and what waits moves nothing more."""
+        for item in self._read(frame):
+            waiting = _Waiting(item, len(frame))
+            if isinstance(item, Operation) and self._handler.is_stop(item):
+                for each in (*self._waiting, *self._in_progress):
+                    each.stopped = True
+                self._carry_out(waiting, item)
+            else:
+                self._add(waiting)
+
+    def _read(self, frame: str | bytes) -> Sequence[Operation | Refusal | Packed]:
+        if not self._handler.admit_frame(frame):
+            return ()
+        items = self._session.receive_frame(frame, self._clock())
+        return items if self._handler.identified or self._handler.admit_first(items) else ()
+
+    def _take_step(self) -> None:
+        """Carry out the first that waits, or hand it to a thread."""
+        first = self._waiting.popleft()
+        self._waiting_bytes -= first.size_bytes
+        item = first.item
+        if isinstance(item, str | bytes):
+            if len(item) >= LONG_FRAME_BYTES and self._handler.identified:
+                self._run(lambda: self._session.receive_frame(item, self._clock()), first)
+            else:
+                self._put_first(_read_of(first, self._read(item)))
+        elif isinstance(item, Packed):
+            self._run(lambda: [self._session.unpack(item)], first)
+        elif first.stopped and isinstance(item, Operation) and self._handler.is_driving(item):
+            self._handler.reject(item, _STOPPED)
+        else:
+            self._carry_out(first, item)
+
+    def _carry_out(self, waiting: _Waiting, item: Operation | Refusal) -> None:
+        try:
+            self._handler.carry_out(item, waiting.size_bytes, waiting.message)
+        except PostponedError as postponed:
+            self._complete(waiting, postponed)
+
+    def _complete(self, waiting: _Waiting, postponed: PostponedError) -> None:
+        """Complete the message of an operation in the background, and carry the operation out next."""
+        waiting.message = postponed.message
+        waiting.completions += 1
+        if self._in_progress or waiting.completions > MAX_COMPLETIONS:
+            # A stop with a large message while a thread is busy, or a topic that has had another type each time.
+            log.warning("an operation is given up: its message is too large")
+            return
+
+        def complete() -> None:
+            postponed.message.complete(self._types, postponed.type_name)
+
+        self._run(complete, waiting)
+
+    def _run(self, job: Callable[[], Sequence[Operation | Refusal | Packed] | None], waiting: _Waiting) -> None:
+        """Have a thread work on what was the first; put it, or what was read of it, before all that waits."""
+        self._in_progress = (waiting,)
+
+        def finish(result: Sequence[Operation | Refusal | Packed] | None, cost_s: float) -> None:
+            self._in_progress = ()
+            self._next_job_s = self._clock() + cost_s
+            if not self._closed:
+                self._put_first([waiting] if result is None else _read_of(waiting, result))
+                self.resume()
+
+        def give_up() -> None:
+            self._in_progress = ()
+            self.resume()
+
+        def begin() -> None:
+            if not self._closed:
+                self._background.run(job, finish, give_up)
+
+        wait_s = self._next_job_s - self._clock()
+        if wait_s > 0:
+            self._call_later(wait_s, begin)
+        else:
+            begin()
+
+
+def _read_of(frame: _Waiting, items: Sequence[Operation | Refusal | Packed]) -> list[_Waiting]:
+    """Return what was read of a frame, to wait in its place."""
+    return [_Waiting(item, frame.size_bytes, frame.stopped) for item in items]

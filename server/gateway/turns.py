@@ -1,0 +1,180 @@
+"""Turns of the clients with work that waits, one after the other; and the threads for what takes longer than a turn.
+
+Everything in the server waits while an operation is carried out. So a client gets half a millisecond at a time, and all
+of them together a millisecond; then the event loop looks at its sockets again. What one step takes longer for, because
+a message is large, is done by a thread.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol, TypeVar
+
+from protocol.errors import ProtocolError
+from protocol.publication import EncodedMessage
+
+log = logging.getLogger("armbridge.gateway")
+
+# Time of one client, and of all clients, before the event loop serves its sockets again [s].
+TURN_S = 0.0005
+ROUND_S = 0.001
+
+# One for a client's large message while another's is worked on; with more, the event loop waits for the interpreter's
+# lock behind each.
+THREADS = 2
+
+Done = TypeVar("Done")
+
+
+class Worker(Protocol):
+    """Client with work that waits."""
+
+    def work(self, until_s: float) -> bool:
+        """Work until a time; return True when there is more to do now.
+
+        Args:
+            until_s: monotonic time after which nothing new is begun [s].
+        """
+
+
+def call_soon(callback: Callable[[], object]) -> object:
+    """Call a function when the running event loop has served its sockets."""
+    return asyncio.get_running_loop().call_soon(callback)
+
+
+class Turns:
+    """Turns of all clients of a server.
+
+    Args:
+        call_soon: calls a function when the event loop has served its sockets, as :func:`call_soon`.
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, call_soon: Callable[[Callable[[], object]], object], clock: Callable[[], float]) -> None:
+        self._call_soon = call_soon
+        self._clock = clock
+        # In order of their turns.
+        self._waiting: dict[Worker, None] = {}
+        # Until when work that has just come may be done at once; None before any has come in this turn of the loop.
+        self._round_ends_s: float | None = None
+
+    def add(self, worker: Worker) -> None:
+        """Give a worker a turn, behind those that wait already."""
+        if worker not in self._waiting:
+            self._waiting[worker] = None
+            if len(self._waiting) == 1:
+                self._call_soon(self._play_round)
+
+    def remove(self, worker: Worker) -> None:
+        """Give a worker no turn any more."""
+        self._waiting.pop(worker, None)
+
+    def until_s(self) -> float | None:
+        """Return until when work that has just come may be done at once [s]; None when it has to wait for its turn."""
+        now_s, ends_s = self._clock(), self._round_ends_s
+        if ends_s is None:
+            ends_s = self._round_ends_s = now_s + ROUND_S
+            self._call_soon(self._begin_round)
+        return min(ends_s, now_s + TURN_S) if now_s <= ends_s else None
+
+    def _begin_round(self) -> None:
+        self._round_ends_s = None
+
+    def _play_round(self) -> None:
+        ends_s = self._clock() + ROUND_S
+        while self._waiting:
+            worker = next(iter(self._waiting))
+            del self._waiting[worker]
+            now_s = self._clock()
+            if worker.work(min(ends_s, now_s + TURN_S)):
+                self._waiting[worker] = None
+            if self._clock() >= ends_s:
+                break
+        if self._waiting:
+            self._call_soon(self._play_round)
+
+
+class Background(Protocol):
+    """Threads for what takes longer than a turn."""
+
+    def run(self, job: Callable[[], Done], done: Callable[[Done, float], None], failed: Callable[[], None]) -> None:
+        """Run a job.
+
+        Args:
+            job: runs in a thread.
+            done: called in the event loop with the job's result and the time of a processor that it took [s].
+            failed: called in the event loop instead, when the job has raised an error, which is logged.
+        """
+
+    def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
+        """Encode a message, once for all who ask.
+
+        Args:
+            encoded: the message.
+            ready: called in the event loop afterwards, also when it cannot be encoded.
+        """
+
+
+class Threads:
+    """Threads of a gateway; to be used in the event loop alone."""
+
+    def __init__(self) -> None:
+        self._executor = ThreadPoolExecutor(THREADS, thread_name_prefix="armbridge-large")
+        # Messages that are being encoded, with those who wait for them.
+        self._encoding: dict[EncodedMessage, list[Callable[[], None]]] = {}
+        self._closed = False
+
+    def run(self, job: Callable[[], Done], done: Callable[[Done, float], None], failed: Callable[[], None]) -> None:
+        """Run a job; as `Background`."""
+
+        def timed() -> tuple[Done, float]:
+            began_s = time.thread_time()
+            result = job()
+            return result, time.thread_time() - began_s
+
+        def finish(future: Future[tuple[Done, float]]) -> None:
+            if self._closed:
+                return
+            error = future.exception()
+            if error is None:
+                done(*future.result())
+            else:
+                log.error("work on a large message failed", exc_info=error)
+                failed()
+
+        if not self._closed:
+            loop = asyncio.get_running_loop()
+            self._executor.submit(timed).add_done_callback(
+                lambda ended: None if self._closed else loop.call_soon_threadsafe(finish, ended)
+            )
+
+    def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
+        """Encode a message, once for all who ask; as `Background`."""
+        waiting = self._encoding.get(encoded)
+        if waiting is not None:
+            waiting.append(ready)
+            return
+        self._encoding[encoded] = [ready]
+
+        def end() -> None:
+            for each in self._encoding.pop(encoded):
+                each()
+
+        self.run(lambda: encode_or_log(encoded), lambda _result, _cost_s: end(), end)
+
+    def close(self) -> None:
+        """Begin no further job; those that run end unheard."""
+        self._closed = True
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+def encode_or_log(encoded: EncodedMessage) -> None:
+    """Encode a message; one that cannot be is left out, with a log line."""
+    try:
+        encoded.encode()
+    except ProtocolError as error:
+        log.warning("a message is not delivered: %s", error)

@@ -17,7 +17,7 @@ from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory, Positions
 from server.moveit.poses import Message
-from server.moveit.requests.durations import NANOSECONDS_PER_S, read_seconds
+from server.moveit.requests.durations import NANOSECONDS_PER_S
 from server.moveit.requests.error_codes import refused
 
 # Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
@@ -203,7 +203,9 @@ def _times_s(points: list[Message]) -> Vector:
     nanoseconds = np.fromiter((duration["nanosec"] for duration in durations), np.float64, len(points))
     wrong = np.flatnonzero(nanoseconds >= NANOSECONDS_PER_S)
     if wrong.size:
-        read_seconds(durations[wrong[0]], f"trajectory.points[{wrong[0]}].time_from_start")
+        index = int(wrong[0])
+        found = f"must be below {NANOSECONDS_PER_S}, not {durations[index]['nanosec']}"
+        raise _invalid(f"points[{index}].time_from_start.nanosec {found}", index=index)
     return seconds + 1e-9 * nanoseconds
 
 

@@ -30,7 +30,7 @@ from server.moveit.actions.move_group import (
     read_planning_options,
 )
 from tests.helpers.fake_arm import HOME, settle
-from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, joint, message, outcome
+from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, assert_refused, joint, message, outcome
 
 OFFERED = {
     "/move_action": "moveit_msgs/action/MoveGroup",
@@ -233,9 +233,7 @@ def test_default_options_are_one_attempt_in_the_present_scene() -> None:
     assert options() == PlanningOptions(plan_only=False, attempts=1, delay_s=0.0, scene_diff=None, warnings=())
 
 
-@pytest.mark.parametrize(
-    ("asked", "attempts"), [(0, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)]
-)
+@pytest.mark.parametrize(("asked", "attempts"), [(0, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)])
 def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int) -> None:
     assert options(replan=True, replan_attempts=asked).attempts == attempts
 

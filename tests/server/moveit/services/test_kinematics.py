@@ -120,6 +120,11 @@ async def test_a_solution_in_contact_counts_unless_contacts_are_to_be_avoided(ri
 TIMES = {(0, 0): 0.5, (0, 250_000_000): 0.25, (2, 500_000_000): 2.5, (100, 0): 10.0}
 
 
+async def test_a_timeout_with_a_second_of_nanoseconds_is_refused_by_name(rig: ServiceRig) -> None:
+    refused = await ik(rig, timeout={"sec": 0, "nanosec": 1_000_000_000})
+    assert "ik_request.timeout.nanosec must be below 1000000000, not 1000000000" in refused["error_code"]["message"]
+
+
 @pytest.mark.parametrize(("stamp", "allowed_s"), TIMES.items())
 async def test_parts_of_seconds_count_in_a_timeout(rig: ServiceRig, stamp, allowed_s) -> None:
     await ik(rig, timeout={"sec": stamp[0], "nanosec": stamp[1]})

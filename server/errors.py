@@ -49,11 +49,13 @@ class UnsuccessfulError(ServerError):
 
     Attributes:
         response: the response message.
+        complete: True if the response has every field.
     """
 
-    def __init__(self, response: Mapping[str, Any], reason: str) -> None:
+    def __init__(self, response: Mapping[str, Any], reason: str, *, complete: bool = False) -> None:
         super().__init__(reason)
         self.response = response
+        self.complete = complete
 
 
 class RefusedError(ServerError):

@@ -207,7 +207,10 @@ class Actions(ProviderDirectory[ActionProvider]):
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
         canonical = self._offers.claim(node, name, type_name)
-        check_lists = None if limits is None else limits.check(self._message_types.registry, f"{canonical}_Goal")
+        check_lists = None
+        if limits is not None:
+            check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
+            self._message_types.prepare(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
         offer = ActionProvider(node, name, canonical, start, check_lists)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)

@@ -107,12 +107,12 @@ class Call(PendingRequest[Response]):
             raise
         self._end(Response(ok=True, values=completed, reason=reason))
 
-    def succeed_as_it_is(self, response: Mapping[str, Any]) -> None:
+    def succeed_as_it_is(self, response: Mapping[str, Any], reason: str = "") -> None:
         """Answer with a response message that is complete and valid already.
 
         For a large one of the server's own, of which most has been told before. Nobody may change it from here on.
         """
-        self._end(Response(ok=True, values=response))
+        self._end(Response(ok=True, values=response, reason=reason))
 
     def fail(self, values: object) -> None:
         """Answer that it failed, with a sentence or with what the provider gave."""
@@ -136,11 +136,11 @@ async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
         _succeed(call, await values)
 
 
-def _succeed(call: Call, values: Answered) -> None:
+def _succeed(call: Call, values: Answered, reason: str = "") -> None:
     if isinstance(values, CompleteResponse):
-        call.succeed_as_it_is(values.message)
+        call.succeed_as_it_is(values.message, reason)
     else:
-        call.succeed(values)
+        call.succeed(values, reason)
 
 
 @contextlib.contextmanager
@@ -150,7 +150,7 @@ def _failure_told(call: Call) -> Iterator[None]:
     except ServiceError as error:
         call.fail(str(error))
     except UnsuccessfulError as error:
-        call.succeed(error.response, str(error))
+        _succeed(call, CompleteResponse(error.response) if error.complete else error.response, str(error))
     except Exception:  # a bug in a service must not leave its caller waiting
         log.exception("service %s failed", call.service)
         call.fail(f"Service {call.service} failed inside the server")
@@ -245,7 +245,10 @@ class Services(ProviderDirectory[ServiceProvider]):
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
         canonical = self._offers.claim(node, name, type_name)
-        check_lists = None if limits is None else limits.check(self._message_types.registry, f"{canonical}_Request")
+        check_lists = None
+        if limits is not None:
+            check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
+            self._message_types.prepare(f"{canonical}_Request", f"{canonical}_Response")
         self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists))
 
     def withdraw(self, node: Node, name: str) -> None:

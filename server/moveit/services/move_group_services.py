@@ -10,7 +10,7 @@ import asyncio
 import inspect
 import logging
 import xml.etree.ElementTree as ET
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -126,7 +126,8 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
     context.display.contacts(pairs)
     response = {
         "valid": state.valid and not any(unmet),
-        "contacts": [_contact(pair, context.robot, scene) for pair in pairs],
+        "contacts": _contacts(pairs, context.robot, scene),
+        "cost_sources": [],
         "constraint_result": [_constraint_result(problem) for problem in unmet],
     }
     if response["valid"]:
@@ -134,7 +135,7 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
     reasons = [problem.message for problem in (*state.problems, *filter(None, unmet))]
     for reason in reasons:
         log.info("/check_state_validity: %s", reason)
-    raise UnsuccessfulError(response, "; ".join(reasons))
+    raise UnsuccessfulError(response, "; ".join(reasons), complete=True)
 
 
 def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
@@ -163,8 +164,8 @@ def _distance(details: Mapping[str, Any]) -> float:
     return float(max(details["lower_rad"] - position, position - details["upper_rad"], 0.0))
 
 
-def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[str, Any]:
-    """Write a moveit_msgs/ContactInformation."""
+def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scene) -> list[dict[str, Any]]:
+    """Write the moveit_msgs/ContactInformation of each pair."""
     attached = {each.object.name for each in scene.attached}
 
     def body_type(name: str) -> int:
@@ -172,16 +173,20 @@ def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[s
             return ROBOT_LINK
         return ROBOT_ATTACHED if name in attached else WORLD_OBJECT
 
-    return {
-        "header": {"frame_id": robot.root_link},
-        "position": dict(zip("xyz", pair["point_m"], strict=True)),
-        "normal": dict(zip("xyz", pair["normal"], strict=True)),
-        "depth": pair["depth_m"],
-        "contact_body_1": pair["first"],
-        "body_type_1": body_type(pair["first"]),
-        "contact_body_2": pair["second"],
-        "body_type_2": body_type(pair["second"]),
-    }
+    header = {"stamp": Stamp(0, 0).as_message(), "frame_id": robot.root_link}
+    return [
+        {
+            "header": header,
+            "position": dict(zip("xyz", pair["point_m"], strict=True)),
+            "normal": dict(zip("xyz", pair["normal"], strict=True)),
+            "depth": pair["depth_m"],
+            "contact_body_1": pair["first"],
+            "body_type_1": body_type(pair["first"]),
+            "contact_body_2": pair["second"],
+            "body_type_2": body_type(pair["second"]),
+        }
+        for pair in pairs
+    ]
 
 
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
@@ -375,7 +380,9 @@ SERVICES: Mapping[str, MoveGroupService] = {
     "/compute_cartesian_path": MoveGroupService(
         "moveit_msgs/srv/GetCartesianPath", compute_cartesian_path, complete=True
     ),
-    "/check_state_validity": MoveGroupService("moveit_msgs/srv/GetStateValidity", check_state_validity, invalid_state),
+    "/check_state_validity": MoveGroupService(
+        "moveit_msgs/srv/GetStateValidity", check_state_validity, invalid_state, complete=True
+    ),
     "/plan_sequence_path": MoveGroupService(
         "moveit_msgs/srv/GetMotionSequence",
         plan_sequence_path,

@@ -18,7 +18,7 @@ def read_seconds(message: Message, where: str) -> float:
     Raises:
         RefusedError: its nanoseconds are a second or more.
     """
-    nanosec = message["nanosec"]
+    nanosec: int = message["nanosec"]
     if nanosec >= NANOSECONDS_PER_S:
         raise invalid(f"{where}.nanosec must be below {NANOSECONDS_PER_S}, not {nanosec}", field=f"{where}.nanosec")
     return float(message["sec"]) + nanosec / NANOSECONDS_PER_S

@@ -11,7 +11,7 @@ MAX_POSE_CONSTRAINTS = 2 * MAX_ITEMS
 MAX_JOINT_CONSTRAINTS = 10 * MAX_ITEMS
 
 # Of attached objects, which come with every request of some clients. A tool's mesh for collisions has some thousands.
-MAX_ATTACHED_TRIANGLES = 20_000
+MAX_ATTACHED_TRIANGLES = 10_000
 
 # Longer paths are planned in parts; this one takes the planners a second.
 MAX_WAYPOINTS = 1_000

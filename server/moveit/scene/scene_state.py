@@ -234,9 +234,11 @@ class SceneState:
         self, before: SceneContents, change: SceneChange, positions_rad: Positions
     ) -> tuple[SceneContents, Scene | None]:
         contents, scene = self._changed(before, change, positions_rad)
-        for each in (*contents.objects.values(), *contents.attached.values()):
-            # Written once, for whoever is told of the scene.
+        # Written here and once, for whoever is told of the scene.
+        for each in contents.objects.values():
             _ = each.message
+        for held in contents.attached.values():
+            _ = held.message
         return contents, scene
 
     def _refusal(self, change: SceneChange, positions_rad: Positions) -> RefusedError | None:

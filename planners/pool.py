@@ -45,7 +45,7 @@ from planners.problem import (
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.model import RobotModel
-from robot.processes import Child, StartedChild
+from robot.processes import Child, DescriptorReserve, StartedChild
 
 log = logging.getLogger("armbridge.planners")
 
@@ -321,6 +321,7 @@ class PlannerPool:
         self._ever_loaded = False
         self._robot_refused = False
         self._tasks: set[asyncio.Task[None]] = set()
+        self._reserve = DescriptorReserve()
         self.load_failure: str | None = None
         self.waiting_count = 0
 
@@ -332,6 +333,7 @@ class PlannerPool:
     async def close(self) -> None:
         """End every process."""
         self._closing.set()
+        self._reserve.close()
         await asyncio.gather(*(worker.kill() for worker in self._workers))
         if self._tasks:
             await asyncio.wait(self._tasks, timeout=CLOSE_TIMEOUT_S)
@@ -449,10 +451,16 @@ class PlannerPool:
     # Private methods for processes: each that ends is replaced.
 
     async def _spawn(self) -> None:
-        worker = WorkerProcess(self._robot, self._memory_limit_bytes, self._on_loaded, self._on_exit)
+        with self._reserve.lent():
+            worker = WorkerProcess(self._robot, self._memory_limit_bytes, self._on_loaded, self._on_exit)
         self._workers.append(worker)
+        try:
+            await worker.start()
+        except BaseException:
+            # It cannot be read, and would never be missed: the end of a channel is what reports the end of a process.
+            self._workers.remove(worker)
+            raise
         asyncio.get_running_loop().call_later(LOAD_TIMEOUT_S, self._end_unless_loaded, worker)
-        await worker.start()
 
     def _end_unless_loaded(self, worker: WorkerProcess) -> None:
         if not worker.loaded and not self._closing.is_set():
@@ -471,6 +479,8 @@ class PlannerPool:
         self._workers.remove(worker)
         if self._closing.is_set() or self._robot_refused:
             return
+        # The socket of this process, which is closed behind this call, belongs to the next one.
+        asyncio.get_running_loop().call_soon(self._reserve.fill)
         if not worker.loaded:
             self._count_failed_start("ended while starting")
         self._in_background(self._replace(worker))
@@ -482,8 +492,8 @@ class PlannerPool:
         while not self._closing.is_set():
             try:
                 await self._spawn()
-            except OSError as error:
-                self._count_failed_start(f"could not be started: {error}")
+            except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try it is missing
+                self._count_failed_start(f"could not be started: {str(error) or type(error).__name__}")
                 await self._pause_after_failed_starts()
             else:
                 break

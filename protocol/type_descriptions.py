@@ -19,6 +19,10 @@ from protocol import values
 from protocol.dialect import Dialect, declared_in_ros1, spell_type
 from protocol.registry import ROS1_TIMES, ArrayBounds, Constant, Field, MessageType, Registry
 
+# Definitions that are kept, for headers and poses are in most descriptions; there are fewer message types, in two
+# dialects, than this.
+MAX_DECLARED_TYPES = 1024
+
 # What readers split the text at (genmsg's gendeps).
 _SEPARATOR = "=" * 80
 
@@ -37,8 +41,11 @@ def full_text(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> 
     main, *dependencies = _with_dependencies(registry, type_name, dialect)
     # ROS 1 readers know time and duration as primitives.
     sections = (each for each in dependencies if each.name not in ROS1_TIMES)
-    parts = (f"{_SEPARATOR}\nMSG: {_spell(each.name, dialect)}\n{_definition_text(each, dialect)}" for each in sections)
-    return "\n".join((_definition_text(main, dialect), *parts))
+    parts = (
+        f"{_SEPARATOR}\nMSG: {_spell(each.name, dialect)}\n{_definition_text(registry, each.name, dialect)}"
+        for each in sections
+    )
+    return "\n".join((_definition_text(registry, main.name, dialect), *parts))
 
 
 def typedefs(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> list[dict[str, Any]]:
@@ -61,10 +68,10 @@ def _with_dependencies(registry: Registry, type_name: str, dialect: Dialect) -> 
     waiting = [type_name]
     while waiting:
         name = waiting.pop()
-        message_type = declared_in_ros1(registry, name) if dialect == "ros1" else registry.message(name)
+        message_type, nested = _declared(registry, name, dialect)
         if message_type.name not in found:
             found[message_type.name] = message_type
-            waiting += [field.base for field in reversed(message_type.fields) if not field.primitive]
+            waiting += nested
     return list(found.values())
 
 
@@ -76,7 +83,16 @@ def _spell(name: str, dialect: Dialect) -> str:
     return f"{first}/{others[-1]}" if others else first
 
 
-def _definition_text(message_type: MessageType, dialect: Dialect) -> str:
+@functools.lru_cache(maxsize=MAX_DECLARED_TYPES)
+def _declared(registry: Registry, name: str, dialect: Dialect) -> tuple[MessageType, tuple[str, ...]]:
+    """Return a message type as a dialect declares it, and the types of its fields, the last first."""
+    message_type = declared_in_ros1(registry, name) if dialect == "ros1" else registry.message(name)
+    return message_type, tuple(field.base for field in reversed(message_type.fields) if not field.primitive)
+
+
+@functools.lru_cache(maxsize=MAX_DECLARED_TYPES)
+def _definition_text(registry: Registry, name: str, dialect: Dialect) -> str:
+    message_type, _ = _declared(registry, name, dialect)
     lines = [_constant_line(constant, dialect) for constant in message_type.constants]
     lines += [_field_line(field, dialect) for field in message_type.fields]
     return "".join(f"{line}\n" for line in lines)

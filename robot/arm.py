@@ -18,6 +18,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from robot.logs import LogLimiter
 from robot.messages import (
     ArmConfig,
     ArmHealth,
@@ -38,7 +39,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
-from robot.processes import Child, StartedChild
+from robot.processes import Child, DescriptorReserve, RestartDelay, StartedChild
 from robot.trajectory import Trajectory, Vector
 
 log = logging.getLogger("armbridge.arm")
@@ -68,8 +69,9 @@ STATE_MAX_AGE_S = 1.0
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
 
-# A process that dies at once must not be restarted in a tight loop.
-RESTART_DELAY_S = 0.5
+# Log lines of one kind on processes that end or cannot be started: the first ones, then one in ten minutes [1/s].
+RESTART_LINES = 10
+RESTART_LINES_PER_S = 1.0 / 600.0
 
 # Longer than the arm process itself takes to brake, relax and end.
 CLOSE_TIMEOUT_S = 5.5
@@ -88,6 +90,7 @@ class Arm:
         on_state: called in the event loop with every state of the arm.
         on_health: called in the event loop with the arm's condition, once a second.
         started: its process, if it was started ahead.
+        restart_delay: delay before each start of a process in place of one that has ended.
 
     Attributes:
         state: latest state.
@@ -101,6 +104,7 @@ class Arm:
         on_state: Callable[[ArmState], None],
         on_health: Callable[[ArmHealth], None] = lambda _health: None,
         started: StartedChild | None = None,
+        restart_delay: RestartDelay | None = None,
     ) -> None:
         self._config = config
         self._on_state = on_state
@@ -114,6 +118,9 @@ class Arm:
         self._ids = itertools.count(1)
         self._closing = False
         self._restart: asyncio.Task[None] | None = None
+        self._restart_delay = restart_delay or RestartDelay()
+        self._restart_log = LogLimiter(RESTART_LINES, RESTART_LINES_PER_S)
+        self._launched_at_s = time.monotonic()
         self._heartbeat: asyncio.Task[None] | None = None
         self._first_state = asyncio.Event()
         self._starting = False
@@ -130,8 +137,13 @@ class Arm:
         self._last_connected = self.state
 
     async def launch(self) -> None:
-        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued."""
+        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued.
+
+        Raises:
+            OSError: the system has no descriptor, process or memory left for it.
+        """
         self._starting = True
+        self._launched_at_s = time.monotonic()
         await self._process.launch()
 
     async def start(self, timeout_s: float) -> None:
@@ -368,28 +380,49 @@ class Arm:
             _settle(answered, CommandDone(number, done=False, message="the arm process ended before it had answered"))
         if self._closing:
             return
-        log.error("the arm process ended; starting it again")
-        reason = "the arm process ended and is starting again"
-        names, fault = self.state.joint_names, self.state.fault
-        self._take_state(
-            ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=self.clock_s)
-        )
+        self._tell_restart("the arm process ended; starting it again")
         self._restart = asyncio.create_task(self._start_again(), name="restart arm process")
+        self._disconnect("the arm process ended and is starting again")
 
     async def _start_again(self) -> None:
+        ran_s = time.monotonic() - self._launched_at_s
         await self._process.kill()
-        await asyncio.sleep(RESTART_DELAY_S)
-        if self._closing:
-            # Python 3.11's wait_for may swallow the cancellation (bpo-37658).
-            return
         # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
         # not be switched on.
         last = self._last_connected
         hardware = self._config.hardware.resumed(_position_rad(last), driven=last.driven)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
-        await self._process.launch()
+        while True:
+            await asyncio.sleep(self._restart_delay.after(ran_s))
+            # Python 3.11's wait_for may swallow the cancellation (bpo-37658).
+            if self._closing or await self._launched_again():
+                return
+            ran_s = 0.0
+
+    async def _launched_again(self) -> bool:
+        """Start and configure a process; return False when it cannot be started."""
+        try:
+            self._launched_at_s = time.monotonic()
+            await self._process.launch()
+        except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try the arm is lost
+            reason = f"the arm process cannot be started: {str(error) or type(error).__name__}"
+            self._tell_restart(reason)
+            self._disconnect(f"{reason}; it is tried again")
+            return False
         if self._begun:
             self._process.configure(self._config)
+        return True
+
+    def _disconnect(self, reason: str) -> None:
+        names, fault = self.state.joint_names, self.state.fault
+        state = ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=self.clock_s)
+        try:
+            self._take_state(state)
+        except Exception:  # a bug in one who takes the state must not end the restarts
+            log.exception("reporting that the arm process is gone failed")
+
+    def _tell_restart(self, line: str) -> None:
+        self._restart_log.write(log, logging.ERROR, line, line, time.monotonic())
 
 
 class ArmStream:
@@ -446,6 +479,7 @@ class ArmProcess:
         started: StartedChild | None = None,
     ) -> None:
         self._started = started
+        self._reserve = DescriptorReserve()
         self._on_message = on_message
         self._on_exit = on_exit
         self._child: Child | None = None
@@ -468,9 +502,14 @@ class ArmProcess:
         return self._configured and self._runs()
 
     async def launch(self) -> None:
-        """Start a process; it does nothing before :meth:`configure`."""
-        started, self._started = self._started or start_arm_process(), None
-        self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
+        """Start a process; it does nothing before :meth:`configure`.
+
+        Raises:
+            OSError: the system has no descriptor, process or memory left for it.
+        """
+        with self._reserve.lent():
+            started, self._started = self._started or start_arm_process(), None
+            self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
         await self._child.connect()
 
     def configure(self, config: ArmConfig) -> None:
@@ -504,6 +543,7 @@ class ArmProcess:
 
     async def end(self, timeout_s: float) -> None:
         """Bring the arm to its end state and end the process; kill it after ``timeout_s``."""
+        self._reserve.close()
         if self._child is None:
             return
         if self._configured:
@@ -523,6 +563,8 @@ class ArmProcess:
     def _exited(self) -> None:
         self._configured = False
         self._early.clear()
+        # The socket of this process, which is closed behind this call, belongs to the next one.
+        asyncio.get_running_loop().call_soon(self._reserve.fill)
         self._on_exit()
 
 

@@ -14,11 +14,11 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from robot import files
 from robot.errors import CalibrationError
 
 TICKS_PER_TURN = 4096
@@ -263,8 +263,34 @@ def lerobot_directories(environment: Mapping[str, str]) -> tuple[Path, ...]:
     return tuple(directory / "robots" / name for name in ROBOT_NAMES)
 
 
+@contextlib.contextmanager
+def reserved(path: Path, *, overwrite: bool) -> Iterator[None]:
+    """Reserve a file for a new calibration, against other processes that would write it meanwhile.
+
+    Args:
+        path: the file.
+        overwrite: True if it may exist.
+
+    Raises:
+        CalibrationError: it exists, cannot be written, or another process has it.
+    """
+    lock = files.FileLock(path)
+    try:
+        lock.acquire()
+    except files.FileLockedError as error:
+        raise CalibrationError(str(path), "", f"{error.strerror}, which is calibrating this arm") from error
+    except OSError as error:
+        raise CalibrationError(str(path), "", f"cannot be written: {error}") from error
+    try:
+        if path.exists() and not overwrite:
+            raise CalibrationError(str(path), "", "is there already: choose another name, or --overwrite it")
+        yield
+    finally:
+        lock.release()
+
+
 def save(calibration: Calibration, path: Path) -> None:
-    """Write a calibration as lerobot does, atomically.
+    """Write a calibration as lerobot does, as a whole or not at all; its file is :func:`reserved`.
 
     Raises:
         CalibrationError: the file cannot be written.
@@ -279,14 +305,10 @@ def save(calibration: Calibration, path: Path) -> None:
         }
         for joint in calibration.joints
     }
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_text(json.dumps(table, indent=4) + "\n")
-        unfinished.replace(path)
+        files.replace(path, (json.dumps(table, indent=4) + "\n").encode())
     except OSError as error:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
         raise CalibrationError(str(path), "", f"cannot be written: {error}") from error
 
 

@@ -168,6 +168,8 @@ def channel_of_child(arguments: list[str] | None = None) -> Channel:
     """
     for number in SIGNALS_OF_SERVER:
         signal.signal(number, signal.SIG_IGN)
+    # The server has started this process with them blocked.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS_OF_SERVER)
     parser = argparse.ArgumentParser()
     parser.add_argument("--fd", type=int, required=True)
     parser.add_argument("--log-level", type=int, default=logging.INFO)

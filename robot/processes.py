@@ -15,11 +15,11 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, cast
 
 from robot import logs
-from robot.channel import Decoder, encode
+from robot.channel import SIGNALS_OF_SERVER, Decoder, encode
 
 log = logging.getLogger("armbridge.processes")
 
@@ -35,6 +35,80 @@ POLL_S = 0.005
 # Environment variables of systemd's notification protocol (sd_notify(3)).
 OF_SERVICE_MANAGER = frozenset({"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"})
 
+# The start of a child takes five: its socket pair, /dev/null, and the pipe by which exec reports its error.
+RESERVED_DESCRIPTORS = 8
+
+# Delays before a process is started in place of one that has ended: a tight loop of starts would take a core, and
+# memory or descriptors that are used up are back within seconds or not soon.
+FIRST_RESTART_S = 0.2
+LONGEST_RESTART_S = 10.0
+
+
+class DescriptorReserve:
+    """File descriptors kept for the start of a child: clients that use up all others cannot prevent it.
+
+    Args:
+        count: number of descriptors.
+    """
+
+    def __init__(self, count: int = RESERVED_DESCRIPTORS) -> None:
+        self._count = count
+        self._held: list[int] = []
+
+    @property
+    def held(self) -> int:
+        """Number of descriptors in reserve."""
+        return len(self._held)
+
+    def fill(self) -> None:
+        """Take the descriptors, or as many as are left."""
+        with contextlib.suppress(OSError):
+            while len(self._held) < self._count:
+                self._held.append(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
+
+    def close(self) -> None:
+        """Give the descriptors back for good."""
+        self._count = 0
+        self._release()
+
+    @contextlib.contextmanager
+    def lent(self) -> Iterator[None]:
+        """Give the descriptors back for the time of a start, and take them again."""
+        self._release()
+        try:
+            yield
+        finally:
+            self.fill()
+
+    def _release(self) -> None:
+        while self._held:
+            os.close(self._held.pop())
+
+
+class RestartDelay:
+    """Delay before each start of a process; doubled from start to start, until a process has run for the longest delay.
+
+    Args:
+        first_s: delay before the first start [s].
+        longest_s: longest delay [s].
+    """
+
+    def __init__(self, first_s: float = FIRST_RESTART_S, longest_s: float = LONGEST_RESTART_S) -> None:
+        self._first_s = first_s
+        self._longest_s = longest_s
+        self._next_s = first_s
+
+    def after(self, ran_s: float) -> float:
+        """Return the time to wait [s].
+
+        Args:
+            ran_s: time for which the process ran [s]; 0 for one that could not be started.
+        """
+        if ran_s >= self._longest_s:
+            self._next_s = self._first_s
+        delay_s, self._next_s = self._next_s, min(2.0 * self._next_s, self._longest_s)
+        return delay_s
+
 
 class StartedChild:
     """Child process started ahead: it loads its modules, and ends by itself when this process does.
@@ -46,6 +120,9 @@ class StartedChild:
         process: the child.
         socket: the server's end of its channel.
         adopted: True once a :class:`Child` owns it.
+
+    Raises:
+        OSError: the system has no descriptor, process or memory left for it.
     """
 
     def __init__(self, module: str) -> None:
@@ -54,7 +131,11 @@ class StartedChild:
         with theirs:
             level = str(logging.getLogger().getEffectiveLevel())
             logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module]
-            self.process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
+            try:
+                self.process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
+            except BaseException:
+                self.socket.close()
+                raise
 
     def close(self) -> None:
         """Kill the child, unless it is adopted."""
@@ -109,8 +190,18 @@ class Child:
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
     async def connect(self) -> None:
-        """Begin to read the child's messages."""
-        await asyncio.get_running_loop().create_unix_connection(lambda: self._link, sock=self._socket)
+        """Begin to read the child's messages; a child that cannot be read is killed.
+
+        Raises:
+            OSError: the system lets no further socket be watched.
+        """
+        try:
+            await asyncio.get_running_loop().create_unix_connection(lambda: self._link, sock=self._socket)
+        except BaseException:
+            self._process.kill()
+            self._socket.close()
+            await has_ended(self._process, KILL_TIMEOUT_S)
+            raise
         logs.follow(self)
 
     def send(self, message: object) -> None:
@@ -219,15 +310,33 @@ def start_module(module: str, arguments: list[str], pass_fds: tuple[int, ...]) -
     does not inherit the service manager's notification socket (sd_notify(3)).
 
     Args:
-        module: name of the module.
+        module: name of the module; its ``main`` opens the channel (:func:`robot.channel.channel_of_child`).
         arguments: its command line.
         pass_fds: file descriptors that it inherits.
+
+    Raises:
+        OSError: the system has no descriptor, process or memory left for it.
     """
     environment = {name: value for name, value in os.environ.items() if name not in OF_SERVICE_MANAGER}
-    return subprocess.Popen(  # noqa: S603 - our own interpreter and module
-        [sys.executable, "-P", "-m", module, *arguments],
-        pass_fds=pass_fds,
-        stdin=subprocess.DEVNULL,
-        start_new_session=True,
-        env={**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-    )
+    with _blocked(SIGNALS_OF_SERVER):
+        return subprocess.Popen(  # noqa: S603 - our own interpreter and module
+            [sys.executable, "-P", "-m", module, *arguments],
+            pass_fds=pass_fds,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+            env={**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )
+
+
+@contextlib.contextmanager
+def _blocked(signals: Collection[signal.Signals]) -> Iterator[None]:
+    """Have a child begin with signals blocked, until it ignores them.
+
+    A child takes half a second to get there, and until then a service manager's signal, meant for the server, would end
+    it. The mask is inherited through exec (execve(2)); what comes for the server meanwhile is delivered afterwards.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

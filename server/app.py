@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import logging
+import sys
 from typing import TYPE_CHECKING
 
 import uvloop
@@ -27,6 +27,7 @@ from server.gateway.listener import Listener
 from server.graph.topics import Graph
 from server.lifecycle import BackgroundTask, Part, start_in_order, stop_in_reverse, stop_signals, unless_ended
 from server.monitoring.health import Sources
+from server.monitoring.memory import SWITCH_INTERVAL_S, CollectorPolicy, MemoryKeeper
 from server.monitoring.monitor import Monitor
 from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
 from server.monitoring.systemd import SystemdNotifier, on_debug_signal, on_hangup
@@ -59,6 +60,7 @@ def serve(settings: Settings, arm_process: StartedChild | None = None) -> None:
     async def run() -> None:
         await App(settings, arm_process).run()
 
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     uvloop.run(run())
 
 
@@ -82,7 +84,7 @@ class App:
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
         # The goal queue is among the parts below; a lease is asked for when clients drive.
-        access = Access(settings.access, busy=lambda: self._moveit.queue.busy)
+        access = Access(settings.access, busy=lambda: self._moveit.running)
 
         # What refuses wrong settings, and what other parts use; none of it does anything before its start.
         routes: dict[str, Route] = {}
@@ -120,6 +122,8 @@ class App:
             recorder=self._recorder,
             zenoh=self._bridge,
         )
+        self._collector = CollectorPolicy()
+        self._memory = MemoryKeeper(self._collector, self._nothing_moves)
         self._monitor = Monitor(sources, SystemdNotifier.from_environment())
         routes.update(self._monitor.routes)
 
@@ -143,6 +147,7 @@ class App:
             relaxing = self._settings.arm.on_exit is EndState.RELAX
             await stop_in_reverse(started, STOP_TOTAL_S + (RELAXING_S if relaxing else 0.0), hurry)
             self._monitor.close()
+            self._collector.stop()
         log.info("stopped")
 
     def _parts(self) -> list[Part]:
@@ -153,9 +158,12 @@ class App:
         """
         monitor = BackgroundTask("monitor", self._monitor.run)
         diagnostics = BackgroundTask("diagnostics", self._diagnostics.run)
+        memory = BackgroundTask("memory", self._memory.run)
         relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
         parts = [
             Part("the monitor", monitor.start, monitor.stop),
+            # Restored before anybody can see it, and written when nobody can change it any more.
+            Part("the planning scene", self._moveit.restore_scene, self._moveit.keep_scene, 0.4),
             # The port before the processes: none of them, and no arm, is needed when it is taken.
             Part("clients", self._listener.bind, self._close_clients, 0.6),
             Part("planners", self._pool.start, self._pool.close, 0.4),
@@ -165,6 +173,7 @@ class App:
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._listener.open),
             Part("the arm's first state", self._wait_for_arm),
+            Part("memory", memory.start, memory.stop),
         ]
         if self._bridge is not None:
             bridge = BackgroundTask("zenoh", self._bridge.run)
@@ -175,9 +184,8 @@ class App:
         self._moveit.start()
 
     async def _wait_for_arm(self) -> None:
-        # Hide what lives as long as the server from the garbage collector; nothing moves yet that could wait for it.
-        gc.collect()
-        gc.freeze()
+        # Nothing moves yet that could wait for it.
+        self._collector.start()
         try:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
@@ -192,6 +200,9 @@ class App:
         if self._recorder is not None:
             await self._recorder.close()
         self._rosout.close()
+
+    def _nothing_moves(self) -> bool:
+        return not self._moveit.queue.busy and self._arm.state.mode is not Mode.MOVING
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
@@ -236,11 +247,14 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
         robot_name: for whoever reads the file.
 
     Raises:
+        ConfigurationError: at its path is something else than a file.
         StartError: the file cannot be written.
     """
     if settings.file is None:
         return None
     # Imported when it is needed: most servers record nothing, and start without the library.
+    from server.recording.files import check_path
     from server.recording.recorder import Recorder
 
+    check_path(settings.file)
     return Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})

@@ -202,8 +202,20 @@ class GoalSettings(SettingsSection):
     # Whoever pauses a motion to look at something is back by then.
     max_paused_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
     """a goal that was paused or going back for longer, all times together, is given up [s]."""
+    # The arm process plays half an hour of points at 100 Hz; an action's goal is over after an hour.
+    max_trajectory_duration_s: float = Field(default=600.0, ge=1.0, le=1800.0)
+    """a goal whose motions take longer than this as planned is refused, whoever has planned them [s]."""
     named_states_file: Path | None = None
     """where saved states are kept; None for a file in the user's data directory."""
+
+
+class SceneSettings(SettingsSection):
+    """The planning scene from one start of the server to the next."""
+
+    keep: bool = True
+    """keep what clients add to the planning scene, and restore it at the next start."""
+    file: Path | None = None
+    """where it is kept; None for a file in the user's data directory. Each server needs one of its own."""
 
 
 class RecordingSettings(SettingsSection):
@@ -251,6 +263,7 @@ class Settings(BaseSettings):
     arm: ArmSettings = ArmSettings()
     moveit: MoveItParameters = MoveItParameters()
     goals: GoalSettings = GoalSettings()
+    scene: SceneSettings = SceneSettings()
     planning: PlanningSettings = PlanningSettings()
     recording: RecordingSettings = RecordingSettings()
     zenoh: ZenohSettings = ZenohSettings()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,8 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
         are not left at their defaults.
 
     Raises:
-        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
+        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key;
+            a value that another one overrides is checked like any other.
     """
     in_file = _read(file) if file else {}
     if stray := _stray_variables():
@@ -44,13 +46,39 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
     try:
         layers = {"file": in_file, "environment": EnvSettingsSource(Settings)(), "command line": overrides}
         tables = frozenset(key for key, _, field in every_field(Settings) if is_table(field))
-        sources = {key: layer for layer, values in layers.items() for key, _ in flattened(values, tables)}
+        keys = {layer: [key for key, _ in flattened(values, tables)] for layer, values in layers.items()}
+        sources = {key: layer for layer, own in keys.items() for key in own}
+        # Where refusals say that a value comes from.
+        places = {"file": f"file {file}"}
+        for layer, values in layers.items():
+            _check_values(values, layers.values(), dict.fromkeys(keys[layer], places.get(layer, layer)))
         # Settings itself reads the environment, below what it is called with.
         return Settings(**functools.reduce(_merged, layers.values())), sources
     except SettingsError as error:
         raise ConfigurationError(f"environment: {error}") from error
     except ValidationError as error:
         raise ConfigurationError("; ".join(_sentence(each, sources) for each in error.errors())) from error
+
+
+def _check_values(values: dict[str, Any], layers: Iterable[dict[str, Any]], places: dict[str, str]) -> None:
+    """Refuse wrong values of one layer, also those that a layer above overrides.
+
+    Values that contradict each other are no matter here: a layer above may be what puts them right.
+
+    Args:
+        values: of the layer, by section and key.
+        layers: values of all layers, the lowest first.
+        places: place of the layer, by its keys.
+
+    Raises:
+        ConfigurationError: a value is unknown or out of range, named by its key.
+    """
+    try:
+        Settings(**functools.reduce(_merged, (*layers, values)))
+    except ValidationError as error:
+        own = [each for each in error.errors() if _place(_key(each), places)]
+        if own:
+            raise ConfigurationError("; ".join(_sentence(each, places) for each in own)) from error
 
 
 def known_keys() -> list[str]:
@@ -95,12 +123,22 @@ def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _sentence(problem: Any, sources: dict[str, str]) -> str:
-    key = ".".join(str(part) for part in problem["loc"])
+def _key(problem: Any) -> str:
+    return ".".join(str(part) for part in problem["loc"])
+
+
+def _place(key: str, places: dict[str, str]) -> str:
+    """Return the place of a value, or of the table that it stands in; empty for another one."""
+    return next((place for each, place in places.items() if f"{key}.".startswith(f"{each}.")), "")
+
+
+def _sentence(problem: Any, places: dict[str, str]) -> str:
+    key = _key(problem)
     if problem["type"] == "extra_forbidden":
         return unknown(key, known_keys())
     value = problem.get("input")
-    source = next((f", from the {layer}" for each, layer in sources.items() if f"{key}.".startswith(f"{each}.")), "")
+    place = _place(key, places)
+    source = f", from the {place}" if place else ""
     if key == "access" or key.startswith(_SECRET):
         shown = f" (it is not shown{source})"
     else:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import json
 import re
 import socket
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
-from protocol.dialect import Dialect, spell_type
+from protocol.dialect import Dialect
 from protocol.errors import InterfaceError
 from protocol.messages import Stamp
 from protocol.operations import qualify
 from protocol.type_descriptions import full_text, typedefs
 from server.access.permissions import NameFilter
 from server.errors import ServiceError
+from server.graph.index import TypedNames
 from server.graph.node import Node
-from server.graph.services import LOCAL_TIMEOUT_S, Call, answer
+from server.graph.services import LOCAL_TIMEOUT_S, Call, failure_told
 from server.graph.topics import Graph
 
 NODE = Node("rosapi")
@@ -31,6 +35,12 @@ ROS_VERSIONS: Mapping[Dialect, dict[str, Any]] = {
 # Of all texts in one response: those of 4000 types of average length, or of 380 of the longest. Without a limit, a
 # client that advertises thousands of topics would make every response expensive for everybody.
 MAX_TEXTS_CHARACTERS = 4 << 20
+
+# Descriptions of types that are kept, those last asked for; one has 15 kB on average, the largest 120.
+MAX_DETAILS = 512
+
+# Names of nodes that are kept as ROS spells them: far more than clients connect.
+MAX_NODE_NAMES = 8192
 
 # As many as any robot's parameter server has.
 MAX_PARAMETERS = 10_000
@@ -54,16 +64,8 @@ class Request(NamedTuple):
         """Return the fully qualified name in a field of the request."""
         return qualify(self.values[field])
 
-    def spell(self, type_name: str) -> str:
-        """Spell a canonical type name, or the empty text that stands for none, in the caller's dialect."""
-        return spell_type(type_name, self.dialect)
 
-    def spell_all(self, type_names: Iterable[str]) -> list[str]:
-        """Spell canonical type names in the caller's dialect."""
-        return [spell_type(type_name, self.dialect) for type_name in type_names]
-
-
-# Returns the response's fields; raises ServiceError to fail the call.
+# Returns the complete response, which nobody changes from then on; raises ServiceError to fail the call.
 Handler: TypeAlias = Callable[[Request], dict[str, Any]]
 
 # Service name below /rosapi -> service type and handler.
@@ -93,14 +95,19 @@ class RosApi:
         self._wall_clock = wall_clock
         # Foxglove asks for the texts of all topics every three seconds; there are no more types than the registry has.
         self._texts: dict[tuple[str, Dialect], str] = {}
+        self._details = functools.lru_cache(MAX_DETAILS)(self._make_details)
+        topics, services, actions = graph.topic_names, self._services.names, self._actions.names
         handlers: Handlers = {
-            "topics": ("rosapi_msgs/srv/Topics", self._topics),
+            "topics": ("rosapi_msgs/srv/Topics", Latest(topics, self._topics)),
             "topics_for_type": ("rosapi_msgs/srv/TopicsForType", self._topics_for_type),
-            "topics_and_raw_types": ("rosapi_msgs/srv/TopicsAndRawTypes", self._topics_and_raw_types),
+            "topics_and_raw_types": ("rosapi_msgs/srv/TopicsAndRawTypes", Latest(topics, self._topics_and_raw_types)),
             "topic_type": ("rosapi_msgs/srv/TopicType", self._topic_type),
             "publishers": ("rosapi_msgs/srv/Publishers", self._publishers),
             "subscribers": ("rosapi_msgs/srv/Subscribers", self._subscribers),
-            "services": ("rosapi_msgs/srv/Services", lambda _: {"services": sorted(self._services.types())}),
+            "services": (
+                "rosapi_msgs/srv/Services",
+                Latest(services, lambda _: {"services": sorted(services.types())}),
+            ),
             "services_for_type": ("rosapi_msgs/srv/ServicesForType", self._services_for_type),
             "service_type": ("rosapi_msgs/srv/ServiceType", self._service_type),
             "service_providers": ("rosapi_msgs/srv/ServiceProviders", self._service_providers),
@@ -109,11 +116,11 @@ class RosApi:
             "service_host": ("rosapi/srv/ServiceHost", self._service_host),
             "action_servers": (
                 "rosapi_msgs/srv/GetActionServers",
-                lambda _: {"action_servers": sorted(self._actions.types())},
+                Latest(actions, lambda _: {"action_servers": sorted(actions.types())}),
             ),
             "nodes": ("rosapi_msgs/srv/Nodes", self._nodes),
             "node_details": ("rosapi_msgs/srv/NodeDetails", self._node_details),
-            "message_details": ("rosapi_msgs/srv/MessageDetails", self._typedefs),
+            "message_details": ("rosapi_msgs/srv/MessageDetails", self._message_details),
             "service_request_details": ("rosapi_msgs/srv/ServiceRequestDetails", self._service_request_details),
             "service_response_details": ("rosapi_msgs/srv/ServiceResponseDetails", self._service_response_details),
             "get_time": ("rosapi_msgs/srv/GetTime", self._get_time),
@@ -125,30 +132,29 @@ class RosApi:
 
     # Topics.
 
-    def _topics(self, request: Request) -> dict[str, Any]:
-        types = self._graph.topic_types()
-        return {"topics": list(types), "types": request.spell_all(types.values())}
+    def _topics(self, dialect: Dialect) -> dict[str, Any]:
+        types = self._graph.topic_names.types(dialect)
+        return {"topics": list(types), "types": list(types.values())}
 
     def _topics_for_type(self, request: Request) -> dict[str, Any]:
-        return {"topics": names_of_type(self._graph.topic_types(), request.values["type"])}
+        return {"topics": sorted(self._graph.topic_names.of_type(request.values["type"]))}
 
-    def _topics_and_raw_types(self, request: Request) -> dict[str, Any]:
-        types = self._graph.topic_types()
-        texts = _limited(self._full_text(type_name, request.dialect) for type_name in types.values())
-        return {"topics": list(types), "types": request.spell_all(types.values()), "typedefs_full_text": texts}
+    def _topics_and_raw_types(self, dialect: Dialect) -> dict[str, Any]:
+        types = self._graph.topic_types().values()
+        texts = {type_name: self._full_text(type_name, dialect) for type_name in set(types)}
+        return {**self._topics(dialect), "typedefs_full_text": _limited([texts[type_name] for type_name in types])}
 
     def _full_text(self, type_name: str, dialect: Dialect) -> str:
+        if not self._registry.knows(type_name):
+            # A type that is relayed without being known.
+            return ""
         text = self._texts.get((type_name, dialect))
         if text is None:
-            try:
-                text = self._texts[type_name, dialect] = full_text(self._registry, type_name, dialect)
-            except InterfaceError:
-                # A type that is relayed without being known.
-                return ""
+            text = self._texts[type_name, dialect] = full_text(self._registry, type_name, dialect)
         return text
 
     def _topic_type(self, request: Request) -> dict[str, Any]:
-        return {"type": request.spell(self._graph.topic_types().get(request.name("topic"), ""))}
+        return {"type": self._graph.topic_names.type_of(request.name("topic"), request.dialect) or ""}
 
     def _publishers(self, request: Request) -> dict[str, Any]:
         return {"publishers": _node_names(self._graph.publishers(request.name("topic")))}
@@ -159,16 +165,14 @@ class RosApi:
     # Services.
 
     def _services_for_type(self, request: Request) -> dict[str, Any]:
-        return {"services": names_of_type(self._services.types(), request.values["type"])}
+        return {"services": sorted(self._services.names.of_type(request.values["type"]))}
 
     def _service_type(self, request: Request) -> dict[str, Any]:
-        return {"type": request.spell(self._services.type_of(request.name("service")) or "")}
+        return {"type": self._services.names.type_of(request.name("service"), request.dialect) or ""}
 
     def _service_providers(self, request: Request) -> dict[str, Any]:
         """Return the providers of a type, which is in the field ``service`` (as in rosapi)."""
-        names = names_of_type(self._services.types(), request.values["service"])
-        providers = map(self._services.provider, names)
-        return {"providers": _node_names(provider for provider in providers if provider is not None)}
+        return {"providers": _node_names(self._services.providers_of_type(request.values["service"]))}
 
     def _service_node(self, request: Request) -> dict[str, Any]:
         provider = self._services.provider(request.name("service"))
@@ -182,40 +186,34 @@ class RosApi:
     # Nodes.
 
     def _nodes(self, _request: Request) -> dict[str, Any]:
-        topics = self._graph.topic_types()
-        publishers = (node for topic in topics for node in self._graph.publishers(topic))
-        subscribers = (node for topic in topics for node in self._graph.subscribers(topic))
-        providers = (self._services.provider(name) for name in self._services.types())
-        nodes = {*publishers, *subscribers, *(provider for provider in providers if provider is not None)}
-        return {"nodes": _node_names(nodes)}
+        return {"nodes": _node_names(self._graph.nodes())}
 
     def _node_details(self, request: Request) -> dict[str, Any]:
-        name = request.values["node"]
-        topics = self._graph.topic_types()
+        name, graph = request.values["node"], self._graph
+        # Several clients may have one name as ROS spells it.
+        nodes = [node for node in graph.nodes() if node_name(node) == name]
         return {
-            "publishing": [topic for topic in topics if name in map(node_name, self._graph.publishers(topic))],
-            "subscribing": [topic for topic in topics if name in map(node_name, self._graph.subscribers(topic))],
-            "services": [
-                service
-                for service in self._services.types()
-                if (provider := self._services.provider(service)) is not None and node_name(provider) == name
-            ],
+            "subscribing": _joined(map(graph.subscribed_by, nodes)),
+            "publishing": _joined(map(graph.published_by, nodes)),
+            "services": _joined(map(self._services.provided_by, nodes)),
         }
 
     # Types, as the caller's dialect declares them.
 
+    def _message_details(self, request: Request) -> dict[str, Any]:
+        return self._details(request.values["type"], "", request.dialect)
+
     def _service_request_details(self, request: Request) -> dict[str, Any]:
-        return self._typedefs(request, "_Request")
+        return self._details(request.values["type"], "_Request", request.dialect)
 
     def _service_response_details(self, request: Request) -> dict[str, Any]:
-        return self._typedefs(request, "_Response")
+        return self._details(request.values["type"], "_Response", request.dialect)
 
-    def _typedefs(self, request: Request, member: str = "") -> dict[str, Any]:
-        """Return the fields of a message type, or of a service's request or response."""
-        name = request.values["type"]
+    def _make_details(self, name: str, member: str, dialect: Dialect) -> dict[str, Any]:
+        """Return the fields of a message type, or of a service's request or response, as a response."""
         try:
             message = f"{self._registry.canonical(name, 'srv')}{member}" if member else name
-            return {"typedefs": typedefs(self._registry, message, request.dialect)}
+            return {"typedefs": typedefs(self._registry, message, dialect)}
         except InterfaceError as error:
             raise ServiceError(str(error)) from error
 
@@ -223,6 +221,28 @@ class RosApi:
 
     def _get_time(self, _request: Request) -> dict[str, Any]:
         return {"time": Stamp.from_seconds(self._wall_clock()).as_message()}
+
+
+class Latest:
+    """Response that is the same for all until the names in use change: made once for each change and dialect.
+
+    Args:
+        names: the names that it is made of.
+        make: makes it, for a dialect.
+    """
+
+    def __init__(self, names: TypedNames, make: Callable[[Dialect], dict[str, Any]]) -> None:
+        self._names = names
+        self._make = make
+        self._made: dict[Dialect, tuple[int, dict[str, Any]]] = {}
+
+    def __call__(self, request: Request) -> dict[str, Any]:
+        """Return the response, the same object as before if nothing has changed."""
+        revision, response = self._made.get(request.dialect, (None, {}))
+        if revision != self._names.revision:
+            response = self._make(request.dialect)
+            self._made[request.dialect] = self._names.revision, response
+        return response
 
 
 class Parameters:
@@ -238,6 +258,8 @@ class Parameters:
     def __init__(self, names: NameFilter | None = None) -> None:
         self._names = names or NameFilter("access.params_glob")
         self._values: dict[str, str] = {}
+        # Names of those that clients may use.
+        self._open: set[str] = set()
         self._size_bytes = 0
         self.handlers: Handlers = {
             "set_param": ("rosapi_msgs/srv/SetParam", self._set_param),
@@ -258,6 +280,8 @@ class Parameters:
         """
         self._size_bytes += _size_bytes(name, value) - self._stored_bytes(name)
         self._values[name] = value
+        if self._names.refusal("parameter", name) is None:
+            self._open.add(name)
 
     def _set_param(self, request: Request) -> dict[str, Any]:
         name, value = self._allowed_name(request), request.values["value"]
@@ -272,6 +296,7 @@ class Parameters:
         except (ValueError, RecursionError) as error:
             raise ServiceError(f"value: must be JSON text: {error}") from error
         self._values[name] = value
+        self._open.add(name)
         self._size_bytes = size_bytes
         return {}
 
@@ -285,6 +310,7 @@ class Parameters:
         name = self._allowed_name(request)
         self._size_bytes -= self._stored_bytes(name)
         self._values.pop(name, None)
+        self._open.discard(name)
         return {}
 
     def _search_param(self, request: Request) -> dict[str, Any]:
@@ -293,7 +319,7 @@ class Parameters:
         return {"global_name": name if name in self._values else ""}
 
     def _get_param_names(self, _request: Request) -> dict[str, Any]:
-        return {"names": sorted(name for name in self._values if self._names.refusal("parameter", name) is None)}
+        return {"names": sorted(self._open)}
 
     def _allowed_name(self, request: Request) -> str:
         """Return the name of the requested parameter.
@@ -311,39 +337,37 @@ class Parameters:
         return _size_bytes(name, self._values[name]) if name in self._values else 0
 
 
-def names_of_type(types: Mapping[str, str], wanted: str) -> list[str]:
-    """Return the names that have a type, in alphabetical order; none for an unknown type.
-
-    Args:
-        types: canonical type of each name.
-        wanted: a type in the spelling of either dialect.
-    """
-    # Both spellings can be converted to that of ROS 1.
-    spelled = spell_type(wanted, "ros1")
-    return sorted(name for name, type_name in types.items() if spell_type(type_name, "ros1") == spelled)
-
-
 def node_name(node: Node) -> str:
     """Return a node's name as ROS spells names."""
-    return "/" + re.sub(r"\W+", "_", node.name).strip("_")
+    return _ros_name(node.name)
+
+
+@functools.lru_cache(MAX_NODE_NAMES)
+def _ros_name(name: str) -> str:
+    return "/" + re.sub(r"\W+", "_", name).strip("_")
 
 
 def _node_names(nodes: Iterable[Node]) -> list[str]:
     return sorted({node_name(node) for node in nodes})
 
 
+def _joined(lists: Iterable[list[str]]) -> list[str]:
+    """Join lists of names, each name once."""
+    return list(dict.fromkeys(itertools.chain.from_iterable(lists)))
+
+
 def _responder(handler: Handler) -> Callable[[Call], None]:
-    return lambda call: answer(call, lambda values: handler(Request(values, call.dialect)))
+    def respond(call: Call) -> None:
+        with failure_told(call):
+            call.succeed_as_it_is(handler(Request(call.request, call.dialect)))
+
+    return respond
 
 
-def _limited(texts: Iterable[str]) -> list[str]:
-    """Replace texts beyond `MAX_TEXTS_CHARACTERS` in all by empty ones."""
-    kept = []
-    left = MAX_TEXTS_CHARACTERS
-    for text in texts:
-        kept.append(text if len(text) <= left else "")
-        left -= len(kept[-1])
-    return kept
+def _limited(texts: list[str]) -> list[str]:
+    """Replace texts from the one on that exceeds `MAX_TEXTS_CHARACTERS` in all by empty ones."""
+    kept = bisect_right(list(itertools.accumulate(map(len, texts))), MAX_TEXTS_CHARACTERS)
+    return texts[:kept] + [""] * (len(texts) - kept)
 
 
 def _size_bytes(name: str, value: str) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
+import tempfile
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -25,6 +26,20 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.enviro
 # Fixtures with a browser, or a servo bus on a pseudo terminal, which keep real time, and those that burn a core.
 # Servers on the simulated arm do not: a busy machine only slows it down.
 REAL_TIME_FIXTURES = {"browser", "busy_core", "busy_process", "scripted_peer", "start_terminal"}
+
+
+# What servers in the tests' own processes keep, and those that a test starts by itself, goes nowhere near the user's.
+_DATA = tempfile.TemporaryDirectory(prefix="armbridge")
+
+
+def pytest_configure() -> None:
+    """Keep the user's data directory out of the tests."""
+    os.environ["XDG_DATA_HOME"] = _DATA.name
+
+
+def pytest_unconfigure() -> None:
+    """Remove what was kept."""
+    _DATA.cleanup()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -32,6 +32,7 @@ from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_refusals import start_violates
+from planners.motions.motion import MAX_DURATION_S
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory, Vector
@@ -168,7 +169,8 @@ class _Task:
             drawn = tip_curve(followed, self.path, self.tracker)
             motion = time_along(drawn.curve, self.joint_names, self.limits, self._top_rate(drawn.curve))
             if motion is None:
-                return PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "the path bends too sharply to be timed")
+                text = f"the path bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
+                return PlanningFailure(MoveItErrorCode.PLANNING_FAILED, text)
             end = self._end(motion)
             if end is None:
                 return self._answer(drawn.followed, motion, drawn.deviation, budget)
@@ -414,9 +416,9 @@ def time_along(
         top_rate: as for :func:`toppra_profile`.
 
     Returns:
-        Samples at most 10 ms apart, or None where :func:`toppra_profile` has none.
+        Samples at most 10 ms apart, or None where :func:`toppra_profile` has none, or one that takes too long.
     """
     profile = toppra_profile(path, limits, top_rate)
-    if profile is None:
+    if profile is None or profile.times_s[-1] > MAX_DURATION_S:
         return None
     return within_limits(sampled(path, profile, joint_names, path.points), limits)

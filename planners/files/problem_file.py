@@ -412,18 +412,15 @@ class _Reader:
         return ProblemFileError(str(self._path), field, reason)
 
 
-def write(path: Path, problem: PlanningProblem, scene: Scene, robot: RobotModel, answer: PlanningFailure) -> None:
-    """Write one problem that failed, so that it can be planned again from the file.
+def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, answer: PlanningFailure) -> str:
+    """Return the text of a file with one problem that failed, so that it can be planned again.
 
     Args:
-        path: the file, written anew.
+        name: of the file, without its suffix.
         problem: the problem.
         scene: its scene.
         robot: the robot, with the limits that were kept.
         answer: its answer, noted beside the problem.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     group = robot.groups.get(problem.group)
     names = group.joints if group is not None else tuple(joint.name for joint in robot.movable_joints)
@@ -431,7 +428,7 @@ def write(path: Path, problem: PlanningProblem, scene: Scene, robot: RobotModel,
     others = [joint.name for joint in robot.movable_joints if joint.name not in names]
     fields = {
         "format": FORMAT,
-        "name": path.stem,
+        "name": name,
         "frame": robot.root_link,
         "robot": robot.name,
         "group": problem.group,
@@ -446,7 +443,7 @@ def write(path: Path, problem: PlanningProblem, scene: Scene, robot: RobotModel,
         **scene_fields(scene),
     }
     entry = {
-        "id": path.stem,
+        "id": name,
         "start": [problem.start_rad.get(name, math.nan) for name in names],
         "options": _ADAPTERS[PlanningProblem].dump_python(
             problem, mode="json", exclude_none=True, exclude=_NOT_OPTIONS
@@ -455,7 +452,7 @@ def write(path: Path, problem: PlanningProblem, scene: Scene, robot: RobotModel,
         "message": answer.message,
     }
     key, goal = _goal_fields(problem.goal, group)
-    path.write_text(json.dumps(_with_null({**fields, key: [{**entry, **goal}]}), allow_nan=False, indent=1) + "\n")
+    return json.dumps(_with_null({**fields, key: [{**entry, **goal}]}), allow_nan=False, indent=1) + "\n"
 
 
 def _goal_fields(goal: Goal, group: Group | None) -> tuple[str, dict[str, Any]]:

@@ -61,6 +61,9 @@ FRUITLESS_ROUNDS = 8
 
 STRAIGHT_LINE = "straight line"
 
+# The arm's longest trajectory: 180 000 samples at 100 Hz. A scaling of 1e-6 would make 25 million samples.
+MAX_DURATION_S = 1800.0
+
 # Sparse check of a straight line before it is timed: most blocked ones are found here [m].
 SPARSE_STEP_M = 0.2
 
@@ -132,17 +135,35 @@ def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
         budget: checked all the time; once it is used up the best motion found by then is the answer.
 
     Returns:
-        Why there is no motion: the budget was used up, or a moving arm cannot stop before it touches something.
+        Why there is no motion: the budget was used up, every motion would take too long, or a moving arm cannot stop
+        before it touches something.
 
     Raises:
         ValueError: there is no such planner.
     """
+    refusal = _too_slow(task)
+    if refusal is not None:
+        return refusal
     motion = _straight(task, budget)
     if motion is not None:
         return motion
     lead = _braking(task) if task.start_velocity.any() else None
     refusal = None if lead is None else _cannot_stop(task, lead)
     return refusal or _Searching(task, budget, lead).best() or budget.failure()
+
+
+def _too_slow(task: MotionTask) -> PlanningFailure | None:
+    """Return the refusal of a task whose limits are so low that no motion to any goal ends in time."""
+    rest = np.zeros_like(task.start)
+    times_s = (float(least_time_s(task.start, task.start_velocity, goal, rest, task.limits)) for goal in task.goals)
+    least_s = min(times_s, default=0.0)
+    if least_s <= MAX_DURATION_S:
+        return None
+    text = f"the motion takes {least_s:.6g} s at least, more than the limit of {MAX_DURATION_S:g} s"
+    remedy = "raise the velocity and acceleration scaling"
+    return PlanningFailure(
+        MoveItErrorCode.FAILURE, f"{text}: {remedy}", {"least_s": least_s, "limit_s": MAX_DURATION_S}
+    )
 
 
 def _straight(task: MotionTask, budget: Budget) -> Motion | None:

@@ -97,13 +97,17 @@ class _Cutter:
             if place < enough:
                 place = _end(_SKIPPED, text, place, min(enough, len(text)))
             if place >= enough:
-                place = _end(_TO_NEXT_MARK, text, place, len(text))
+                # Also through blanks and numbers of megabytes a piece at a time.
+                window = min(place + self._piece_bytes, len(text))
+                place = _end(_TO_NEXT_MARK, text, place, window)
+                if place == window:
+                    continue
             if place == len(text):
                 break
             mark = text[place]
             if mark == _COMMA and place >= enough:
                 # Only a value may follow; a decoder of the next piece would take a bracket for the end of its list.
-                self.position = _end(_BLANKS, text, place + 1, len(text))
+                self.position = _end(_BLANKS, text, place + 1, min(place + 1 + self._piece_bytes, len(text)))
                 if self.open and text[self.position : self.position + 1] not in (b"", b"]", b"}"):
                     return place
             place = self._pass(place)

@@ -14,12 +14,15 @@ import struct
 import warnings
 import zlib
 
-from PIL import Image
+from PIL import Image, ImageFile
 
 from protocol.errors import FrameError
 
 # Pictures shrink a thousandfold, so the size of what came is no bound; this is rosbridge's max_message_size.
 MAX_DECODED_BYTES = 10_000_000
+
+# Piece of a picture that is decoded at a time: at most two megabytes of pixels, which take 8 ms.
+FED_BYTES = 2048
 
 _BYTES_A_PIXEL = 3
 
@@ -94,4 +97,8 @@ def _pixels(drawn: bytes) -> bytes:
         raise FrameError(f"a picture of {size_bytes} bytes, the limit is {MAX_DECODED_BYTES}")
     if picture.mode != "RGB":
         raise FrameError(f"a picture of mode {picture.mode}, wanted RGB")
-    return picture.tobytes()
+    # The decoder holds the interpreter's lock until it has read what it was given.
+    parser = ImageFile.Parser()
+    for start in range(0, len(drawn), FED_BYTES):
+        parser.feed(drawn[start : start + FED_BYTES])
+    return parser.close().tobytes()

@@ -15,7 +15,7 @@ from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
-from robot.errors import RobotError
+from robot.errors import RobotError, StartupError
 from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface
@@ -71,16 +71,14 @@ class ArmLoop:
         channel: channel to the server.
         config: hardware, limits and policies of the arm.
         real_time: True if the process has real-time priority.
-
-    Raises:
-        OSError: the log or the control socket of emulated servos cannot be made.
     """
 
     def __init__(self, channel: Channel, config: ArmConfig, *, real_time: bool) -> None:
         self._channel = channel
+        self._config = config
         self._simulated = config.hardware.simulated
         self._clock: LoopClock = SimulationClock(time.monotonic()) if self._simulated else MachineClock()
-        self._source = hardware_source(config, self._clock)
+        self._source: HardwareSource | None = None
         self._supervisor = Supervisor(config, self._send, self._clock, real_time=real_time)
 
     def run(self) -> None:
@@ -88,7 +86,7 @@ class ArmLoop:
         retry_s = FIRST_RETRY_S
         while not self._supervisor.finished():
             try:
-                with contextlib.closing(self._source.open()) as hardware:
+                with contextlib.closing(self._open()) as hardware:
                     self._supervisor.connect(hardware)
                     retry_s = FIRST_RETRY_S
                     self._drive()
@@ -96,6 +94,19 @@ class ArmLoop:
                 self._supervisor.disconnect(str(error))
                 self._wait(retry_s)
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
+
+    def _open(self) -> HardwareInterface:
+        """Open the hardware, and make its source before the first time.
+
+        Raises:
+            RobotError: it is missing or cannot be used.
+        """
+        if self._source is None:
+            try:
+                self._source = hardware_source(self._config, self._clock)
+            except OSError as error:
+                raise StartupError(f"the emulated servos cannot be made: {error}") from error
+        return self._source.open()
 
     def _drive(self) -> None:
         """Run ticks until the end.

@@ -36,6 +36,9 @@ MAX_CONTROLLERS = 8
 
 READ_BYTES = 4096
 
+# What a frozen adapter keeps, as a pseudo terminal does (N_TTY_BUF_SIZE in Linux).
+MAX_WAITING_BYTES = 4096
+
 
 class EmulatedServos:
     """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed.
@@ -112,7 +115,7 @@ class InProcessPort:
 
     Attributes:
         port: its name.
-        frozen: True while it neither takes nor delivers bytes, which are lost meanwhile.
+        frozen: True while it neither takes nor delivers bytes, which wait meanwhile.
         frame_s: interval at multiples of which replies are delivered [s], as USB does; 0 delivers them at once, and so
             does a bus without wire time, whose caller does not wait for a frame's end.
     """
@@ -124,13 +127,26 @@ class InProcessPort:
         # Without wire time only replies that a command delays are late, and those are not waited for.
         self.latency_s, self.quiet_s = (0.0, 0.0) if wait is None else (LOCAL_LATENCY_S, QUIET_S)
         self.discarded_bytes = 0
-        self.frozen = False
         self.frame_s = 0.0
+        self._frozen = False
+        self._waiting = b""
         self._bus = bus
         self._clock = clock
         self._wait = wait
         self._plugged = True
         self._outbox: deque[tuple[float, Reply]] = deque()
+
+    @property
+    def frozen(self) -> bool:
+        """True while it neither takes nor delivers bytes."""
+        return self._frozen
+
+    @frozen.setter
+    def frozen(self, on: bool) -> None:
+        self._frozen = on
+        if not on:
+            waiting, self._waiting = self._waiting, b""
+            self._pass_on(waiting)
 
     def plug_in(self, *, renamed: bool = False) -> None:  # noqa: ARG002 - only the name of a real port would change
         """Make the port usable again."""
@@ -140,6 +156,7 @@ class InProcessPort:
         """Make the port unusable, and drop the bytes not delivered yet."""
         self._plugged = False
         self._outbox.clear()
+        self._waiting = b""
 
     def check(self) -> None:
         """Raise PortError while the port is unplugged."""
@@ -151,17 +168,16 @@ class InProcessPort:
         self.discarded_bytes += len(self._take())
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        """Pass a packet to the servos.
+        """Pass a packet to the servos; a frozen adapter keeps it until it goes on, if there is room.
 
         Raises:
             PortLost: the port is unplugged.
         """
         self._require_plugged()
-        if not self.frozen:
-            frame_s = 0.0 if self._wait is None else self.frame_s
-            for reply in self._bus.receive(bytes(packet), self._clock(), self.baudrate):
-                due_s = math.ceil(reply.due_s / frame_s) * frame_s if frame_s else reply.due_s
-                self._outbox.append((due_s, reply))
+        if not self._frozen:
+            self._pass_on(bytes(packet))
+        elif len(self._waiting) + len(packet) <= MAX_WAITING_BYTES:
+            self._waiting += bytes(packet)
         return len(packet)
 
     def receive(self, timeout_s: float, /) -> bytes:
@@ -182,6 +198,12 @@ class InProcessPort:
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
         """Close the port; the servos keep running."""
         self._outbox.clear()
+
+    def _pass_on(self, data: bytes) -> None:
+        frame_s = 0.0 if self._wait is None else self.frame_s
+        for reply in self._bus.receive(data, self._clock(), self.baudrate):
+            due_s = math.ceil(reply.due_s / frame_s) * frame_s if frame_s else reply.due_s
+            self._outbox.append((due_s, reply))
 
     def _take(self) -> bytes:
         if self.frozen:

@@ -24,11 +24,14 @@ from server.access.control_lease import ControlLease
 from server.access.permissions import Identity, NameFilter, Role
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
+from server.execution.queue import RunningGoal
 from server.graph.node import Node
+from server.graph.topics import Graph
 
 # Suffixes of the names by which actions are cancelled and, as actionlib's topics, sent.
 CANCEL_SERVICE = "/_action/cancel_goal"
 ACTIONLIB_GOAL, ACTIONLIB_CANCEL = "/goal", "/cancel"
+ACTIONLIB_CANCEL_TYPE = "actionlib_msgs/msg/GoalID"
 
 # The names of controllers begin with their joint group's.
 FOLLOW_ACTION, FOLLOW_TOPIC = "_controller/follow_joint_trajectory", "_controller/joint_trajectory"
@@ -52,7 +55,8 @@ class Rule:
 
     Attributes:
         role: least role of the client.
-        stops: True for names that stop the arm; they are open to every client with the role, past filters and control.
+        stops: True for names that stop the arm; they are open to every client with the role, past filters and control,
+            as far as they lead to something that can be stopped.
         drives: True for names that move or switch the arm, which one client does at a time.
         goal: True for names that count against the rate of goals.
         may_plan_only: True for goals whose ``planning_options`` may say that nothing moves.
@@ -237,13 +241,15 @@ class Authorizer:
     Args:
         node: the client.
         access: rules that all clients share.
+        graph: the topics and actions that there are.
     """
 
-    __slots__ = ("_access", "_goals", "_node", "_settled")
+    __slots__ = ("_access", "_goals", "_graph", "_node", "_settled")
 
-    def __init__(self, node: Node, access: Access) -> None:
+    def __init__(self, node: Node, access: Access, graph: Graph) -> None:
         self._node = node
         self._access = access
+        self._graph = graph
         self._goals = RateLimiter(access.settings.goals_per_s, access.settings.goal_burst)
         # Topics as the client spells them: it publishes on the same few, thousands of times a second.
         self._settled: set[str] = set()
@@ -264,7 +270,7 @@ class Authorizer:
                 return self._name_refusal(LOOKING, "topic", qualify(operation.topic))
             case Advertise():
                 name = qualify(operation.topic)
-                return self._name_refusal(rule_of_topic(name), "topic", name)
+                return self._name_refusal(self._rule_of_publishing(name), "topic", name)
             case AdvertiseService():
                 return self._name_refusal(WORKING, "service", qualify(operation.service))
             case AdvertiseAction():
@@ -286,12 +292,13 @@ class Authorizer:
     def publishing(self, topic: str, message: Mapping[str, Any]) -> str | None:
         """Check a message on a topic, as :meth:`refusal`."""
         name = qualify(topic)
-        rule = rule_of_topic(name)
+        rule = self._rule_of_publishing(name)
         refusal = self._name_refusal(rule, "topic", name)
         if refusal is None and name.endswith(ACTIONLIB_GOAL) and rule.goal:
             # The other way to an action must not be the one past its filter.
             refusal = self._access.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
-        if refusal is None and not rule.drives and len(self._settled) < MAX_SETTLED:
+        settled = refusal is None and not rule.drives and not rule.stops
+        if settled and len(self._settled) < MAX_SETTLED:
             self._settled.add(topic)
         return refusal or self._drive(rule, name, message.get("goal"))
 
@@ -300,7 +307,25 @@ class Authorizer:
         # What follows the sign is the call's id.
         name = qualify(service.partition("#")[0])
         rule = rule_of_service(name)
+        if name.endswith(CANCEL_SERVICE) and self._graph.actions.provider(name.removesuffix(CANCEL_SERVICE)) is None:
+            # It belongs to no action, so it stops nothing.
+            rule = WORKING
         return self._name_refusal(rule, "service", name) or self._drive(rule, name, None)
+
+    def _rule_of_publishing(self, name: str) -> Rule:
+        """Return the rule of a topic, that of any other topic for one that would stop nothing.
+
+        A topic that stops exists, with its type: else a client that may only look could make topics, of any type.
+        """
+        rule = rule_of_topic(name)
+        if not rule.stops:
+            return rule
+        if name.endswith(ACTIONLIB_CANCEL):
+            action = self._graph.actions.provider(name.removesuffix(ACTIONLIB_CANCEL))
+            stops = action is not None and self._graph.topic_type(name) == ACTIONLIB_CANCEL_TYPE
+        else:
+            stops = any(not node.remote for node in self._graph.subscribers(name))
+        return rule if stops else WORKING
 
     def _name_refusal(self, rule: Rule, kind: Literal["topic", "service", "action"], name: str) -> str | None:
         identity = self._node.identity
@@ -332,7 +357,7 @@ class Access:
         settings: the section ``access``.
         clock: monotonic time [s].
         wall_clock: seconds since the epoch.
-        busy: returns something true while a goal is worked on.
+        busy: returns the goal that is worked on.
 
     Attributes:
         settings: as given.
@@ -352,7 +377,7 @@ class Access:
         settings: AccessSettings,
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
-        busy: Callable[[], object] = lambda: False,
+        busy: Callable[[], RunningGoal | None] = lambda: None,
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
         self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock, busy)
@@ -364,9 +389,9 @@ class Access:
         self._wall_clock = wall_clock
         self._rosauth = RosauthVerifier(self.tokens)
 
-    def authorizer(self, node: Node) -> Authorizer:
-        """Return the check of a client's operations."""
-        return Authorizer(node, self)
+    def authorizer(self, node: Node, graph: Graph) -> Authorizer:
+        """Return the check of a client's operations on a graph."""
+        return Authorizer(node, self, graph)
 
     def identify(self, shown: Auth) -> Identity | str:
         """Return the identity that a client shows in the op ``auth``, or a sentence why it shows none."""

@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias
 
 from server.access.permissions import Role
 from server.arm.topics import LEVEL_OK, key_values
+from server.execution.queue import RunningGoal
 from server.graph.node import Node
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
@@ -40,7 +41,7 @@ class ControlLease:
         policy: ``lease`` for one client at a time, ``shared`` for all at once.
         idle_s: time without a request of the holder after which the arm is free for others [s].
         wall_clock: seconds since the epoch.
-        busy: returns something true while a goal is worked on; meanwhile the holder does not idle.
+        busy: returns the goal that is worked on; meanwhile the holder does not idle.
 
     Attributes:
         policy: as given.
@@ -53,7 +54,7 @@ class ControlLease:
         policy: Policy,
         idle_s: float,
         wall_clock: Callable[[], float],
-        busy: Callable[[], object] = lambda: False,
+        busy: Callable[[], RunningGoal | None] = lambda: None,
     ) -> None:
         self.policy = policy
         self._busy = busy
@@ -84,7 +85,7 @@ class ControlLease:
         if self.holder is not node:
             self.tick(now_s)
             if self.holder is not None:
-                return self._refusal(self.holder, self.free_in_s(now_s))
+                return self._refusal(self.holder, now_s)
             if (reserved := self._reservation(node, now_s)) is not None:
                 return reserved
         self._heard_s = now_s
@@ -125,7 +126,7 @@ class ControlLease:
         """Free the arm when its holder has idled for too long, at a monotonic time [s]."""
         if self.holder is None:
             return
-        if self._busy():
+        if self._busy() is not None:
             self._heard_s = now_s
         elif now_s - self._heard_s >= self._idle_limit_s:
             self._set(None)
@@ -135,7 +136,13 @@ class ControlLease:
         return 0.0 if self.holder is None else max(0.0, now_s - self._heard_s)
 
     def free_in_s(self, now_s: float) -> float:
-        """Return the time until the arm is free if its holder requests nothing more [s], at a monotonic time [s]."""
+        """Return the time until the arm is free if its holder requests nothing more [s], at a monotonic time [s].
+
+        A goal that does not move yet, and those that wait behind it, make it longer.
+        """
+        goal = self._busy()
+        if goal is not None:
+            return self._idle_limit_s + (goal.remaining_s or 0.0)
         return self._idle_limit_s - self.idle_s(now_s)
 
     def _reservation(self, node: Node, now_s: float) -> str | None:
@@ -155,13 +162,28 @@ class ControlLease:
         for on_change in self._watchers:
             on_change()
 
-    def _refusal(self, holder: Node, left_s: float) -> str:
-        since = datetime.fromtimestamp(self.since_s, UTC).strftime("%H:%M:%S UTC")
+    def _refusal(self, holder: Node, now_s: float) -> str:
+        goal, idle = self._busy(), f"(access.control_idle_s = {self._idle_limit_s:g})"
+        if goal is None:
+            running, left = "", f"asks for nothing for another {math.ceil(self.free_in_s(now_s))} s"
+        else:
+            running = f", and {self._what_runs(goal)}"
+            left = f"has asked for nothing for {self._idle_limit_s:g} s after the last goal"
         return (
-            f"{holder} has controlled the arm since {since}; it is free when that client leaves, calls "
-            f"{RELEASE_SERVICE}, or asks for nothing for another {math.ceil(left_s)} s "
-            f"(access.control_idle_s = {self._idle_limit_s:g})"
+            f"{holder} has controlled the arm since {_time_of_day(self.since_s)}{running}; it is free when that client "
+            f"leaves, calls {RELEASE_SERVICE}, or {left} {idle}"
         )
+
+    def _what_runs(self, goal: RunningGoal) -> str:
+        behind = f", and {goal.waiting} more wait behind it" if goal.waiting else ""
+        if goal.remaining_s is None:
+            return f"{goal.title} is worked on, whose motion has not begun{behind}"
+        ends = _time_of_day(self._wall_clock() + goal.remaining_s)
+        return f"{goal.title} runs until about {ends}, in {math.ceil(goal.remaining_s)} s{behind}"
+
+
+def _time_of_day(stamp_s: float) -> str:
+    return datetime.fromtimestamp(stamp_s, UTC).strftime("%H:%M:%S UTC")
 
 
 class ControlServices:

@@ -8,8 +8,9 @@ import json
 import os
 import textwrap
 import time
+from pathlib import Path
 
-from robot.calibration import FREE_TURNING_JOINT, SO101_JOINTS, Calibration, new_calibration_path, save
+from robot.calibration import FREE_TURNING_JOINT, SO101_JOINTS, Calibration, new_calibration_path, reserved, save
 from robot.commissioning.calibrate import Difference, Sweep, calibrate, differences, write_to_servos
 from robot.commissioning.doctor import (
     EXPERIMENTS,
@@ -26,7 +27,7 @@ from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.description import model
 from robot.description.limits import JointBounds, within_calibration
-from robot.errors import CalibrationError, NoReply, StartupError
+from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.port import resolve_port
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
@@ -143,8 +144,11 @@ def run_calibrate(options: argparse.Namespace) -> int:
 
 def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     path = new_calibration_path(options.file, os.environ)
-    if path.exists() and not options.overwrite:
-        raise CalibrationError(str(path), "", "is there already: choose another name, or --overwrite it")
+    with reserved(path, overwrite=options.overwrite):
+        return _calibrate_to(path, options, terminal)
+
+
+def _calibrate_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     with contextlib.closing(open_bus(options)) as bus:
         terminal.say("looking at the servos ...")
         result = scan(bus, IDS)

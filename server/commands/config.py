@@ -114,7 +114,7 @@ SupplementaryGroups={group}
 # Real-time priority for the servo loop.
 LimitRTPRIO=1
 LimitCORE=0
-# Saved states go to /var/lib/armbridge, and recordings should.
+# Saved states and the planning scene go to /var/lib/armbridge, and recordings should.
 StateDirectory=armbridge
 CacheDirectory=armbridge
 WorkingDirectory=%S/armbridge

@@ -54,7 +54,12 @@ def _serve(settings: Settings, terminal: Terminal) -> ExitCode:
     # The arm's process loads while this one does, which takes half of the time until the server is ready.
     from robot.arm import start_arm_process
 
-    with contextlib.closing(start_arm_process()) as arm_process:
+    try:
+        started = start_arm_process()
+    except OSError as error:
+        terminal.say(f"armbridge: the arm process cannot be started: {error}")
+        return ExitCode.FAILED
+    with contextlib.closing(started) as arm_process:
         return _serve_with(settings, arm_process, terminal)
 
 

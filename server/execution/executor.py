@@ -156,6 +156,9 @@ class Player:
             return await self._until_ended(self._motion, self._preempted, motion, report)
         finally:
             self._scene_monitor.stop()
+            # The goal is over, and so is its motion, also after an error here; one that is handed over has its own end.
+            if not self._motion.done() and not self._handed_over:
+                self._arm.stop(self._motion)
             self._motion = None
 
     def stop(self, reason: str) -> None:
@@ -196,6 +199,11 @@ class Player:
         """True while the arm's state may still be of the motion before: it is late where arm or server are starved."""
         passed_s = min(self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s)
         return passed_s < STATE_AGE_S
+
+    @property
+    def _handed_over(self) -> bool:
+        """True when the present motion is the outgoing one."""
+        return self.outgoing is not None and self.outgoing.ended is self._motion
 
     async def _until_ended(
         self,
@@ -268,6 +276,11 @@ STREAMS_TIMEOUT_S = 2.0
 
 # No scene has this version: an external trajectory is checked before it begins.
 UNCHECKED = -1
+
+# Durations in refusals, and the remedy for motions that planners time by the scalings.
+GIVEN_DURATION = "the duration of the trajectory"
+PLANNED_DURATION = "the duration of the planned motion"
+FASTER = ": raise the velocity and acceleration scaling"
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
@@ -344,7 +357,8 @@ class GoalExecutor:
         self._alternatives = Alternatives(robot, pool)
         self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
-        self._player = Player(arm, self._scene_monitor, time_limits or TimeLimits())
+        self._time_limits = time_limits or TimeLimits()
+        self._player = Player(arm, self._scene_monitor, self._time_limits)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
 
@@ -409,7 +423,7 @@ class GoalExecutor:
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         asking = asyncio.wait_for(self._pool.ask(moving, scene), outgoing.until_s - time.monotonic())
         plan = await self._unless_cancelled(_in_time(asking))
-        if not isinstance(plan, Plan):
+        if not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
@@ -432,6 +446,7 @@ class GoalExecutor:
         planned = await self._plan(request)
         if planned.failure is not None:
             return Answer.of(planned.failure, planned.performed)
+        self._time_limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
         self._show_soon(planned)
         discarded = await self._confirmed(planned, report) if request.confirm else None
         return discarded or await self._play(planned, version, report)
@@ -440,6 +455,7 @@ class GoalExecutor:
         await self._until_ready()
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad)
+        self._time_limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         planned = PlannedSequence(Performed(held_rad, (motion,)), ("as given",))
         self._show_soon(planned)
         return await self._play(planned, UNCHECKED, report)
@@ -520,9 +536,12 @@ class GoalExecutor:
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
+        to_come_s = planned.duration_s
         for motion in motions:
+            to_come_s -= motion.duration_s
             if motion.duration_s > 0.0 and answer.code is MoveItErrorCode.SUCCESS:
-                answer = await _answered(self._play_one(motion, version, planned.summary, report))
+                playing = self._play_one(motion, version, planned.summary, _with_more_to_come(report, to_come_s))
+                answer = await _answered(playing)
         executed = self.recorder.finish(motions[0].joint_names if motions else ())
         message = "; ".join((answer.message, *planned.notes))
         return replace(answer, message=message, performed=replace(planned.performed, executed=executed))
@@ -577,6 +596,16 @@ async def _answered(attempt: Awaitable[Answer]) -> Answer:
         return await attempt
     except RefusedError as error:
         return Answer.of(error.failure)
+
+
+def _with_more_to_come(report: Callable[[Progress], None], to_come_s: float) -> Callable[[Progress], None]:
+    """Return the report of one motion of a sequence, whose time left is that of the sequence.
+
+    Args:
+        report: of the sequence.
+        to_come_s: duration of the motions after this one [s].
+    """
+    return lambda progress: report(replace(progress, remaining_s=progress.remaining_s + to_come_s))
 
 
 async def _in_time(asking: Coroutine[Any, Any, Result]) -> Result | None:

@@ -24,6 +24,7 @@ from planners.problem import (
     StateQuestion,
 )
 from planners.scene import Scene
+from robot import files
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 
@@ -34,6 +35,9 @@ WRITING_TIMEOUT_S = 2.0
 
 PREFIX = "goal-"
 
+# The lock of the directory is that of a file of this name in it: servers that share the directory write one at a time.
+LOCKED_NAME = "goals"
+
 # Checked shares of the way, the farthest first: a place nearer to the start than the last is no help.
 SHARES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3)
 
@@ -42,7 +46,7 @@ CHECK_TIMEOUT_S = 0.01
 
 
 class FailedGoals:
-    """Directory of problem files.
+    """Directory of problem files, which several servers may share.
 
     Args:
         directory: created with the first file.
@@ -60,23 +64,29 @@ class FailedGoals:
     async def save(self, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
         """Write a problem file; errors are only logged."""
         now = datetime.fromtimestamp(self._wall_clock(), UTC)
-        path = self._directory / f"{PREFIX}{now:%Y%m%dT%H%M%S.%fZ}-{failure.code.name}.json"
+        name = f"{PREFIX}{now:%Y%m%dT%H%M%S.%fZ}-{failure.code.name}"
         try:
-            writing = asyncio.to_thread(self._write, path, problem, scene, failure)
-            await asyncio.wait_for(writing, WRITING_TIMEOUT_S)
+            writing = asyncio.to_thread(self._write, name, problem, scene, failure)
+            path = await asyncio.wait_for(writing, WRITING_TIMEOUT_S)
         except TimeoutError:
-            log.warning("a failed goal is not saved in %s within %g s", path, WRITING_TIMEOUT_S)
+            log.warning("a failed goal is not saved in %s within %g s", self._directory, WRITING_TIMEOUT_S)
         except OSError as error:
-            log.warning("a failed goal is not saved in %s: %s", path, error)
+            log.warning("a failed goal is not saved in %s: %s", self._directory, error)
         else:
             log.info("the failed goal is saved: armbridge plan --all %s", path)
 
-    def _write(self, path: Path, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
-        self._directory.mkdir(parents=True, exist_ok=True)
-        problem_file.write(path, problem, scene, self._robot, failure)
-        saved = sorted(self._directory.glob(f"{PREFIX}*.json"))
-        for oldest in saved[: -self._max_files]:
-            oldest.unlink(missing_ok=True)
+    def _write(self, name: str, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> Path:
+        with files.locked(self._directory / LOCKED_NAME):
+            path, number = self._directory / f"{name}.json", 0
+            while path.exists():
+                number += 1
+                path = self._directory / f"{name}-{number}.json"
+            text = problem_file.text(path.stem, problem, scene, self._robot, failure)
+            files.replace(path, text.encode())
+            saved = sorted(self._directory.glob(f"{PREFIX}*.json"))
+            for oldest in saved[: -self._max_files]:
+                oldest.unlink(missing_ok=True)
+        return path
 
 
 class Alternatives:

@@ -104,6 +104,7 @@ class QueuedGoal(Generic[Request]):
         on_answer: called once.
         message: the message of its client; empty when there is none, or none that can be read.
         only_for: the one client that is informed; None for all.
+        client: name of its client; empty when it is not known.
     """
 
     goal_id: str
@@ -113,6 +114,27 @@ class QueuedGoal(Generic[Request]):
     on_answer: Callable[[Answer], None] = lambda _answer: None
     message: Mapping[str, Any] = field(default_factory=dict)
     only_for: Node | None = None
+    client: str = ""
+
+    @property
+    def title(self) -> str:
+        """Its number, its client and its way in, for people."""
+        return f"goal {self.goal_id}{f' of {self.client}' if self.client else ''} from {self.source}"
+
+
+@dataclass(frozen=True)
+class RunningGoal:
+    """Goal that occupies the arm, for those who wait for its end.
+
+    Attributes:
+        title: its number, its client and its way in.
+        remaining_s: time left of its motion [s]; None before it moves.
+        waiting: number of goals that wait behind it.
+    """
+
+    title: str
+    remaining_s: float | None
+    waiting: int = 0
 
 
 class GoalRunner(Protocol[Request_contra]):
@@ -157,6 +179,7 @@ class GoalQueue(Generic[Request]):
         self._on_answer = on_answer
         self._waiting: deque[QueuedGoal[Request]] = deque()
         self._active: QueuedGoal[Request] | None = None
+        self._progress: Progress | None = None
         self._arrived = asyncio.Event()
         self._idle = asyncio.Event()
         self._idle.set()
@@ -196,6 +219,17 @@ class GoalQueue(Generic[Request]):
         )
 
     @property
+    def running(self) -> RunningGoal | None:
+        """The active goal, for those who wait for its end; None when there is none."""
+        if self._active is None:
+            return None
+        progress = self._progress
+        executing = progress is not None and progress.state is GoalState.EXECUTING
+        return RunningGoal(
+            self._active.title, progress.remaining_s if progress and executing else None, len(self._waiting)
+        )
+
+    @property
     def waiting_count(self) -> int:
         """Number of goals that wait for their turn."""
         return len(self._waiting)
@@ -209,6 +243,7 @@ class GoalQueue(Generic[Request]):
         on_progress: Callable[[Progress], None] = lambda _progress: None,
         on_answer: Callable[[Answer], None] = lambda _answer: None,
         message: Mapping[str, Any] = _NO_MESSAGE,
+        client: object = None,
     ) -> str:
         """Queue a goal; return its id.
 
@@ -219,8 +254,10 @@ class GoalQueue(Generic[Request]):
             on_progress: called with its progress, besides the queue's own.
             on_answer: called once, likewise, perhaps before this returns.
             message: the message of its client.
+            client: its client, who is named to those who wait for the goal's end; None when it is not known.
         """
-        goal = QueuedGoal(self._next_id(), source, request, on_progress, on_answer, message)
+        name = "" if client is None else str(client)
+        goal = QueuedGoal(self._next_id(), source, request, on_progress, on_answer, message, client=name)
         policy = policy or self._policy
         if policy is GoalPolicy.REJECT and self._active is not None:
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, f"goal {self._active.goal_id} is still being worked on"))
@@ -296,7 +333,7 @@ class GoalQueue(Generic[Request]):
                 self._arrived.clear()
                 await self._arrived.wait()
             goal = self._waiting.popleft()
-            self._active = goal
+            self._active, self._progress = goal, None
             self._idle.clear()
             answer = await self._run(goal)
             if self._active is not goal:
@@ -315,6 +352,8 @@ class GoalQueue(Generic[Request]):
             return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
 
     def _report(self, goal: QueuedGoal[Request], progress: Progress) -> None:
+        if goal is self._active:
+            self._progress = progress
         with _contained(goal):
             self._on_progress(goal, progress)
         with _contained(goal):

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.messages import Course, Pace
+from server.errors import RefusedError
 
 # A slower motion counts as paused: at this share of its speed a motion of 3 s takes a minute.
 MIN_SPEED_FACTOR = 0.05
@@ -22,15 +24,34 @@ class TimeLimits:
             half speed of a hot arm.
         margin_s: time on top, in which the arm settles [s].
         paused_s: limit of the time that a motion is paused or moves backwards, in total [s].
+        trajectory_s: limit of the planned duration of a goal's motions together [s].
     """
 
     scaling: float = 2.2
     margin_s: float = 2.0
     paused_s: float = 600.0
+    trajectory_s: float = 600.0
 
     def allowed_s(self, duration_s: float) -> float:
         """Return the allowed execution time of a motion with a planned duration [s]."""
         return duration_s * self.scaling + self.margin_s
+
+    def check_duration(self, duration_s: float, field: str, code: MoveItErrorCode, advice: str = "") -> None:
+        """Check the planned duration of a goal's motions.
+
+        Args:
+            duration_s: the duration [s].
+            field: its name in the refusal.
+            code: of the refusal.
+            advice: end of the refusal's sentence.
+
+        Raises:
+            RefusedError: it is longer than the limit, or no number.
+        """
+        if not duration_s <= self.trajectory_s:
+            limit_s = self.trajectory_s
+            text = f"{field} is {duration_s:.6g} s, longer than goals.max_trajectory_duration_s = {limit_s:g}{advice}"
+            raise RefusedError(PlanningFailure(code, text, {"duration_s": duration_s, "limit_s": limit_s}))
 
 
 class TimedArm(Protocol):

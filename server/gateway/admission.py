@@ -50,6 +50,9 @@ MAX_ABSENT = 10_000
 
 RETRY_AFTER_S = 5
 
+# Of fewer clients than the settings allow, what one address may have: as the settings' defaults divide them.
+SHARE_OF_ADDRESS = 0.8
+
 
 class ConnectionSlot:
     """Place of one connection, from its beginning to its end.
@@ -98,12 +101,27 @@ class ConnectionLimiter:
         self.rejected_count = 0
         self.open_count = 0
         self._settings = settings
+        self._max_clients = settings.max_clients
+        self._max_per_address = settings.max_clients_per_address
+        # Behind the limits in refusals: the reason for which they are not those of the settings.
+        self._reduction = ""
         # Addresses with connections, and those without, the one that left last at the end.
         self._present: dict[str, _Address] = {}
         self._absent: OrderedDict[str, _Address] = OrderedDict()
         self._answered = 0
         self._answers = RateLimiter(ANSWERS_PER_S, ANSWERS_PER_S)
         self._log = LogLimiter()
+
+    def reduce(self, max_clients: int) -> None:
+        """Serve fewer clients than the settings allow, as the system lets the server open no more files.
+
+        Args:
+            max_clients: connections at a time.
+        """
+        self._max_clients = max_clients
+        if self._settings.max_clients_per_address < self._settings.max_clients:
+            self._max_per_address = min(self._max_per_address, max(1, int(SHARE_OF_ADDRESS * max_clients)))
+        self._reduction = ", reduced to the files that the system lets the server open"
 
     def acquire(self, address: str, now_s: float) -> ConnectionSlot | None:
         """Count a connection.
@@ -145,12 +163,13 @@ class ConnectionLimiter:
         if not known.rate.take(now_s):
             limit = f"{limits.connections_per_s:g} a second (server.connections_per_s)"
             return HTTPStatus.TOO_MANY_REQUESTS, f"new connections come too often; the limit is {limit}"
-        if known.open_count >= limits.max_clients_per_address:
-            limit = f"{limits.max_clients_per_address} (server.max_clients_per_address)"
+        if known.open_count >= self._max_per_address:
+            limit = f"{self._max_per_address} (server.max_clients_per_address{self._reduction})"
             sentence = f"{known.open_count} connections are open from this address, the limit is {limit}"
             return HTTPStatus.TOO_MANY_REQUESTS, sentence
-        if self.open_count >= limits.max_clients:
-            sentence = f"{self.open_count} connections are open, the limit is {limits.max_clients} (server.max_clients)"
+        if self.open_count >= self._max_clients:
+            limit = f"{self._max_clients} (server.max_clients{self._reduction})"
+            sentence = f"{self.open_count} connections are open, the limit is {limit}"
             return HTTPStatus.SERVICE_UNAVAILABLE, sentence
         return None
 

@@ -61,6 +61,8 @@ log = logging.getLogger("armbridge.gateway")
 # clients publish right after they have advertised, when nobody has had the time to subscribe.
 LIFESPAN_S = 1.0
 
+NO_LATCH = "field latch: has no effect, it needs the role operate"
+
 # Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,
 # each for up to seconds.
 MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.OPERATE: 64, Role.ADMIN: 64}
@@ -84,13 +86,15 @@ class ClientTopics:
         """Advertise a topic."""
         topic = qualify(operation.topic)
         self._client.translator.detect_dialect(operation.type, "msg")
-        self._graph.advertise(self._node, topic, operation.type, latch=operation.latch)
+        self._graph.advertise(self._node, topic, operation.type, latch=self._latches(operation))
         try:
             self._session.publications.add(operation)
         except OperationError:
             if topic not in self._session.publications:
                 self._graph.unadvertise(self._node, topic)
             raise
+        if operation.latch and not self._latches(operation):
+            self._client.status.tell("warning", operation, NO_LATCH)
 
     def unadvertise(self, operation: Unadvertise) -> None:
         """Withdraw an advertisement."""
@@ -104,7 +108,16 @@ class ClientTopics:
         """Publish a message."""
         received = self._client.translator.from_client(message)
         topic = qualify(operation.topic)
-        self._graph.publish(self._node, topic, received, latch=operation.latch, lifespan_s=LIFESPAN_S)
+        latch = self._latches(operation)
+        lost = self._graph.publish(self._node, topic, received, latch=latch, lifespan_s=LIFESPAN_S)
+        if operation.latch and not latch:
+            lost = NO_LATCH
+        if lost is not None:
+            self._client.status.tell("warning", operation, lost)
+
+    def _latches(self, operation: Advertise | Publish) -> bool:
+        """Return True for an operation that latches, which has no effect for a client that may only look."""
+        return operation.latch and not self._node.only_looks
 
     def reject(self, operation: Publish, problem: str) -> None:
         """Have the topic's owner answer a message that the client may not publish."""
@@ -449,7 +462,7 @@ class Client:
         self.status = context.status
         self.received_messages = 0
         self._graph = context.graph
-        self._authorizer = auth.access.authorizer(context.node)
+        self._authorizer = auth.access.authorizer(context.node, context.graph)
         self._topics = ClientTopics(context)
         self._services = ClientServices(context)
         self._actions = ClientActions(context)

@@ -325,6 +325,15 @@ class HttpResponse:
         return Response(status, status.phrase, headers, b"" if unchanged or request.method == "HEAD" else self.body)
 
 
+def bad_request(sentence: str) -> bytes:
+    """Return the answer, as it is sent, to a request that was not read to its end.
+
+    Args:
+        sentence: the reason.
+    """
+    return HttpResponse.of_text(HTTPStatus.BAD_REQUEST, sentence).response(Request("/", Headers())).serialize()
+
+
 def names(headers: Headers, header: str, token: str) -> bool:
     """Return True for a header of comma-separated words that has a word."""
     return any(word.strip().lower() == token for line in headers.get_all(header) for word in line.split(","))

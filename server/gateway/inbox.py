@@ -28,6 +28,9 @@ LONG_FRAME_BYTES = 16_384
 MAX_WAITING = 64
 MAX_WAITING_BYTES = 262_144
 
+# Operations before a stop that are still carried out before it, as a client expects that sends a goal and a stop.
+FEW = 4
+
 # Messages of different types for which one message is completed in the background, before it is given up.
 MAX_COMPLETIONS = 3
 
@@ -224,10 +227,7 @@ class Inbox:
             self._turns.add(self)
 
     def _put_first(self, waiting: Sequence[_Waiting]) -> None:
-        """Let operations of one frame wait before all others; stops among them are carried out now.
-
-        What waits before a stop moves nothing any more.
-        """
+        """Let operations of one frame wait before all others; stops among them are carried out now."""
         self._waiting.extendleft(reversed(waiting))
         self._waiting_bytes += sum(each.size_bytes for each in waiting)
         if not self._handler.identified:
@@ -235,22 +235,27 @@ class Inbox:
         for place, stop in enumerate(waiting):
             item = stop.item
             if isinstance(item, Operation) and self._handler.is_stop(item):
-                for each in waiting[:place]:
-                    each.stopped = True
-                self._waiting.remove(stop)
-                self._waiting_bytes -= stop.size_bytes
-                self._carry_out(stop, item)
+                self._go_ahead(stop, item, waiting[:place])
 
     def _add_operations(self, frame: str | bytes) -> None:
-        """Let the operations of a short frame wait; stops are carried out now, and what waits moves nothing more."""
+        """Let the operations of a short frame wait; stops are carried out now."""
         for item in self._read(frame):
-            waiting = _Waiting(item, len(frame))
+            waiting, before = _Waiting(item, len(frame)), (*self._in_progress, *self._waiting)
+            self._add(waiting)
             if isinstance(item, Operation) and self._handler.is_stop(item):
-                for each in (*self._waiting, *self._in_progress):
-                    each.stopped = True
-                self._carry_out(waiting, item)
-            else:
-                self._add(waiting)
+                self._go_ahead(waiting, item, before)
+
+    def _go_ahead(self, stop: _Waiting, operation: Operation, before: Sequence[_Waiting]) -> None:
+        """Carry a stop out ahead of what waits before it; all of that but a few operations moves nothing any more."""
+        if len(before) <= FEW:
+            while stop in self._waiting and not self._in_progress:
+                self._take_step()
+        if stop in self._waiting:
+            for each in before:
+                each.stopped = True
+            self._waiting.remove(stop)
+            self._waiting_bytes -= stop.size_bytes
+            self._carry_out(stop, operation)
 
     def _read(self, frame: str | bytes) -> Sequence[Operation | Refusal | Packed]:
         if not self._handler.admit_frame(frame):

@@ -40,6 +40,7 @@ from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket, address_of
 from server.gateway.turns import Threads, Turns, call_soon
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -143,20 +144,30 @@ def _check_readable(setting: str, file: Path) -> None:
 COUNT_TOPIC = "/client_count"
 LIST_TOPIC = "/connected_clients"
 
+# Least time between two publications of the list: it names every client, and a thousand may come at once [s].
+LIST_PERIOD_S = 0.25
+
 
 class ClientList:
-    """The connected clients.
+    """The connected clients, published after each change, but no more often than every `LIST_PERIOD_S`.
 
     Args:
         graph: where the topics are.
         wall_clock: seconds since the epoch.
+        call_later: does something after a delay.
     """
 
-    def __init__(self, graph: Graph, wall_clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, graph: Graph, wall_clock: Callable[[], float] = time.time, call_later: CallLater = call_later
+    ) -> None:
         self._graph = graph
         self._wall_clock = wall_clock
+        self._call_later = call_later
         self._node = Node("rosbridge_websocket")
         self._clients: dict[Node, dict[str, Any]] = {}
+        # Runs while the next publication has to wait.
+        self._pause: Timer | None = None
+        self._changed = False
 
     def open(self) -> None:
         """Advertise the topics and say that nobody is there yet."""
@@ -164,16 +175,35 @@ class ClientList:
         self._graph.advertise(self._node, LIST_TOPIC, "rosbridge_msgs/msg/ConnectedClients", latch=True)
         self._publish()
 
+    def close(self) -> None:
+        """Publish no more."""
+        if self._pause is not None:
+            self._pause.cancel()
+
     def add(self, client: Node, address: str) -> None:
         """A client has connected from an address."""
         connected = Stamp.from_seconds(self._wall_clock()).as_message()
         self._clients[client] = {"ip_address": address, "connection_time": connected}
-        self._publish()
+        self._change()
 
     def remove(self, client: Node) -> None:
         """A client has left."""
         self._clients.pop(client, None)
+        self._change()
+
+    def _change(self) -> None:
+        """Publish a change, at once unless there has just been another."""
+        if self._pause is not None:
+            self._changed = True
+            return
         self._publish()
+        self._pause = self._call_later(LIST_PERIOD_S, self._end_pause)
+
+    def _end_pause(self) -> None:
+        self._pause = None
+        if self._changed:
+            self._changed = False
+            self._change()
 
     def _publish(self) -> None:
         self._graph.publish(self._node, COUNT_TOPIC, {"data": len(self._clients)})
@@ -209,7 +239,8 @@ FREE_PORT_TRIES = 5
 # The address is not there on this machine: without IPv6, ``localhost`` is 127.0.0.1 alone.
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 
-# Besides the clients: planners, the bus, files.
+# Files besides the clients': planners, the arm, recordings, the page, connections that are refused, and those whose
+# TLS handshake is not done. A server that may open few files keeps half of them for that.
 SPARE = 256
 
 
@@ -317,7 +348,9 @@ class Listener:
         """Begin to serve clients."""
         if not self._sockets:
             raise AssertionError("open before bind")
-        raise_file_limit(self._settings.max_clients)
+        possible = raise_file_limit(self._settings.max_clients)
+        if possible < self._settings.max_clients:
+            self._limiter.reduce(possible)
         self._clients.open()
         WEBSOCKETS_LOG.addFilter(tells_of_more_than_http)
         for listening in self._sockets:
@@ -363,6 +396,7 @@ class Listener:
 
     async def close(self) -> None:
         """Close every connection and the port."""
+        self._clients.close()
         for server in self._servers:
             server.close()
         # `close` starts a task, which has stopped the server from accepting when this turn of the loop is over. Clients
@@ -511,26 +545,32 @@ def _reason(host: str, port: int, error: OSError | UnicodeError) -> str:
     return f"cannot listen on {where}: {error.strerror or error}"
 
 
-def raise_file_limit(max_clients: int) -> None:
+def raise_file_limit(max_clients: int) -> int:
     """Raise this process's limit of open files as far as it may, and tell when that is not enough.
 
     Args:
-        max_clients: connections at a time.
+        max_clients: connections at a time that are wanted.
+
+    Returns:
+        Connections at a time for which there are files.
     """
     wanted = max_clients + SPARE
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft >= wanted or soft == resource.RLIM_INFINITY:
-        return
+        return max_clients
     possible = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
     resource.setrlimit(resource.RLIMIT_NOFILE, (possible, hard))
-    if possible < wanted:
-        log.warning(
-            "the system lets the server open %d files, which is enough for %d clients, not for server.max_clients = %d;"
-            " raise the hard limit (ulimit -Hn, LimitNOFILE=), or lower the setting",
-            possible,
-            max(0, possible - SPARE),
-            max_clients,
-        )
+    if possible == wanted:
+        return max_clients
+    clients = min(max_clients, max(possible - SPARE, possible // 2))
+    log.warning(
+        "the system lets the server open %d files, so it serves %d clients at a time, not server.max_clients = %d;"
+        " raise the hard limit (ulimit -Hn, LimitNOFILE=), or lower the setting",
+        possible,
+        clients,
+        max_clients,
+    )
+    return clients
 
 
 def tells_of_more_than_http(record: logging.LogRecord) -> bool:

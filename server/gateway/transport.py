@@ -1,8 +1,8 @@
 """WebSocket connection that hands messages over as they come, in turns that leave time to other connections.
 
-Of websockets it uses, beyond the documented interface: ``ServerConnection.process_event`` (overridden), ``drain``,
-``recv_messages`` with its ``frames``, ``pause`` and ``resume``, and ``protocol.max_message_size``. The tests of this
-module and of :mod:`server.gateway.connection` cover each use.
+Of websockets it uses, beyond the documented interface: ``process_event`` and ``send_data`` of ``ServerConnection``
+(overridden), ``drain``, ``recv_messages`` with its ``frames``, ``pause`` and ``resume``, ``protocol.handshake_exc`` and
+``protocol.max_message_size``. The tests of this module and of :mod:`server.gateway.connection` cover each use.
 """
 
 from __future__ import annotations
@@ -16,13 +16,16 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from websockets.asyncio.server import Server, ServerConnection
+from websockets.exceptions import InvalidMessage
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
+from protocol.errors import one_line, shorten
 from protocol.publication import EncodedMessage
 from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
+from server.gateway.http import bad_request
 from server.gateway.turns import TURN_S
 
 # Looking a member of an enumeration up takes as long as calling a function.
@@ -82,6 +85,7 @@ class WebSocket(ServerConnection):
         "_last_sent_s",
         "_limiter",
         "_on_message",
+        "_request_refused",
         "_request_timer",
         "_turn_ends_s",
         "_unread",
@@ -109,6 +113,7 @@ class WebSocket(ServerConnection):
         self.slot: ConnectionSlot | None = None
         self.identity: Identity | None = ANYONE
         self._request_timer: asyncio.TimerHandle | None = None
+        self._request_refused = False
         self._on_message: Callable[[str | bytes], None] | None = None
         self.received_bytes = 0
         self.sent_messages = 0
@@ -137,7 +142,7 @@ class WebSocket(ServerConnection):
         self._connections.add(self)
         self.recv_messages.pause = self._pause_reading
         self.recv_messages.resume = self._resume_reading
-        self._request_timer = self.loop.call_later(REQUEST_TIMEOUT_S, self.transport.abort)
+        self._request_timer = self.loop.call_later(REQUEST_TIMEOUT_S, self._end_request, REQUEST_TIMEOUT_S)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Release the place."""
@@ -153,6 +158,27 @@ class WebSocket(ServerConnection):
         """End a connection that may stay, as websockets does."""
         if self.slot is not None:
             super().eof_received()
+
+    def send_data(self) -> None:
+        """Answer a request that cannot be read; websockets ends such a connection without a word."""
+        if self._request_timer is not None and isinstance(error := self.protocol.handshake_exc, InvalidMessage):
+            reason = one_line(shorten(str(error.__cause__ or error)))
+            self._refuse_request(f"this is no complete HTTP request: {reason}")
+        super().send_data()
+
+    def _end_request(self, timeout_s: float) -> None:
+        """Answer a request that has not come to its end in time, and end the connection."""
+        if self._request_refused or not self.received_bytes:
+            self.transport.abort()
+            return
+        self._refuse_request(f"the request was not complete within {timeout_s:g} s")
+        self.transport.close()
+
+    def _refuse_request(self, sentence: str) -> None:
+        # A connection on which nothing ever came is one that a browser has opened ahead, or a port scan.
+        if not self._request_refused and self.received_bytes:
+            self._request_refused = True
+            self.transport.write(bad_request(sentence))
 
     def forget_handshake(self) -> None:
         """Free the headers of request and response: they take as much memory as all else of an idle client."""

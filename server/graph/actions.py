@@ -15,6 +15,7 @@ from typing import Any
 
 from protocol.errors import InterfaceError, MessageError
 from server.errors import GraphError
+from server.graph.index import Index
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -66,6 +67,7 @@ class Goal(PendingRequest[Result]):
         sender: as given.
         goal_id: sixteen octets that no other goal has.
         cancel_requested: whether somebody has asked for the end of the goal.
+        sender_left: whether its sender is to be told nothing any more.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class Goal(PendingRequest[Result]):
         self.request = request
         self.goal_id = uuid.uuid4().bytes
         self.cancel_requested = False
+        self.sender_left = False
         self._message_types = message_types
         self._on_feedback = on_feedback
         self._when_canceled: list[Callable[[], None]] = []
@@ -130,7 +133,8 @@ class Goal(PendingRequest[Result]):
             callback()
 
     def forget_sender(self) -> None:
-        """Tell nobody of feedback any more, for the one who wanted it has left."""
+        """Tell nobody of feedback and result any more, for the one who wanted them has left."""
+        self.sender_left = True
         self._on_feedback = None
 
 
@@ -148,26 +152,18 @@ ALL_GOALS = b64encode(bytes(16)).decode()
 
 
 @dataclass(eq=False)
-class Sender:
-    """Sender of a goal, and the callbacks that it gets; none once it has left."""
-
-    node: Node
-    on_result: Callable[[Result], None] | None
-
-
-@dataclass(eq=False)
 class ActionProvider(Provider):
     """An action that somebody offers.
 
     Attributes:
         start: gets each goal.
         check_lists: checks the lists of a goal message before it is completed; None for any.
-        goals: those in flight, each with its sender.
+        goals: those in flight by their id in base64, the oldest first.
     """
 
     start: Callable[[Goal], None]
     check_lists: CheckLists | None = None
-    goals: dict[Goal, Sender] = field(default_factory=dict)
+    goals: dict[str, Goal] = field(default_factory=dict)
 
 
 class Actions(ProviderDirectory[ActionProvider]):
@@ -184,6 +180,8 @@ class Actions(ProviderDirectory[ActionProvider]):
         self._message_types = message_types
         self._services = services
         self._call_later = call_later
+        # Those in flight, by their sender.
+        self._sent: Index[Node, Goal] = Index()
 
     def offer(
         self,
@@ -226,14 +224,11 @@ class Actions(ProviderDirectory[ActionProvider]):
 
         They go on, as in ROS, unless the node takes them along.
         """
-        for offer in self._offers.all():
-            for goal, sender in list(offer.goals.items()):
-                if sender.node is node:
-                    sender.on_result = None
-                    goal.forget_sender()
-                    if node.takes_goals_along:
-                        goal.cancel()
-            self._offers.withdraw(node, offer.name)
+        for goal in self._sent.of(node):
+            goal.forget_sender()
+            if node.takes_goals_along:
+                goal.cancel()
+        self._offers.withdraw_all(node)
 
     def send_goal(
         self,
@@ -266,7 +261,7 @@ class Actions(ProviderDirectory[ActionProvider]):
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
         goal = Goal(name, offer.type_name, request, self._message_types, on_feedback, sender)
-        self._start(goal, offer, Sender(sender, on_result))
+        self._start(goal, offer, on_result)
         return goal
 
     def _offer(self, name: str, type_name: str) -> ActionProvider:
@@ -277,12 +272,19 @@ class Actions(ProviderDirectory[ActionProvider]):
             raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
         return offer
 
-    def _start(self, goal: Goal, offer: ActionProvider, sender: Sender) -> None:
-        offer.goals[goal] = sender
-        goal.when_ended(lambda _result: offer.goals.pop(goal))
+    def _start(self, goal: Goal, offer: ActionProvider, on_result: Callable[[Result], None]) -> None:
+        goal_id = b64encode(goal.goal_id).decode()
+        offer.goals[goal_id] = goal
+        self._sent.add(goal.sender, goal)
         timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
-        goal.when_ended(lambda _result: timer.cancel())
-        goal.when_ended(lambda result: sender.on_result(result) if sender.on_result else None)
+
+        def forget(_result: Result) -> None:
+            timer.cancel()
+            del offer.goals[goal_id]
+            self._sent.discard(goal.sender, goal)
+
+        goal.when_ended(forget)
+        goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
         try:
             offer.start(goal)
         except Exception as error:  # a bug in an action must not leave its client waiting
@@ -291,7 +293,7 @@ class Actions(ProviderDirectory[ActionProvider]):
 
     def _end_goals(self, offer: ActionProvider) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
-        for goal in list(offer.goals):
+        for goal in list(offer.goals.values()):
             goal.fail(f"Action {offer.name} was withdrawn by its provider")
 
 
@@ -302,11 +304,11 @@ def _cancel_service(action: str) -> str:
 def _cancel(offer: ActionProvider, request: dict[str, Any]) -> dict[str, Any]:
     """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
     wanted = request["goal_info"]["goal_id"]["uuid"]
-    ids = {goal: b64encode(goal.goal_id).decode() for goal in offer.goals if not goal.cancel_requested}
-    canceling = {goal: goal_id for goal, goal_id in ids.items() if wanted in (ALL_GOALS, goal_id)}
-    for goal in canceling:
+    selected = offer.goals if wanted == ALL_GOALS else {wanted: offer.goals[wanted]} if wanted in offer.goals else {}
+    canceling = {goal_id: goal for goal_id, goal in selected.items() if not goal.cancel_requested}
+    for goal in canceling.values():
         goal.cancel()
     return {
         "return_code": CANCEL_ACCEPTED if canceling or wanted == ALL_GOALS else CANCEL_UNKNOWN_GOAL,
-        "goals_canceling": [{"goal_id": {"uuid": goal_id}} for goal_id in canceling.values()],
+        "goals_canceling": [{"goal_id": {"uuid": goal_id}} for goal_id in canceling],
     }

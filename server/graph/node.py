@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from server.access.permissions import ANYONE, Identity
+from server.access.permissions import ANYONE, Identity, Role
 
 
 class Node:
@@ -30,6 +30,11 @@ class Node:
         self.takes_goals_along = takes_goals_along
         self.identity = identity
         self.address = address
+
+    @property
+    def only_looks(self) -> bool:
+        """True for a client that may only look, and for one that has yet to say who it is."""
+        return self.identity is None or self.identity.role < Role.OPERATE
 
     def __repr__(self) -> str:
         return self.name

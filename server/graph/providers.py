@@ -12,6 +12,7 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 from protocol.errors import InterfaceError
 from protocol.registry import Kind
 from server.errors import GraphError
+from server.graph.index import Index, TypedNames
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 
@@ -70,8 +71,12 @@ class Providers(Generic[AnyProvider]):
     Args:
         kind: what is offered, for errors.
         limit: greatest number of offers.
-        interfaces: types.
+        message_types: types.
         end: called with an offer that has just been withdrawn or replaced, to end what is on its way.
+
+    Attributes:
+        names: names that are offered, with their types.
+        by_node: offers of each node.
     """
 
     def __init__(
@@ -82,18 +87,12 @@ class Providers(Generic[AnyProvider]):
         self._message_types = message_types
         self._end = end
         self._offers: dict[str, AnyProvider] = {}
+        self.names = TypedNames()
+        self.by_node: Index[Node, AnyProvider] = Index()
 
     def get(self, name: str) -> AnyProvider | None:
         """Return the offer of a fully qualified name; None when there is none."""
         return self._offers.get(name)
-
-    def all(self) -> list[AnyProvider]:
-        """Return every offer; the table may change meanwhile."""
-        return list(self._offers.values())
-
-    def types(self) -> dict[str, str]:
-        """Canonical type of every offer, by name."""
-        return {name: offer.type_name for name, offer in self._offers.items()}
 
     def claim(self, node: Node, name: str, type_name: str) -> str:
         """See that a node may offer something, and end the offer that is there; `add` the new one afterwards.
@@ -122,6 +121,8 @@ class Providers(Generic[AnyProvider]):
     def add(self, offer: AnyProvider) -> None:
         """Enter an offer whose name has been claimed."""
         self._offers[offer.name] = offer
+        self.names.add(offer.name, offer.type_name)
+        self.by_node.add(offer.node, offer)
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; nothing happens when it offers no such thing."""
@@ -129,8 +130,17 @@ class Providers(Generic[AnyProvider]):
         if offer is not None and offer.node is node:
             self._remove(offer)
 
+    def withdraw_all(self, node: Node) -> None:
+        """End all offers of a node."""
+        for offer in self.by_node.of(node):
+            # The end of one may have ended others.
+            if self._offers.get(offer.name) is offer:
+                self._remove(offer)
+
     def _remove(self, offer: AnyProvider) -> None:
         del self._offers[offer.name]
+        self.names.remove(offer.name)
+        self.by_node.discard(offer.node, offer)
         self._end(offer)
 
 
@@ -139,21 +149,36 @@ class ProviderDirectory(Generic[AnyProvider]):
 
     Args:
         offers: the table.
+
+    Attributes:
+        names: names that are offered, with their types.
     """
 
     def __init__(self, offers: Providers[AnyProvider]) -> None:
         self._offers = offers
+        self.names = offers.names
 
     def types(self) -> dict[str, str]:
         """Canonical type of everything that is offered, by name."""
-        return self._offers.types()
+        return self.names.types()
 
     def type_of(self, name: str) -> str | None:
         """Canonical type of what is offered under a fully qualified name; None when nothing is."""
-        offer = self._offers.get(name)
-        return None if offer is None else offer.type_name
+        return self.names.type_of(name)
 
     def provider(self, name: str) -> Node | None:
         """Return the node that provides a fully qualified name; None when there is none."""
         offer = self._offers.get(name)
         return None if offer is None else offer.node
+
+    def providers_of_type(self, type_name: str) -> set[Node]:
+        """Return the nodes that provide something of a type, in the spelling of either dialect."""
+        return {offer.node for offer in map(self._offers.get, self.names.of_type(type_name)) if offer is not None}
+
+    def nodes(self) -> list[Node]:
+        """Return all nodes that provide something."""
+        return list(self._offers.by_node)
+
+    def provided_by(self, node: Node) -> list[str]:
+        """Return the names that a node provides."""
+        return [offer.name for offer in self._offers.by_node.of(node)]

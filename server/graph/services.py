@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from server.errors import ServiceError, UnsuccessfulError
+from server.graph.index import Index
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -121,7 +122,7 @@ class Call(PendingRequest[Response]):
 
 def answer(call: Call, function: ServiceFunction) -> None:
     """Have a local part's function answer a call; what it answers at once costs no task."""
-    with _failure_told(call):
+    with failure_told(call):
         values = function(call.request)
         if inspect.isawaitable(values):
             task = asyncio.ensure_future(_answer_later(call, values))
@@ -132,7 +133,7 @@ def answer(call: Call, function: ServiceFunction) -> None:
 
 
 async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
-    with _failure_told(call):
+    with failure_told(call):
         _succeed(call, await values)
 
 
@@ -144,7 +145,8 @@ def _succeed(call: Call, values: Answered, reason: str = "") -> None:
 
 
 @contextlib.contextmanager
-def _failure_told(call: Call) -> Iterator[None]:
+def failure_told(call: Call) -> Iterator[None]:
+    """Fail a call that the block cannot answer, with the reason."""
     try:
         yield
     except ServiceError as error:
@@ -180,13 +182,13 @@ class ServiceProvider(Provider):
         start: gets each call.
         timeout_s: how long a call may take that names no time of its own [s].
         check_lists: checks the lists of a request before it is completed; None for any.
-        calls: those in flight, each with its caller.
+        calls: those in flight, the oldest first.
     """
 
     start: Callable[[Call], None]
     timeout_s: float
     check_lists: CheckLists | None = None
-    calls: dict[Call, Node] = field(default_factory=dict)
+    calls: dict[Call, None] = field(default_factory=dict)
 
 
 class Services(ProviderDirectory[ServiceProvider]):
@@ -201,6 +203,8 @@ class Services(ProviderDirectory[ServiceProvider]):
         super().__init__(Providers("service", MAX_SERVICES, message_types, _fail_calls))
         self._message_types = message_types
         self._call_later = call_later
+        # Those in flight, by their caller.
+        self._calls: Index[Node, Call] = Index()
 
     def offer(
         self,
@@ -257,10 +261,9 @@ class Services(ProviderDirectory[ServiceProvider]):
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its services, and what it has called."""
-        for offer in self._offers.all():
-            for call in [call for call, caller in offer.calls.items() if caller is node]:
-                call.fail("the caller has left")
-            self._offers.withdraw(node, offer.name)
+        for call in self._calls.of(node):
+            call.fail("the caller has left")
+        self._offers.withdraw_all(node)
 
     def call(
         self,
@@ -294,17 +297,23 @@ class Services(ProviderDirectory[ServiceProvider]):
             on_response(Response(ok=False, values=f"Service {name}: {error}"))
             return
         call = Call(name, offer.type_name, request, self._message_types, caller, dialect)
-        self._bound(call, offer, caller, timeout_s)
+        self._bound(call, offer, timeout_s)
         call.when_ended(on_response)
         offer.start(call)
 
-    def _bound(self, call: Call, offer: ServiceProvider, caller: Node, timeout_s: float | None) -> None:
+    def _bound(self, call: Call, offer: ServiceProvider, timeout_s: float | None) -> None:
         """Keep account of a call until it ends, which it does in time."""
         bound_s = offer.timeout_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
-        offer.calls[call] = caller
-        call.when_ended(lambda _response: offer.calls.pop(call))
+        offer.calls[call] = None
+        self._calls.add(call.caller, call)
         timer = self._call_later(bound_s, lambda: call.fail(f"Service {call.service} did not answer in {bound_s:g} s"))
-        call.when_ended(lambda _response: timer.cancel())
+
+        def forget(_response: Response) -> None:
+            timer.cancel()
+            del offer.calls[call]
+            self._calls.discard(call.caller, call)
+
+        call.when_ended(forget)
 
 
 def _fail_calls(offer: ServiceProvider) -> None:

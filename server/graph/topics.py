@@ -10,12 +10,11 @@ publisher lives, without it every message for a second (rosbridge_library, inter
 from __future__ import annotations
 
 import logging
-import math
 import time
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.messages import Stamp
@@ -23,118 +22,32 @@ from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph.actions import Actions
+from server.graph.index import Index, TypedNames
+from server.graph.latching import LatchedMessages
 from server.graph.list_limits import CheckLists
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.services import Services
 from server.timers import CallLater, call_later
 
-# Maps and meshes are latched, and have megabytes; every one beyond this is told to the log and not kept.
-MAX_LATCHED_BYTES = 67_108_864
-
-# The last messages of many topics, or a picture; the oldest goes first.
-MAX_RECENT_BYTES = 4_194_304
-
-# As many of one topic as rosbridge_server's subscribers take (QoS depth 10).
-MAX_RECENT_PER_TOPIC = 10
-
-
-class _Kept(NamedTuple):
-    """A message, its size, and the time until which it is kept [s]."""
-
-    published: PublishedMessage
-    size_bytes: int
-    until_s: float
-
-
-class LatchedMessages:
-    """Latched and recent messages of all topics, for those who subscribe later."""
-
-    def __init__(self) -> None:
-        self._latched: dict[str, _Kept] = {}
-        self._latched_bytes = 0
-        # By topic, oldest first; the topics in order of their newest message, so that those in front have the oldest.
-        self._recent: OrderedDict[str, deque[_Kept]] = OrderedDict()
-        self._recent_bytes = 0
-
-    def latch(self, published: PublishedMessage) -> bool:
-        """Keep a message instead of the one latched before it.
-
-        Returns:
-            False when all that is latched would be too large; then the topic has no latched message.
-        """
-        self.unlatch(published.topic)
-        size_bytes = published.size_bytes
-        if self._latched_bytes + size_bytes > MAX_LATCHED_BYTES:
-            return False
-        self._latched[published.topic] = _Kept(published, size_bytes, math.inf)
-        self._latched_bytes += size_bytes
-        return True
-
-    def unlatch(self, topic: str) -> None:
-        """Give the latched message up, if there is one."""
-        kept = self._latched.pop(topic, None)
-        if kept is not None:
-            self._latched_bytes -= kept.size_bytes
-
-    def unlatch_at(self, topic: str, until_s: float) -> None:
-        """Keep the latched message, if there is one, until then and no longer [s]."""
-        kept = self._latched.get(topic)
-        if kept is not None:
-            self._latched[topic] = kept._replace(until_s=until_s)
-
-    def keep(self, published: PublishedMessage, now: float, lifespan_s: float) -> None:
-        """Keep a message for a while.
-
-        Args:
-            published: the message.
-            now: present time [s], monotonic.
-            lifespan_s: for how long [s]; the same for all.
-        """
-        topic, size_bytes = published.topic, published.size_bytes
-        recent = self._recent.setdefault(topic, deque())
-        recent.append(_Kept(published, size_bytes, now + lifespan_s))
-        self._recent.move_to_end(topic)
-        self._recent_bytes += size_bytes
-        if len(recent) > MAX_RECENT_PER_TOPIC:
-            self._recent_bytes -= recent.popleft().size_bytes
-        self._give_up_old(now)
-
-    def of(self, topic: str, now: float) -> list[PublishedMessage]:
-        """Return what a new subscriber to the topic gets, oldest first.
-
-        Args:
-            topic: fully qualified name.
-            now: present time [s], monotonic.
-        """
-        latched = self._latched.get(topic)
-        recent = self._recent.get(topic, ())
-        kept_now = recent if latched is None else [latched, *recent]
-        return [kept.published for kept in kept_now if kept.until_s >= now]
-
-    def forget(self, topic: str) -> None:
-        """Give up all that is kept of a topic."""
-        self.unlatch(topic)
-        self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
-
-    def _give_up_old(self, now: float) -> None:
-        """Drop what is too old; over the limit, the oldest message of the topic that has been quiet for longest."""
-        while self._recent:
-            topic, recent = next(iter(self._recent.items()))
-            if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:
-                return
-            self._recent_bytes -= recent.popleft().size_bytes
-            if not recent:
-                del self._recent[topic]
-
-
 log = logging.getLogger("armbridge.graph")
 
 # Far more than any robot has; keeps a client that invents topics from growing the server.
 MAX_TOPICS = 10_000
 
+# Clients that may only look make topics when they subscribe to what is not there yet. They cannot fill the table, or
+# others could make none.
+MAX_TOPICS_FOR_VIEWERS = MAX_TOPICS // 2
+
+# Topics that a client publishes on, also without having advertised them: the default limit of advertised ones, and as
+# many again. It must not take long to forget a client that has left.
+MAX_TOPICS_OF_PUBLISHER = 2_000
+
 # Some clients open a new socket between advertise and publish.
 UNREGISTER_TIMEOUT_S = 10.0
+
+# Unused topics that one operation forgets: more than it adds, and few enough for 0.2 ms.
+FORGOTTEN_AT_ONCE = 100
 
 
 # Called with every message of every topic, before its subscribers, and whether it is latched.
@@ -192,9 +105,10 @@ class Graph:
         unregister_timeout_s: for how long a topic that nobody uses keeps its type, and what is latched there [s].
 
     Attributes:
-        interfaces: types and messages.
+        message_types: types and messages.
         services: who offers and calls what.
         actions: who offers which, and the goals on their way.
+        topic_names: the topics in use, with their types.
     """
 
     def __init__(
@@ -212,7 +126,12 @@ class Graph:
         self.actions = Actions(self.message_types, self.services, call_later)
         self._clock = clock
         self._unregister_timeout_s = unregister_timeout_s
+        self.topic_names = TypedNames()
         self._topics: dict[str, Topic] = {}
+        # Those that nobody uses, the one that has been unused for longest first.
+        self._unused: OrderedDict[str, Topic] = OrderedDict()
+        self._publications: Index[Node, str] = Index()
+        self._subscriptions: Index[Node, str] = Index()
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
 
@@ -226,7 +145,7 @@ class Graph:
 
     def topic_types(self) -> dict[str, str]:
         """Return the canonical type of every topic in use."""
-        return {name: topic.type_name for name, topic in self._topics.items() if topic.used}
+        return self.topic_names.types()
 
     def topic_type(self, name: str) -> str | None:
         """Return the canonical type of a topic, given by its fully qualified name; None when it is not known."""
@@ -243,6 +162,18 @@ class Graph:
         topic = self._topics.get(name)
         return [] if topic is None else list(topic.subscribers)
 
+    def nodes(self) -> set[Node]:
+        """Return everyone who publishes, subscribes, or offers a service or an action."""
+        return {*self._publications, *self._subscriptions, *self.services.nodes(), *self.actions.nodes()}
+
+    def published_by(self, node: Node) -> list[str]:
+        """Return the topics that a node publishes."""
+        return self._publications.of(node)
+
+    def subscribed_by(self, node: Node) -> list[str]:
+        """Return the topics that a node subscribes to."""
+        return self._subscriptions.of(node)
+
     def is_latched(self, name: str) -> bool:
         """Tell whether a topic, given by its fully qualified name, is latched."""
         topic = self._topics.get(name)
@@ -254,16 +185,23 @@ class Graph:
         Raises:
             GraphError: the type is unknown, or the topic has another one.
         """
-        topic = self._topic(name, type_name)
-        topic.publishers.add(node)
+        topic = self._topic(name, type_name, node)
+        self._add_publisher(topic, node)
         if latch:
             topic.latching.add(node)
+
+    def _add_publisher(self, topic: Topic, node: Node) -> None:
+        if node not in topic.publishers:
+            self._take_into_use(topic)
+            topic.publishers.add(node)
+            self._publications.add(node, topic.name)
 
     def unadvertise(self, node: Node, name: str) -> None:
         """Forget ``node`` as publisher; nothing happens when it is none."""
         topic = self._topics.get(name)
         if topic is not None and node in topic.publishers:
             topic.publishers.remove(node)
+            self._publications.discard(node, name)
             last_latching = topic.latching == {node}
             topic.latching.discard(node)
             if last_latching:
@@ -280,8 +218,10 @@ class Graph:
         Raises:
             GraphError: the type is unknown, differs from the topic's, or is not given for an unknown topic.
         """
-        topic = self._topic(name, type_name)
+        topic = self._topic(name, type_name, node)
+        self._take_into_use(topic)
         topic.subscribers[node] = subscriber
+        self._subscriptions.add(node, name)
         return self._latched_messages.of(name, self._clock())
 
     def unsubscribe(self, node: Node, name: str) -> None:
@@ -289,14 +229,16 @@ class Graph:
         topic = self._topics.get(name)
         if topic is not None and node in topic.subscribers:
             del topic.subscribers[node]
+            self._subscriptions.discard(node, name)
             self._left(topic)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left, everywhere."""
         self.actions.remove(node)
         self.services.remove(node)
-        for name in list(self._topics):
+        for name in self._publications.of(node):
             self.unadvertise(node, name)
+        for name in self._subscriptions.of(node):
             self.unsubscribe(node, name)
 
     def publish(
@@ -308,7 +250,7 @@ class Graph:
         latch: bool = False,
         lifespan_s: float = 0.0,
         as_it_is: bool = False,
-    ) -> None:
+    ) -> str | None:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
 
         Args:
@@ -320,11 +262,16 @@ class Graph:
             as_it_is: the message is complete and valid already, as a large one of the server's own; nobody may change
                 it any more.
 
+        Returns:
+            A sentence about a message that could not be latched: it is delivered, and lost to who subscribes later.
+
         Raises:
-            GraphError: nobody has said what type the topic has.
+            GraphError: nobody has said what type the topic has, or the client publishes on too many.
             MessageError: the message does not fit the type; the topic's local subscribers are told as well.
         """
-        topic = self._topic(name, None)
+        topic = self._topic(name)
+        if node.remote and node not in topic.publishers:
+            self._check_publications(node, name)
         received = self.message_types.now()
         try:
             completed: Any = message if as_it_is else self._completed(topic, message, received)
@@ -333,7 +280,7 @@ class Graph:
                 if subscriber.refused is not None:
                     subscriber.refused(error)
             raise
-        topic.publishers.add(node)
+        self._add_publisher(topic, node)
         if latch:
             topic.latching.add(node)
         cost_bytes = message.cost_bytes if isinstance(message, ReceivedMessage) else None
@@ -345,7 +292,16 @@ class Graph:
         for subscriber in list(topic.subscribers.values()):
             subscriber.deliver(published)
         # Afterwards, when it is known how large the message is.
-        self._retain(published, topic.keeps(node), lifespan_s)
+        if topic.keeps(node):
+            return self._latch(published, node if node.remote else None)
+        if lifespan_s > 0:
+            self._latched_messages.keep(published, self._clock(), lifespan_s)
+        return None
+
+    def _check_publications(self, node: Node, name: str) -> None:
+        count = self._publications.count(node)
+        if count >= MAX_TOPICS_OF_PUBLISHER:
+            raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
 
     def turn_away(self, node: Node, name: str, message: object, reason: str) -> None:
         """Have a message answered that is not let through, where its topic promises an answer.
@@ -387,7 +343,7 @@ class Graph:
             GraphError: nobody has said what type the topic has.
             MessageError: the message does not fit the type.
         """
-        topic, received = self._topic(name, None), self.message_types.now()
+        topic, received = self._topic(name), self.message_types.now()
         subscriber = topic.subscribers.get(node)
         if subscriber is not None:
             completed = self.message_types.complete(topic.type_name, message, received)
@@ -409,26 +365,33 @@ class Graph:
             GraphError: nobody has said what type the topic has.
             MessageError: the message does not fit the type.
         """
-        topic, received = self._topic(name, None), self.message_types.now()
+        topic, received = self._topic(name), self.message_types.now()
         completed: Any = message if as_it_is else self.message_types.complete(topic.type_name, message, received)
         published = PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
-        self._retain(published, latch=True, lifespan_s=0.0)
+        self._latch(published, None)
 
-    def _retain(self, published: PublishedMessage, latch: bool, lifespan_s: float) -> None:
-        if latch and not self._latched_messages.latch(published):
-            log.warning("topic %s: too large to be latched beside what is latched already", published.topic)
-        elif not latch and lifespan_s > 0:
-            self._latched_messages.keep(published, self._clock(), lifespan_s)
+    def _latch(self, published: PublishedMessage, client: Node | None) -> str | None:
+        """Latch a message of a client, None for the server; return the limit that it exceeds, as a sentence."""
+        problem = self._latched_messages.latch(published, client)
+        if problem is None:
+            return None
+        sentence = f"topic {published.topic}: not latched: {problem}"
+        if client is None:
+            log.warning("%s", sentence)
+        return sentence
 
-    def _topic(self, name: str, type_name: str | None) -> Topic:
-        """The topic, made when it is new and ``type_name`` says what it carries."""
+    def _topic(self, name: str, type_name: str | None = None, node: Node | None = None) -> Topic:
+        """The topic, made for a node when it is new and ``type_name`` says what it carries."""
+        self._forget_old()
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
                 raise GraphError("topic", name, "has no type yet: advertise it first, or name the type")
-            self._make_room(name)
-            self._latched_messages.forget(name)
-            topic = self._topics[name] = Topic(name, self._canonical(name, type_name), self._clock())
+            canonical = self._canonical(name, type_name)
+            if topic is not None:
+                self._forget(topic)
+            self._make_room(name, node)
+            topic = self._topics[name] = Topic(name, canonical, self._clock())
         elif type_name is not None and self._canonical(name, type_name) != topic.type_name:
             raise GraphError("topic", name, f"is already established with type {topic.type_name}, not {type_name}")
         return topic
@@ -439,16 +402,41 @@ class Graph:
         except InterfaceError as error:
             raise GraphError("topic", name, str(error)) from error
 
-    def _make_room(self, name: str) -> None:
+    def _make_room(self, name: str, node: Node | None) -> None:
         """See that one more topic fits; those that nobody uses any more are only kept while there is room."""
+        in_use, of_viewer = len(self.topic_names), node is not None and node.only_looks
+        limit, whose = (MAX_TOPICS_FOR_VIEWERS, " for the role view") if of_viewer else (MAX_TOPICS, "")
+        if in_use >= limit:
+            problem = f"cannot be added: there are {in_use} topics already, the limit{whose} is {limit}"
+            raise GraphError("topic", name, problem)
         if len(self._topics) >= MAX_TOPICS:
-            self._topics = {key: topic for key, topic in self._topics.items() if topic.used}
-        if len(self._topics) >= MAX_TOPICS:
-            raise GraphError("topic", name, f"cannot be added: there are {MAX_TOPICS} topics already")
+            self._forget(next(iter(self._unused.values())))
+
+    def _forget_old(self) -> None:
+        """Forget topics and messages whose time is over."""
+        for _ in range(FORGOTTEN_AT_ONCE):
+            if not self._unused or not self._outlived(topic := next(iter(self._unused.values()))):
+                break
+            self._forget(topic)
+        self._latched_messages.give_up_old(self._clock())
+
+    def _forget(self, topic: Topic) -> None:
+        """Forget a topic that nobody uses, and what is kept of it."""
+        del self._topics[topic.name], self._unused[topic.name]
+        self._latched_messages.forget(topic.name)
 
     def _outlived(self, topic: Topic) -> bool:
         return not topic.used and self._clock() - topic.last_used_s > self._unregister_timeout_s
 
+    def _take_into_use(self, topic: Topic) -> None:
+        """Enter a topic among those in use, before its first user joins."""
+        if not topic.used:
+            self._unused.pop(topic.name, None)
+            self.topic_names.add(topic.name, topic.type_name)
+
     def _left(self, topic: Topic) -> None:
         """Note that someone has just left the topic."""
         topic.last_used_s = self._clock()
+        if not topic.used:
+            self.topic_names.remove(topic.name)
+            self._unused[topic.name] = topic

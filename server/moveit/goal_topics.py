@@ -257,7 +257,8 @@ class GoalTopics:
                 return
             for warning in motion.warnings:
                 log.warning("%s: %s", topic, warning)
-            self._queue.submit(topic, replace(motion, confirm=self._confirmation.enabled), message=message)
+            motion = replace(motion, confirm=self._confirmation.enabled)
+            self._queue.submit(topic, motion, message=message, client=published.publisher)
 
         def reject_invalid(error: MessageError) -> None:
             self._queue.reject(topic, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from planners.problem import MoveItErrorCode
 from robot.arm import Arm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
@@ -26,6 +27,7 @@ from server.graph.actions import Goal, GoalStatus
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.moveit.actions.joint_trajectory_controller import cancel_with_goal
 from server.moveit.requests.error_codes import invalid
 
 log = logging.getLogger("armbridge.gripper")
@@ -103,6 +105,14 @@ class Gripper:
         self._newest = 0
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None
+        self._ends_s = 0.0
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Time left of the motion, as far as its speed is not changed [s]; None when there is none."""
+        if self._motion is None or self._motion.done():
+            return None
+        return max(self._ends_s - self._clock(), 0.0)
 
     def reading(self) -> GripperReading | None:
         """Return the latest reading; None while the arm is not read."""
@@ -144,7 +154,7 @@ class Gripper:
             return await self._play(command, report)
 
     def _stop_motion(self) -> None:
-        if self._motion is not None:
+        if self._motion is not None and not self._motion.done():
             self._arm.stop(self._motion)
 
     async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None]) -> MotionEnded:
@@ -153,9 +163,18 @@ class Gripper:
         trajectory = rest_to_rest(
             self._joint.name, self._goal_rad(), command.position_rad, velocity, self._max_acceleration
         )
+        field = f"the duration of the way to {command.position_rad:.3f} rad"
+        self._time_limits.check_duration(
+            trajectory.duration_s, field, MoveItErrorCode.FAILURE, ": raise the command's velocity"
+        )
         share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
+        self._ends_s = self._clock() + trajectory.duration_s
         self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share)
-        ended = await self._until_ended(self._motion, self._time_limits.allowed_s(trajectory.duration_s), report)
+        try:
+            ended = await self._until_ended(self._motion, self._time_limits.allowed_s(trajectory.duration_s), report)
+        finally:
+            # Also after an error here no motion goes on without its goal; nothing happens when it has ended.
+            self._stop_motion()
         if ended.outcome is Outcome.GRIPPED:
             await self._until_squeezed()
         return ended
@@ -326,7 +345,7 @@ class GripperActions:
             goal.fail(str(error))
             return
         claim = self._gripper.claim()
-        goal.when_canceled(lambda: self._gripper.give_up(claim))
+        cancel_with_goal(goal, lambda _reason: self._gripper.give_up(claim))
         task = asyncio.create_task(self._execute(goal, messages, claim, command), name="gripper")
         # The event loop keeps no task alive.
         self._tasks.add(task)

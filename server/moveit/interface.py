@@ -17,7 +17,7 @@ from server.execution.executor import GoalExecutor
 from server.execution.failures import FailedGoals
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion
-from server.execution.queue import Answer, GoalQueue, QueuedGoal
+from server.execution.queue import Answer, GoalQueue, QueuedGoal, RunningGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -33,6 +33,7 @@ from server.moveit.parameters import PlannerParameters
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.interface import SceneInterface
+from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
@@ -73,13 +74,20 @@ class MoveItInterface:
         frames = Frames(robot, self._scene)
         assumed = AssumedStates(robot)
         self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, self._current, moveit)
+        self._saved_scene: SavedScene | None = None
+        if settings.scene.keep:
+            file = SceneFile(settings.scene.file or default_path("planning_scene", robot, os.environ))
+            self._saved_scene = SavedScene(file, self._scene, robot, graph.message_types)
         self._description = RobotDescription(graph, robot, keep_parameter)
         self._display = DisplayTopics(graph, robot)
         self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
 
         # The way of a goal: from a topic or an action to the queue, and from there to the arm.
         time_limits = TimeLimits(
-            moveit.allowed_execution_duration_scaling, moveit.allowed_goal_duration_margin, goals.max_paused_s
+            moveit.allowed_execution_duration_scaling,
+            moveit.allowed_goal_duration_margin,
+            goals.max_paused_s,
+            goals.max_trajectory_duration_s,
         )
         directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, max_files)
@@ -114,8 +122,8 @@ class MoveItInterface:
         )
 
         # Goals of clients that know only topics.
-        states_file = NamedStatesFile(goals.named_states_file or default_path(robot, os.environ))
-        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.save)
+        states_file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
+        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.change)
         self._named_states = NamedStatesServices(graph, robot, states, self._current)
         translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
         self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
@@ -132,7 +140,17 @@ class MoveItInterface:
             torque_limit = settings.arm.guards.gripper_torque_limit
             self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)
             GripperActions(graph, joint, self._gripper)
-        self._actions = MotionActions(graph, self._context, arm, self.queue)
+        self._actions = MotionActions(graph, self._context, arm, self.queue, time_limits)
+
+    async def restore_scene(self) -> None:
+        """Restore the planning scene of the run before, and keep its changes from now on."""
+        if self._saved_scene is not None:
+            await self._saved_scene.start()
+
+    async def keep_scene(self) -> None:
+        """Write the last changes of the planning scene."""
+        if self._saved_scene is not None:
+            await self._saved_scene.close()
 
     def start(self) -> None:
         """Take requests; goals wait until arm and planners have started."""
@@ -153,6 +171,14 @@ class MoveItInterface:
         self._transforms.take_state(state)
         self._executor.recorder.take_state(state)
         self._actions.take_state(state)
+
+    @property
+    def running(self) -> RunningGoal | None:
+        """The goal that occupies the arm or its gripper; None when there is none."""
+        remaining_s = None if self._gripper is None else self._gripper.remaining_s
+        return self.queue.running or (
+            None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
+        )
 
     def stop(self, reason: str) -> None:
         """End the active goal and all that wait, and stop every motion."""

@@ -11,15 +11,15 @@ import difflib
 import json
 import logging
 import math
-import os
 import re
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from robot import files
 from robot.description.model import RobotModel
 from server.errors import ServiceError
 from server.execution.monitors import CurrentState, state_message
@@ -40,7 +40,7 @@ MIN_SIMILARITY = 0.6
 # A thousand states of a large robot; what comes after it in the file makes it invalid JSON.
 MAX_FILE_BYTES = 10_000_000
 
-# A memory card that takes longer is at its end.
+# A memory card that takes longer is at its end; another process has the file's lock for files.LOCK_TIMEOUT_S at most.
 WRITING_TIMEOUT_S = 5.0
 
 NAMED_STATES_TOPIC = "/named_states"
@@ -52,6 +52,9 @@ MAX_REPEATS = 2
 States: TypeAlias = dict[str, dict[str, float]]
 Request: TypeAlias = dict[str, Any]
 
+# Returns all saved states after a change of those before; raises ServiceError when they cannot be changed so.
+Change: TypeAlias = Callable[[States], States]
+
 
 class NamedStates:
     """Store of the states by name; case and blanks of names do not matter.
@@ -60,7 +63,8 @@ class NamedStates:
         robot: the arm; its SRDF's states cannot be changed.
         group: planning group whose states of the SRDF count.
         saved: those saved before, name -> positions.
-        keep: keeps all saved states, after every change.
+        keep: changes the states that are kept, those that other servers have saved meanwhile among them; returns them
+            all.
     """
 
     def __init__(
@@ -68,19 +72,14 @@ class NamedStates:
         robot: RobotModel,
         group: str,
         saved: Mapping[str, Positions],
-        keep: Callable[[Mapping[str, Positions]], Awaitable[None]],
+        keep: Callable[[Change], Awaitable[Mapping[str, Positions]]],
     ) -> None:
         self._joints = {joint.name: joint for joint in robot.movable_joints}
         self._described: dict[str, Positions] = dict(robot.named_states.get(group, {}))
         self._keep = keep
         self._changing = asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
-        self._saved: dict[str, Positions] = {}
-        for name, positions_rad in saved.items():
-            # A file may have states of another arm of the same name.
-            with contextlib.suppress(ServiceError):
-                self._check(name, positions_rad)
-                self._saved[name] = dict(positions_rad)
+        self._saved = self._usable(saved)
 
     @property
     def described(self) -> Mapping[str, Positions]:
@@ -99,11 +98,9 @@ class NamedStates:
 
     def find(self, name: str) -> tuple[str, Positions] | None:
         """Return the spelling of a name and its state; None when there is no such state."""
-        for states in (self._described, self._saved):
-            for spelled, positions_rad in states.items():
-                if _key(spelled) == _key(name):
-                    return spelled, positions_rad
-        return None
+        states = {**self._saved, **self._described}
+        spelled = _spelling(name, states)
+        return None if spelled is None else (spelled, states[spelled])
 
     def nearest_name(self, name: str) -> str | None:
         """Return the name that is most similar to one that does not exist; None when none is."""
@@ -123,11 +120,14 @@ class NamedStates:
         """
         spelled = " ".join(name.split())
         self._check(spelled, positions_rad)
-        async with self._changing:
-            others = {known: state for known, state in self._saved.items() if _key(known) != _key(spelled)}
+
+        def add(states: States) -> States:
+            others = {known: state for known, state in states.items() if _key(known) != _key(spelled)}
             if len(others) >= MAX_STATES:
                 raise ServiceError(f"name: {len(others)} states are saved already, the limit is {MAX_STATES}")
-            await self._change({**others, spelled: dict(positions_rad)})
+            return {**others, spelled: dict(positions_rad)}
+
+        await self._change(add)
 
     async def delete(self, name: str) -> None:
         """Delete a state.
@@ -135,9 +135,12 @@ class NamedStates:
         Raises:
             ServiceError: there is no such state, or it is of the SRDF.
         """
-        async with self._changing:
-            spelled, _ = self._own(name)
-            await self._change({known: state for known, state in self._saved.items() if known != spelled})
+
+        def remove(states: States) -> States:
+            spelled = self._own(name, states)
+            return {known: state for known, state in states.items() if known != spelled}
+
+        await self._change(remove)
 
     async def rename(self, old_name: str, new_name: str) -> None:
         """Rename a state.
@@ -145,28 +148,42 @@ class NamedStates:
         Raises:
             ServiceError: there is no such state, it is of the SRDF, or the new name is taken or invalid.
         """
+        new = " ".join(new_name.split())
+
+        def rename(states: States) -> States:
+            spelled = self._own(old_name, states)
+            taken = _spelling(new_name, (*self._described, *states))
+            if taken not in (None, spelled):
+                raise ServiceError(f"new_name: there is a state {taken!r} already")
+            self._check(new, states[spelled])
+            return {new if known == spelled else known: state for known, state in states.items()}
+
+        await self._change(rename)
+
+    def _own(self, name: str, states: States) -> str:
+        """Return the spelling of a saved state's name, to change the state."""
+        spelled = _spelling(name, (*self._described, *states))
+        if spelled is None:
+            known = ", ".join(sorted((*self._described, *states)))
+            raise ServiceError(f"name: there is no state {name!r}; known are: {known}")
+        if spelled in self._described:
+            raise ServiceError(f"name: {spelled!r} is a state of the SRDF, which is not changed here")
+        return spelled
+
+    async def _change(self, change: Change) -> None:
         async with self._changing:
-            spelled, positions_rad = self._own(old_name)
-            taken = self.find(new_name)
-            if taken is not None and taken[0] != spelled:
-                raise ServiceError(f"new_name: there is a state {taken[0]!r} already")
-            self._check(new := " ".join(new_name.split()), positions_rad)
-            await self._change({new if known == spelled else known: state for known, state in self._saved.items()})
-
-    def _own(self, name: str) -> tuple[str, Positions]:
-        """Return the spelling of a saved state's name and the state, to change it."""
-        found = self.find(name)
-        if found is None:
-            raise ServiceError(f"name: there is no state {name!r}; known are: {', '.join(self.names)}")
-        if found[0] in self._described:
-            raise ServiceError(f"name: {found[0]!r} is a state of the SRDF, which is not changed here")
-        return found
-
-    async def _change(self, saved: dict[str, Positions]) -> None:
-        await self._keep(saved)
-        self._saved = saved
+            self._saved = self._usable(await self._keep(change))
         for listener in self._listeners:
             listener()
+
+    def _usable(self, states: Mapping[str, Positions]) -> dict[str, Positions]:
+        """Return the states of this arm: a file may have those of another arm of the same name."""
+        usable: dict[str, Positions] = {}
+        for name, positions_rad in states.items():
+            with contextlib.suppress(ServiceError):
+                self._check(name, positions_rad)
+                usable[name] = dict(positions_rad)
+        return usable
 
     def _check(self, name: str, positions_rad: Positions) -> None:
         """Check that a state can be saved under a name.
@@ -196,16 +213,22 @@ def _key(name: str) -> str:
     return "".join(name.split()).casefold()
 
 
+def _spelling(name: str, known: Iterable[str]) -> str | None:
+    """Return the spelling of a name among those known; None when it is not among them."""
+    return next((spelled for spelled in known if _key(spelled) == _key(name)), None)
+
+
 class _Content(BaseModel):
     model_config = ConfigDict(strict=True)
 
     states: States
 
 
-def default_path(robot: RobotModel, environment: Mapping[str, str]) -> Path:
-    """Return the default path of a robot's states, in the XDG base directory for data.
+def default_path(content: str, robot: RobotModel, environment: Mapping[str, str]) -> Path:
+    """Return the default path of a file that the server keeps of a robot, in the XDG base directory for data.
 
     Args:
+        content: beginning of the file's name.
         robot: the arm, whose name is in that of the file.
         environment: environment variables.
     """
@@ -213,11 +236,11 @@ def default_path(robot: RobotModel, environment: Mapping[str, str]) -> Path:
         Path(environment.get("HOME", "~")).expanduser() / ".local/share"
     )
     safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
-    return Path(data_home) / "armbridge" / f"named_states_{safe}.json"
+    return Path(data_home) / "armbridge" / f"{content}_{safe}.json"
 
 
 class NamedStatesFile:
-    """JSON file of saved states: joint positions by state and joint [rad].
+    """JSON file of saved states: joint positions by state and joint [rad]. Several servers may share it.
 
     Args:
         path: of the file; created with the first state.
@@ -229,48 +252,62 @@ class NamedStatesFile:
     def load(self) -> States:
         """Read the states; rename an invalid file, and log it."""
         try:
-            with self._path.open("rb") as file:
-                text = file.read(MAX_FILE_BYTES)
-            return _Content.model_validate_json(text).states
-        except FileNotFoundError:
-            return {}
+            return self._read()
         except OSError as error:
             log.warning("saved states cannot be read from %s: %s", self._path, error)
-        except ValidationError as error:
-            first = error.errors()[0]
-            self._set_aside(": ".join((*(str(part) for part in first["loc"]), first["msg"])))
+        except ValidationError:
+            # Read once more under the lock: another server may have put a good file in its place.
+            try:
+                with files.locked(self._path):
+                    return self._read_or_set_aside()
+            except OSError as error:
+                log.warning("saved states in %s cannot be used, nor set aside: %s", self._path, error)
         return {}
 
-    async def save(self, states: Mapping[str, Mapping[str, float]]) -> None:
-        """Write the states; a crash leaves the old file or the new one.
+    async def change(self, change: Change) -> States:
+        """Change the states in the file, those that other servers have saved among them; return them all.
+
+        A crash leaves the old file or the new one.
+
+        Args:
+            change: of the states; called in a thread.
 
         Raises:
-            ServiceError: they cannot be written.
+            ServiceError: the states cannot be changed so, the file cannot be written, or another process has it.
         """
         try:
-            await asyncio.wait_for(asyncio.to_thread(self._write, states), WRITING_TIMEOUT_S)
+            return await asyncio.wait_for(asyncio.to_thread(self._change, change), WRITING_TIMEOUT_S)
         except TimeoutError as error:
             raise ServiceError(f"{self._path} was not written within {WRITING_TIMEOUT_S:g} s") from error
+        except files.FileLockedError as error:
+            raise ServiceError(f"the state cannot be kept: {self._path} {error.strerror}") from error
         except OSError as error:
             raise ServiceError(f"the state cannot be kept in {self._path}: {error.strerror}") from error
 
-    def _write(self, states: Mapping[str, Mapping[str, float]]) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        written = self._path.with_name(f"{self._path.name}.new")
-        with written.open("w", encoding="utf-8") as file:
-            json.dump({"states": states}, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        written.replace(self._path)
+    def _change(self, change: Change) -> States:
+        with files.locked(self._path):
+            states = change(self._read_or_set_aside())
+            files.replace(self._path, json.dumps({"states": states}, indent=1).encode())
+            return states
 
-    def _set_aside(self, reason: str) -> None:
-        aside = self._path.with_name(f"{self._path.name}.broken")
+    def _read(self) -> States:
         try:
-            self._path.replace(aside)
-        except OSError as error:
-            log.warning("saved states in %s cannot be used: %s; nor set aside: %s", self._path, reason, error)
-        else:
+            with self._path.open("rb") as file:
+                text = file.read(MAX_FILE_BYTES)
+        except FileNotFoundError:
+            return {}
+        return _Content.model_validate_json(text).states
+
+    def _read_or_set_aside(self) -> States:
+        """Read the states; rename an invalid file, whose lock is held."""
+        try:
+            return self._read()
+        except ValidationError as error:
+            first = error.errors()[0]
+            reason = ": ".join((*(str(part) for part in first["loc"]), first["msg"]))
+            aside = files.set_aside(self._path)
             log.warning("saved states in %s cannot be used: %s; the file is now %s", self._path, reason, aside)
+            return {}
 
 
 class NamedStatesServices:

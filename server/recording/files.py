@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import re
+import stat
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -15,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from protocol import type_descriptions
 from protocol.registry import Registry
+from server.errors import ConfigurationError
 
 log = logging.getLogger("armbridge.recording")
 
@@ -49,6 +51,39 @@ _QOS_PROFILE = """\
 
 # Releases of rosbag2 before Iron write numbers (rmw_qos_durability_policy_t).
 _LATCHED = re.compile(r"\bdurability: *(transient_local|1)\b")
+
+
+_KINDS: Mapping[Callable[[int], bool], str] = {
+    stat.S_ISDIR: "a directory",
+    stat.S_ISCHR: "a character device",
+    stat.S_ISBLK: "a block device",
+    stat.S_ISFIFO: "a FIFO",
+    stat.S_ISSOCK: "a socket",
+}
+
+
+def check_path(path: Path) -> None:
+    """Refuse a path at which something is that no recording can be numbered after.
+
+    Args:
+        path: file to record to; one that exists is left alone.
+
+    Raises:
+        ConfigurationError: it is a directory, a device or the like, or a link to nothing.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        if not path.is_symlink():
+            return
+        kind = "a symbolic link to nothing"
+    except OSError as error:
+        raise ConfigurationError(f"recording.file: {path} cannot be used: {error.strerror or error}") from error
+    else:
+        if stat.S_ISREG(mode):
+            return
+        kind = next((name for test, name in _KINDS.items() if test(mode)), "something else")
+    raise ConfigurationError(f"recording.file: {path} must be a regular file or not exist; it is {kind}")
 
 
 class RecordedMessage(NamedTuple):

@@ -68,7 +68,7 @@ class Bridge:
         self._settings = settings
         self._max_message_bytes = max_message_bytes
         self._node = Node("zenoh", remote=True, identity=Identity("", Role[settings.role.upper()]))
-        self._authorizer = access.authorizer(self._node)
+        self._authorizer = access.authorizer(self._node, graph)
         self._thread = SessionThread(lambda: zenoh.open(config))
         # None as long as there is no session.
         self._sharing: Sharing | None = None

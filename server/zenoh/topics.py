@@ -305,7 +305,9 @@ class IncomingTopics:
         try:
             message = cdr.deserialize(network.registry, type_name, octets)
             if not self._is_rejected(topic.name, message):
-                network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
+                lost = network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
+                if lost is not None:
+                    network.warn(lost)
         except (MessageError, GraphError) as error:
             network.warn(f"a message on {topic.name} is left out: {error}")
 

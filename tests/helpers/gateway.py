@@ -18,6 +18,7 @@ from server.access.authorization import Access
 from server.access.permissions import ANYONE, Identity
 from server.access.settings import AccessSettings
 from server.config import ServerSettings
+from server.execution.queue import RunningGoal
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
@@ -79,7 +80,7 @@ class InProcess:
         )
         if rosapi:
             RosApi(self.graph, self.clock)
-        self.busy = False
+        self.busy: RunningGoal | None = None
         self.access = Access(access or AccessSettings(control="shared"), self.clock, self.clock, lambda: self.busy)
         self.closed: dict[str, str] = {}
         self.scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -27,7 +27,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.display import DisplayTopics
 from server.moveit.goal_messages import GoalTranslator
-from server.moveit.named_states import NamedStates, Positions
+from server.moveit.named_states import Change, NamedStates, States
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.context import RequestContext
 from server.moveit.requests.planning_context import PlanningContext
@@ -174,13 +174,22 @@ def near(pose: Pose, position_m: tuple[float, float, float], tolerance_m: float 
     return all(abs(a - b) <= tolerance_m for a, b in zip(pose.position_m, position_m, strict=True))
 
 
-async def keep_nothing(_states: Mapping[str, Positions]) -> None:
-    """States live as long as the test."""
+def keep_in_memory(states: States | None = None) -> Callable[[Change], Awaitable[States]]:
+    """Return the keeper of states that live as long as the test."""
+    kept: States = dict(states or {})
+
+    async def keep(change: Change) -> States:
+        nonlocal kept
+        kept = change(kept)
+        return kept
+
+    return keep
 
 
 def translator(arm: FakeArm | None = None, **parameters: Any) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
-    states = NamedStates(ROBOT, "arm", {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}, keep_nothing)
+    saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
+    states = NamedStates(ROBOT, "arm", saved, keep_in_memory(saved))
     frames = Frames(ROBOT, SceneState(ROBOT))
     configured = MoveItParameters(**parameters)
     problems = ProblemBuilder(ROBOT, frames, PlannerParameters(configured))

@@ -1,9 +1,13 @@
-"""Reference data, certificates and numbers of random examples."""
+"""Reference data, certificates, numbers of random examples, and a process without file descriptors."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import resource
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -79,3 +83,25 @@ def in_proportion(count: int) -> int:
 
     assert settings.default is not None
     return math.ceil(count * settings.default.max_examples / EXAMPLES_IN_CI)
+
+
+# Beside those that are open; so few that to use them up takes no time.
+DESCRIPTORS_LEFT = 64
+
+
+@contextlib.contextmanager
+def no_descriptors_left() -> Iterator[None]:
+    """Have this process use up its file descriptors, as clients do that connect without end."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    greatest = max(int(each.name) for each in Path("/proc/self/fd").iterdir())
+    resource.setrlimit(resource.RLIMIT_NOFILE, (greatest + DESCRIPTORS_LEFT, hard))
+    used: list[int] = []
+    try:
+        with contextlib.suppress(OSError):
+            while True:
+                used.append(os.open(os.devnull, os.O_RDONLY))
+        yield
+    finally:
+        for descriptor in used:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

@@ -54,10 +54,12 @@ class RunningServer:
     def __enter__(self) -> RunningServer:
         self._ready = threading.Event()
         self.port = 0
+        # What a server keeps for its next start is no other server's, and not the user's.
+        self._data = tempfile.TemporaryDirectory(prefix="armbridge")
         self.process = subprocess.Popen(
             [*self.prefix, *run_command(self.arguments)],
             cwd=ROOT,
-            env={**os.environ, **self.settings},
+            env={**os.environ, "XDG_DATA_HOME": self._data.name, **self.settings},
             stderr=subprocess.PIPE,
             text=True,
         )
@@ -72,6 +74,7 @@ class RunningServer:
         self._reader.join(5.0)
         assert self.process.stderr is not None
         self.process.stderr.close()
+        self._data.cleanup()
 
     @property
     def url(self) -> str:

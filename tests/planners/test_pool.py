@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import errno
 import math
 import os
 import signal
@@ -10,6 +11,7 @@ import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -48,6 +50,7 @@ from robot.channel import MAX_MESSAGE_BYTES
 from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
+from tests.helpers.resources import no_descriptors_left
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
 
@@ -394,6 +397,37 @@ async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: py
             await asyncio.sleep(0.01)
     assert isinstance(await pool.ask(EASY), Plan)
     await pool.close()
+
+
+async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both_idle: PlannerPool) -> None:
+    kill_all(both_idle)
+    with no_descriptors_left():
+        async with asyncio.timeout(60.0):
+            while sum(worker.usable for worker in both_idle._idle) < 2:
+                await asyncio.sleep(0.01)
+    assert isinstance(await both_idle.ask(EASY), Plan)
+
+
+async def test_a_worker_that_cannot_be_read_is_ended_and_replaced(
+    both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = asyncio.get_running_loop()
+    connect, failed = loop.create_unix_connection, []
+
+    async def fail_once(*arguments: Any, **options: Any) -> Any:
+        if not failed:
+            failed.append(arguments)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return await connect(*arguments, **options)
+
+    monkeypatch.setattr(loop, "create_unix_connection", fail_once)
+    kill_all(both_idle)
+    async with asyncio.timeout(60.0):
+        while sum(worker.usable for worker in both_idle._idle) < 2:
+            await asyncio.sleep(0.01)
+    assert failed
+    assert len(both_idle.pids) == 2
+    assert isinstance(await both_idle.ask(EASY), Plan)
 
 
 async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
 import os
 import signal
@@ -14,15 +15,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot.arm import Arm
+from robot.arm import RESTART_LINES, Arm, start_arm_process
 from robot.calibration import Calibration
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
 from robot.description import model
 from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, ChangePace, Mode, Order, Outcome, Pace
+from robot.processes import RestartDelay, StartedChild
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
+from tests.helpers.resources import no_descriptors_left
 from tests.helpers.server import EmulatorControl, read_write_log
 
 CALIBRATION = Calibration.nominal()
@@ -36,13 +39,14 @@ SOON_S = 30.0
 class ArmOnServos:
     """An arm process with its servos, their log and their control socket."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, restart_delay: RestartDelay | None = None) -> None:
         self.log = folder / "writes.jsonl"
         servos = EmulatedConfig(CALIBRATION, write_log=self.log, control=folder / "control")
         self.emulator = EmulatorControl(folder / "control")
         self.states: list[ArmState] = []
         self.health: list[ArmHealth] = []
-        self.arm = Arm(replace(CONFIG, hardware=servos), self.states.append, self.health.append)
+        config = replace(CONFIG, hardware=servos)
+        self.arm = Arm(config, self.states.append, self.health.append, restart_delay=restart_delay)
 
     @property
     def pan_rad(self) -> float:
@@ -249,6 +253,103 @@ async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnServos, monkeypat
     assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.PROCESS_LOST
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
     assert rig.arm.pid != hanging
+
+
+class FailingStarts:
+    """Starts of arm processes, of which the first ones fail."""
+
+    def __init__(self, *errors: Exception) -> None:
+        self._errors = list(errors)
+        self.failed = 0
+
+    def __call__(self) -> StartedChild:
+        if self.failed < len(self._errors):
+            self.failed += 1
+            raise self._errors[self.failed - 1]
+        return start_arm_process()
+
+
+async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
+    await rig.arm.start(SOON_S)
+    starts = FailingStarts(
+        OSError(errno.EMFILE, "Too many open files"),
+        OSError(errno.EAGAIN, "Resource temporarily unavailable"),
+        MemoryError(),
+        RuntimeError("can't start new thread"),
+    )
+    monkeypatch.setattr("robot.arm.start_arm_process", starts)
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGKILL)
+    await rig.until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert starts.failed == 4
+    for reason in ("Too many open files", "temporarily unavailable", "MemoryError", "can't start new thread"):
+        assert any("cannot be started" in state.reason and reason in state.reason for state in rig.states)
+        assert reason in caplog.text
+    await rig.arm.close()
+
+
+async def test_starts_that_fail_without_end_do_not_fill_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.0, 0.0))
+    await rig.arm.start(SOON_S)
+    starts = FailingStarts(*[OSError(errno.EMFILE, "Too many open files")] * (10 * RESTART_LINES))
+    monkeypatch.setattr("robot.arm.start_arm_process", starts)
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGKILL)
+    await rig.until(lambda: starts.failed == 10 * RESTART_LINES)
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert caplog.text.count("cannot be started") == RESTART_LINES
+    await rig.arm.close()
+
+
+async def test_an_error_in_taking_a_state_does_not_end_the_restarts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
+    await rig.arm.start(SOON_S)
+    first = rig.arm.pid
+    assert first is not None
+
+    def fail(state: ArmState) -> None:
+        if state.mode is Mode.DISCONNECTED:
+            raise ValueError("a bug")
+        rig.states.append(state)
+
+    monkeypatch.setattr(rig.arm, "_on_state", fail)
+    monkeypatch.setattr("robot.arm.start_arm_process", FailingStarts(OSError(errno.EMFILE, "Too many open files")))
+    os.kill(first, signal.SIGKILL)
+    await rig.until(lambda: rig.arm.pid != first and rig.states[-1].mode is Mode.HOLDING)
+    await rig.arm.close()
+
+
+async def test_an_arm_process_comes_back_where_clients_have_used_up_all_descriptors(tmp_path: Path) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
+    await rig.arm.start(SOON_S)
+    with no_descriptors_left():
+        for _ in range(3):
+            killed = rig.arm.pid
+            assert killed is not None
+            os.kill(killed, signal.SIGKILL)
+            await rig.until(lambda killed=killed: rig.arm.pid != killed and rig.arm.state.mode is Mode.HOLDING)
+    await rig.arm.close()
+
+
+async def test_a_control_socket_that_cannot_be_made_leaves_the_arm_disconnected_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "control").write_text("mine")
+    rig = ArmOnServos(tmp_path)
+    await rig.arm.start(SOON_S)
+    first = rig.arm.pid
+    assert rig.arm.state.mode is Mode.DISCONNECTED
+    assert "the emulated servos cannot be made: [Errno 98] Address already in use" in rig.arm.state.reason
+    (tmp_path / "control").unlink()
+    await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert rig.arm.pid == first
+    await rig.arm.close()
 
 
 async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew(rig: ArmOnServos) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -17,6 +18,7 @@ from robot.calibration import (
     find_calibration,
     lerobot_directories,
     new_calibration_path,
+    reserved,
     save,
 )
 from robot.errors import CalibrationError
@@ -273,6 +275,34 @@ def test_what_is_saved_loads_as_the_same_calibration(tmp_path):
         "range_max",
     ]
     assert [entry.name for entry in path.parent.iterdir()] == ["arm.json"]
+
+
+def test_a_file_that_is_being_calibrated_is_refused_with_the_process(tmp_path):
+    path = tmp_path / "arm.json"
+    with reserved(path, overwrite=False):
+        refused = pytest.raises(CalibrationError, match=rf"in use by armbridge \(process {os.getpid()}\)")
+        with refused, reserved(path, overwrite=True):
+            pass
+        save(Calibration.nominal(), path)
+    with pytest.raises(CalibrationError, match="is there already"), reserved(path, overwrite=False):
+        pass
+    with reserved(path, overwrite=True):
+        pass
+
+
+def test_a_place_that_cannot_be_reserved_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(CalibrationError, match="cannot be written"), reserved(tmp_path / "file" / "a", overwrite=True):
+        pass
+
+
+def test_a_calibration_that_cannot_be_written_leaves_the_one_before(tmp_path):
+    path = tmp_path / "arm.json"
+    save(Calibration.nominal(), path)
+    (tmp_path / ".arm.json.new").mkdir()
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        save(Calibration.nominal().with_zero_offsets({"elbow_flex": 0.1}), path)
+    assert Calibration.load(path) == Calibration.nominal()
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path):

@@ -13,7 +13,8 @@ import pytest
 
 from robot import logs, processes
 from robot.logs import LoggerLevel
-from robot.processes import Child, StartedChild
+from robot.processes import Child, DescriptorReserve, RestartDelay, StartedChild
+from tests.helpers.resources import no_descriptors_left
 
 ECHO = "tests.helpers.echo_child"
 
@@ -56,6 +57,22 @@ async def test_a_signal_that_is_for_the_server_does_not_end_a_child() -> None:
     child.send("still there?")
     await until(received, 2)
     await child.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGUSR1])
+async def test_a_signal_that_is_for_the_server_does_not_end_a_child_that_has_only_begun(number: signal.Signals) -> None:
+    received: list[Any] = []
+    child = await start_echo(received, asyncio.Event())
+    os.kill(child.pid, number)
+    child.send("there?")
+    await until(received, 1)
+    await child.kill()
+
+
+def test_the_start_of_a_child_keeps_no_signal_from_the_server() -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    StartedChild(ECHO).close()
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
 async def test_the_end_of_a_child_is_reported_once() -> None:
@@ -170,3 +187,49 @@ def test_a_folder_of_the_same_name_in_the_working_directory_is_not_imported(
     process = processes.start_module("robot.emulator", ["--help"], ())
     assert process.wait(20.0) == 0
     assert sys.executable
+
+
+def test_with_descriptors_in_reserve_a_child_is_started_when_all_others_are_used_up() -> None:
+    reserve = DescriptorReserve()
+    reserve.fill()
+    with no_descriptors_left():
+        with pytest.raises(OSError, match="Too many open files"):
+            StartedChild(ECHO)
+        with reserve.lent():
+            started = StartedChild(ECHO)
+    started.close()
+    reserve.close()
+
+
+def test_the_reserve_is_filled_again_as_far_as_it_goes() -> None:
+    reserve = DescriptorReserve(4)
+    reserve.fill()
+    with no_descriptors_left():
+        with reserve.lent():
+            taken = os.open(os.devnull, os.O_RDONLY)
+        assert reserve.held == 3
+        os.close(taken)
+        reserve.fill()
+        assert reserve.held == 4
+    reserve.close()
+    assert reserve.held == 0
+
+
+def test_a_start_that_fails_leaves_no_descriptor_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/no/such/python")
+    before = sorted(Path("/proc/self/fd").iterdir())
+    with pytest.raises(FileNotFoundError) as failure:
+        StartedChild(ECHO)
+    # With its frames, and what they refer to.
+    assert failure.tb
+    assert sorted(Path("/proc/self/fd").iterdir()) == before
+
+
+def test_the_delay_before_a_start_grows_to_its_bound() -> None:
+    delay = RestartDelay(0.2, 10.0)
+    assert [delay.after(0.0) for _ in range(8)] == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
+
+
+def test_the_delay_begins_anew_behind_a_process_that_has_run_for_long() -> None:
+    delay = RestartDelay(0.2, 10.0)
+    assert [delay.after(ran_s) for ran_s in (3600.0, 9.9, 9.9, 10.0, 0.0)] == [0.2, 0.4, 0.8, 0.2, 0.4]

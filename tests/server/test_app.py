@@ -57,3 +57,10 @@ async def test_settings_that_are_refused_leave_no_recording_behind(tmp_path: Pat
     with pytest.raises(ConfigurationError):
         App(settings)
     assert not (tmp_path / "run.mcap").exists()
+
+
+async def test_a_recording_at_a_directory_is_refused_and_no_file_is_made_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").mkdir()
+    with pytest.raises(ConfigurationError, match=r"run.mcap must be a regular file or not exist; it is a directory"):
+        App(Settings(recording=RecordingSettings(file=tmp_path / "run.mcap")))
+    assert not (tmp_path / "run_1.mcap").exists()

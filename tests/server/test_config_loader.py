@@ -67,6 +67,64 @@ def test_a_value_that_is_refused_says_where_it_comes_from(monkeypatch: pytest.Mo
         load(None, {})
 
 
+OVERRIDDEN = {
+    "out of range": (
+        "[server]\nport = 70000",
+        r"^server\.port: .*65535 \(it is 70000, from the file /.*armbridge\.toml\)$",
+    ),
+    "wrong type": ('[server]\nport = "many"', r"^server\.port: .*'many', from the file /.*armbridge\.toml"),
+    "no section": ("server = 3", r"^server: .*it is 3, from the file /.*armbridge\.toml"),
+}
+
+
+@pytest.mark.parametrize(("text", "words"), OVERRIDDEN.values(), ids=OVERRIDDEN.keys())
+def test_a_wrong_value_in_the_file_is_refused_also_where_the_command_line_overrides_it(
+    file: Path, text: str, words: str
+) -> None:
+    file.write_text(text)
+    with pytest.raises(ConfigurationError, match=words):
+        load(file, {"server": {"port": 1}})
+
+
+def test_a_wrong_value_in_the_file_is_refused_also_where_the_environment_overrides_it(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file.write_text("[server]\nport = -1\n")
+    monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
+    with pytest.raises(ConfigurationError, match=r"server\.port: .*-1, from the file"):
+        load(file, {})
+
+
+def test_a_wrong_value_in_the_environment_is_refused_also_where_the_command_line_overrides_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "many")
+    with pytest.raises(ConfigurationError, match=r"server\.port: .*'many', from the environment"):
+        load(None, {"server": {"port": 1}})
+
+
+def test_every_wrong_value_in_the_file_is_told_once(file: Path) -> None:
+    file.write_text("[server]\nport = -1\nmax_clients = 0\n")
+    with pytest.raises(ConfigurationError) as refused:
+        load(file, {"server": {"port": 1}})
+    assert str(refused.value).count("server.port") == str(refused.value).count("server.max_clients") == 1
+
+
+def test_the_command_line_may_put_right_what_the_file_leaves_contradictory(file: Path) -> None:
+    file.write_text("[arm.guards]\nsettle_timeout_s = 5.0\n[moveit]\nallowed_goal_duration_margin = 1.0\n")
+    with pytest.raises(ConfigurationError, match="must be below"):
+        load(file, {})
+    assert load(file, {"arm": {"guards": {"settle_timeout_s": 0.5}}}).moveit.allowed_goal_duration_margin == 1.0
+
+
+def test_an_overridden_token_of_the_file_is_not_shown(file: Path) -> None:
+    file.write_text('[access]\ntoken = "abc"\n')
+    with pytest.raises(ConfigurationError) as refused:
+        load(file, {"access": {"token": "x" * 32}})
+    assert "abc" not in str(refused.value)
+    assert "it is not shown, from the file" in str(refused.value)
+
+
 def test_keys_and_sections_are_known() -> None:
     assert {"server", "server.port", "moveit.servo", "moveit.servo.rate_hz"} <= set(known_keys())
 

@@ -13,8 +13,9 @@ from server.errors import ServiceError
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
-from server.rosapi import MAX_PARAMETER_BYTES, Parameters, Request, RosApi, names_of_type, node_name
+from server.rosapi import MAX_PARAMETER_BYTES, Parameters, Request, RosApi, node_name
 from tests.helpers.clock import FakeClock
+from tests.helpers.cost import count_calls
 
 REGISTRY = Registry.load()
 ARM, CLIENT = Node("arm"), Node("client 127.0.0.1:53944", remote=True)
@@ -218,7 +219,7 @@ def test_details_are_those_of_the_callers_generation(world: AskedWorld) -> None:
 def test_the_texts_of_many_topics_are_bounded(world: AskedWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = world.ask("topics_and_raw_types")["typedefs_full_text"]
     monkeypatch.setattr(rosapi, "MAX_TEXTS_CHARACTERS", sum(map(len, whole)) - 1)
-    answer = world.ask("topics_and_raw_types")
+    answer = AskedWorld().ask("topics_and_raw_types")
     assert answer["typedefs_full_text"] == [whole[0], ""]
     assert len(answer["topics"]) == len(answer["types"]) == 2
 
@@ -230,28 +231,82 @@ def test_a_name_is_qualified() -> None:
     assert Request({"topic": "chat"}, "ros2").name("topic") == "/chat"
 
 
-def test_types_are_spelled_for_the_caller() -> None:
-    names = ["std_msgs/msg/String", "rosapi_msgs/srv/Topics"]
-    assert Request({}, "ros2").spell_all(names) == names
-    assert Request({}, "ros1").spell_all(names) == ["std_msgs/String", "rosapi/Topics"]
-    assert Request({}, "ros1").spell("") == ""
+# Look-ups.
 
 
-@pytest.mark.parametrize(
-    "wanted", ["rosapi_msgs/srv/Topics", "rosapi_msgs/Topics", "rosapi/Topics", "rosapi/srv/Topics"]
-)
-def test_names_are_found_by_any_spelling_of_their_type(wanted: str) -> None:
-    types = {"/b": "rosapi_msgs/srv/Topics", "/c": "std_srvs/srv/Trigger", "/a": "rosapi_msgs/srv/Topics"}
-    assert names_of_type(types, wanted) == ["/a", "/b"]
+def test_every_response_is_complete_as_it_is(world: AskedWorld) -> None:
+    given = {"message_details": {"type": "sensor_msgs/JointState"}, "set_param": {"name": "/a", "value": "1"}}
+    by_field: dict[str, Any] = {
+        "type": "std_srvs/SetBool",
+        "topic": "/joint_states",
+        "service": "/arm/stop",
+        "node": "/arm",
+    }
+    types = world.graph.message_types
+    for service, type_name in world.graph.services.types().items():
+        if service.startswith("/rosapi/"):
+            short = service.removeprefix("/rosapi/")
+            fields = [field.name for field in types.registry.message(f"{type_name}_Request").fields]
+            arguments = {name: by_field[name] for name in fields if name in by_field} | given.get(short, {})
+            response = world.ask(short, "ros2", **arguments)
+            completed = types.complete(f"{type_name}_Response", response)
+            assert response == completed
+            assert list(response) == list(completed), service
 
 
-def test_a_time_is_found_by_the_name_that_either_generation_has_for_it() -> None:
-    types = {"/now": "builtin_interfaces/msg/Time"}
-    assert names_of_type(types, "builtin_interfaces/Time") == names_of_type(types, "time") == ["/now"]
+@pytest.mark.parametrize("service", ["topics", "topics_and_raw_types", "services", "action_servers"])
+@pytest.mark.parametrize("dialect", ["ros2", "ros1"])
+def test_lists_of_everything_are_made_once_for_each_change(world: AskedWorld, service: str, dialect: Dialect) -> None:
+    first = world.ask(service, dialect)
+    assert world.ask(service, dialect) is first
+    world.graph.advertise(ARM, "/another", "std_msgs/String")
+    world.graph.actions.offer(ARM, "/another", "control_msgs/PointHead", lambda _goal: None)
+    second = world.ask(service, dialect)
+    assert len(next(iter(second.values()))) > len(next(iter(first.values())))
 
 
-def test_nothing_is_of_a_type_that_nobody_knows() -> None:
-    assert names_of_type({"/a": "std_msgs/msg/String"}, "no/Such") == []
+def test_a_description_of_a_type_is_made_once(world: AskedWorld) -> None:
+    first = world.ask("message_details", type="sensor_msgs/JointState")
+    assert world.ask("message_details", type="sensor_msgs/JointState") is first
+    assert world.ask("message_details", "ros1", type="sensor_msgs/JointState") is not first
+
+
+LOOKUPS: list[tuple[str, dict[str, str]]] = [
+    ("topics", {}),
+    ("topics_and_raw_types", {}),
+    ("services", {}),
+    ("topics_for_type", {"type": "std_msgs/String"}),
+    ("services_for_type", {"type": "std_srvs/Trigger"}),
+    ("service_providers", {"service": "std_srvs/Trigger"}),
+    ("topic_type", {"topic": "/joint_states"}),
+    ("publishers", {"topic": "/joint_states"}),
+    ("node_details", {"node": "/arm"}),
+    ("nodes", {}),
+]
+
+
+@pytest.mark.parametrize(("service", "arguments"), LOOKUPS)
+def test_a_lookup_costs_the_same_however_much_others_offer(service: str, arguments: dict[str, str]) -> None:
+    costs = []
+    for others in (10, 1000):
+        world, other = AskedWorld(), Node("other", remote=True)
+        for number in range(others):
+            world.graph.advertise(other, f"/t{number}", "std_msgs/Empty")
+            world.graph.services.offer_calls(other, f"/s{number}", "std_srvs/SetBool", lambda _call: None)
+        # What is made once for each change is made here.
+        world.ask(service, **arguments)
+        costs.append(count_calls(lambda world=world: world.ask(service, **arguments)))
+    assert costs[0] == costs[1]
+
+
+def test_a_client_that_has_shown_who_it_is_is_found_by_its_new_name(world: AskedWorld) -> None:
+    world.ask("nodes")
+    CLIENT.name, former = "ada (127.0.0.1:53944)", CLIENT.name
+    try:
+        assert "/ada_127_0_0_1_53944" in world.ask("nodes")["nodes"]
+        assert world.ask("node_details", node="/ada_127_0_0_1_53944")["publishing"] == ["/chatter"]
+    finally:
+        CLIENT.name = former
 
 
 # Parameters.

@@ -28,6 +28,7 @@ from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -85,8 +86,28 @@ def submit_goal(
         send_feedback(Progress(GoalState.DONE, answer.message))
         finish_goal(goal, answer, result)
 
-    number = queue.submit(goal.action, request, policy=GoalPolicy.PREEMPT, on_progress=send_feedback, on_answer=end)
-    goal.when_canceled(lambda: queue.cancel(number, f"cancelled by a client of {goal.action}"))
+    number = queue.submit(
+        goal.action,
+        request,
+        policy=GoalPolicy.PREEMPT,
+        on_progress=send_feedback,
+        on_answer=end,
+        client=goal.sender,
+    )
+    cancel_with_goal(goal, lambda reason: queue.cancel(number, reason))
+
+
+def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
+    """Cancel what is done for a goal when a client asks for it, and when the goal ends in any other way.
+
+    A goal may end before its motion: its time is over, or a part of the server has failed.
+
+    Args:
+        goal: the goal.
+        cancel: cancels its motion, for a reason; does nothing when the motion has ended.
+    """
+    goal.when_canceled(lambda: cancel(f"cancelled by a client of {goal.action}"))
+    goal.when_ended(lambda end: cancel(f"the goal of {goal.action} is over" + ("" if end.ok else f": {end.values}")))
 
 
 def reject_goal(
@@ -225,6 +246,7 @@ class JointTrajectoryController:
         arm: the arm.
         current: positions that it holds.
         queue: queue of its goals.
+        time_limits: of motions.
 
     Attributes:
         actions: names of the actions.
@@ -238,12 +260,14 @@ class JointTrajectoryController:
         arm: Arm,
         current: CurrentState,
         queue: GoalQueue[Motion],
+        time_limits: TimeLimits,
     ) -> None:
         self._robot = robot
         self._group = group
         self._arm = arm
         self._current = current
         self._queue = queue
+        self._time_limits = time_limits
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         self._topic = f"/{group.name}_controller/joint_trajectory"
@@ -281,10 +305,11 @@ class JointTrajectoryController:
             policy=GoalPolicy.PREEMPT,
             on_progress=send_feedback,
             on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
+            client=goal.sender,
         )
         self._goals[number] = trajectory_goal
         goal.when_ended(lambda _result: self._goals.pop(number, None))
-        goal.when_canceled(lambda: self._queue.cancel(number, f"cancelled by a client of {goal.action}"))
+        cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
 
     def _play(self, published: PublishedMessage) -> None:
         """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm."""
@@ -297,9 +322,11 @@ class JointTrajectoryController:
         except RefusedError as error:
             self._queue.reject(self._topic, error.failure)
             return
-        self._queue.submit(self._topic, external_motion(trajectory, self._robot), policy=GoalPolicy.PREEMPT)
+        motion = external_motion(trajectory, self._robot)
+        self._queue.submit(self._topic, motion, policy=GoalPolicy.PREEMPT, client=published.publisher)
 
     def _check(self, trajectory: Message) -> None:
+        check_duration(trajectory, self._time_limits)
         check_trajectory(trajectory, self._group, self._robot, self._current.positions_rad(), time.time())
 
 
@@ -509,6 +536,24 @@ def check_trajectory(
         raise TrajectoryRefusedError(FollowCode.OLD_HEADER_TIMESTAMP, text)
     if present_rad is not None:
         external_trajectory(trajectory, robot, present_rad)
+
+
+def check_duration(trajectory: Message, limits: TimeLimits) -> None:
+    """Check that a trajectory is not too long, before it takes the place of another motion.
+
+    Args:
+        trajectory: a trajectory_msgs/JointTrajectory.
+        limits: of motions.
+
+    Raises:
+        RefusedError: it takes longer than the limit.
+    """
+    points = trajectory["points"]
+    if points:
+        field = f"trajectory.points[{len(points) - 1}].time_from_start"
+        limits.check_duration(
+            read_seconds(points[-1]["time_from_start"], field), field, MoveItErrorCode.INVALID_MOTION_PLAN
+        )
 
 
 def rejection_code(error: RefusedError) -> FollowCode:

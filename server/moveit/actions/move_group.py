@@ -22,6 +22,7 @@ from server.errors import RefusedError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import Answer, GoalQueue
+from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -29,6 +30,8 @@ from server.moveit.actions.joint_trajectory_controller import (
     ControllerStatePublisher,
     JointTrajectoryController,
     MoveGroupFeedback,
+    cancel_with_goal,
+    check_duration,
     code_message,
     finish_goal,
     move_group_result,
@@ -165,7 +168,7 @@ class PlanningActions:
         # The event loop keeps only weak references to tasks.
         self._tasks.add(task)
         task.add_done_callback(end)
-        goal.when_canceled(lambda: _cancel(task))
+        cancel_with_goal(goal, lambda _reason: _cancel(task))
 
 
 def read_planning_goal(message: Message, action: PlanningAction) -> PlanningGoal:
@@ -333,12 +336,21 @@ class ExecuteTrajectory:
         robot: the arm.
         current: positions that the arm holds.
         queue: queue of the arm's goals.
+        time_limits: of motions.
     """
 
-    def __init__(self, graph: Graph, robot: RobotModel, current: CurrentState, queue: GoalQueue[Motion]) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        current: CurrentState,
+        queue: GoalQueue[Motion],
+        time_limits: TimeLimits,
+    ) -> None:
         self._robot = robot
         self._current = current
         self._queue = queue
+        self._time_limits = time_limits
         node = Node("execute trajectory")
         type_name = "moveit_msgs/action/ExecuteTrajectory"
         graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS)
@@ -363,6 +375,7 @@ class ExecuteTrajectory:
 
     def _check(self, message: Message) -> None:
         """Reject a trajectory that cannot be played before it replaces the motion of another goal."""
+        check_duration(message, self._time_limits)
         present_rad = self._current.positions_rad()
         if present_rad is not None:
             external_trajectory(message, self._robot, present_rad)
@@ -380,13 +393,16 @@ class MotionActions:
         context: all that goals are planned with.
         arm: the arm.
         queue: queue of the arm's goals.
+        time_limits: of motions.
     """
 
-    def __init__(self, graph: Graph, context: PlanningContext, arm: Arm, queue: GoalQueue[Motion]) -> None:
+    def __init__(
+        self, graph: Graph, context: PlanningContext, arm: Arm, queue: GoalQueue[Motion], time_limits: TimeLimits
+    ) -> None:
         robot, current, group = context.robot, CurrentState(arm, context.robot), context.problems.group("")
         PlanningActions(graph, context, queue)
-        ExecuteTrajectory(graph, robot, current, queue)
-        self._controller = JointTrajectoryController(graph, robot, group, arm, current, queue)
+        ExecuteTrajectory(graph, robot, current, queue, time_limits)
+        self._controller = JointTrajectoryController(graph, robot, group, arm, current, queue, time_limits)
         self._controller_state = ControllerStatePublisher(graph, group)
         self._actionlib = ActionlibBridge(graph, time.monotonic, call_later)
 

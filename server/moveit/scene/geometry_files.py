@@ -16,6 +16,7 @@ from typing import Any
 
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
+from robot import files
 from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
@@ -316,7 +317,8 @@ def _write_bounded(path: Path, contents: SceneContents) -> None:
     text = write_geometry(contents)
     if len(text) > MAX_FILE_BYTES:
         raise invalid(f"the scene has {len(text)} characters as text, more than {MAX_FILE_BYTES}")
-    path.write_text(text)
+    with files.locked(path):
+        files.replace(path, text.encode())
 
 
 def _read_bounded(path: Path, frame: str) -> list[dict[str, Any]]:

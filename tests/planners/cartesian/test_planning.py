@@ -88,6 +88,11 @@ def least_time_s(distance, velocity, acceleration):
     return distance / velocity + velocity / acceleration
 
 
+def test_a_motion_that_would_take_too_long_is_not_sampled() -> None:
+    slow = RateLimits(LIMITS.velocity_rad_s, 1e-9 * LIMITS.acceleration_rad_s2)
+    assert time_along(spline(np.linspace(0.0, 1.0, 9)[:, np.newaxis] * np.array([1.0, 0.5, -0.5])), NAMES, slow) is None
+
+
 @given(polylines)
 @examples(60)
 def test_every_curve_is_timed_from_rest_to_rest_within_the_limits(points):

@@ -121,7 +121,7 @@ GOALS = {
 
 
 def written(path: Path, problem: PlanningProblem, scene: Scene = EMPTY_SCENE, robot: model.RobotModel = ROBOT):
-    problem_file.write(path, problem, scene, robot, FAILED)
+    path.write_text(problem_file.text(path.stem, problem, scene, robot, FAILED))
     return problem_file.read(path, ROBOT)
 
 

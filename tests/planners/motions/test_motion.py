@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
 from planners.motions.curve import TICK_S, least_time_s, polyline
-from planners.motions.motion import STRAIGHT_LINE, Motion, MotionTask, find_motion, smooth
+from planners.motions.motion import MAX_DURATION_S, STRAIGHT_LINE, Motion, MotionTask, find_motion, smooth
 from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits
 from tests.planners.invariants import (
     BLOCKED_LINES,
@@ -116,6 +118,22 @@ def test_the_first_goal_with_a_free_line_is_taken(task_between):
     motion = find_motion(task_between(start, behind, HOME, READY), unlimited())
     assert motion.goal == 1
     np.testing.assert_array_equal(motion.trajectory.positions_rad[-1], HOME)
+
+
+@pytest.mark.parametrize("scaling", [1e-6, 1e-12])
+def test_a_motion_that_would_take_too_long_is_refused_before_it_is_sampled(task_between, scaling):
+    task = task_between(HOME, READY)
+    slow = replace(task, limits=replace(task.limits, velocity_rad_s=scaling * task.limits.velocity_rad_s))
+    failure = find_motion(slow, unlimited())
+    assert failure.code is MoveItErrorCode.FAILURE
+    assert "s at least, more than the limit of 1800 s: raise the velocity and acceleration scaling" in failure.message
+    assert failure.details["least_s"] > MAX_DURATION_S
+
+
+def test_a_goal_at_the_start_takes_no_time_whatever_the_limits(task_between):
+    task = task_between(READY, READY)
+    slow = replace(task, limits=replace(task.limits, velocity_rad_s=1e-9 * task.limits.velocity_rad_s))
+    assert find_motion(slow, unlimited()).trajectory.duration_s == 0.0
 
 
 def test_no_move_is_one_sample_at_time_zero(task_between):

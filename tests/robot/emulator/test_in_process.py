@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.control import MAX_COMMAND_BYTES
-from robot.emulator.in_process import MAX_CONTROLLERS, CommandedPort, ControlSocket, EmulatedServos
+from robot.emulator.in_process import MAX_CONTROLLERS, MAX_WAITING_BYTES, CommandedPort, ControlSocket, EmulatedServos
 from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
@@ -155,13 +155,31 @@ def test_a_frozen_adapter_keeps_its_queue(at_once):
     assert len(at_once.port.receive(1.0)) == 6
 
 
-def test_a_frozen_adapter_takes_no_instruction(at_once):
+def test_a_frozen_adapter_passes_instructions_on_when_thawed(at_once):
     bus = at_once.open_bus()
     at_once.command(frozen=True)
     with pytest.raises(NoReply):
         bus.write(1, Register.TORQUE_LIMIT, 300)
     at_once.command(frozen=False)
-    assert bus.read(1, Register.TORQUE_LIMIT) == 1000
+    assert bus.read(1, Register.TORQUE_LIMIT) == 300
+
+
+def test_a_frozen_adapter_keeps_no_more_than_a_pseudo_terminal(at_once):
+    ping = packet(1, PING)
+    at_once.command(frozen=True)
+    for _ in range(MAX_WAITING_BYTES):
+        assert at_once.port.writePort(ping) == len(ping)
+    at_once.command(frozen=False)
+    assert len(at_once.port.receive(1.0)) == MAX_WAITING_BYTES // len(ping) * len(ping)
+
+
+def test_an_adapter_that_is_pulled_while_it_is_frozen_passes_nothing_on(at_once):
+    at_once.command(frozen=True)
+    at_once.port.writePort(packet(1, PING))
+    at_once.command(plugged=False)
+    at_once.command(frozen=False)
+    at_once.command(plugged=True)
+    assert at_once.port.receive(1.0) == b""
 
 
 def test_an_unplugged_adapter_is_lost_to_reader_and_writer(at_once):

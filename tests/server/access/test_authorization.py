@@ -6,14 +6,27 @@ from typing import Any
 import pytest
 
 from protocol.operations import Auth, parse
+from protocol.registry import Registry
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
 from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
 from tests.helpers.clients import ArmClient
+from tests.helpers.clock import FakeClock
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
+
+
+REGISTRY = Registry.load()
+
+# The server listens to these, as far as the tests are about them.
+STOPS = {
+    "/stop": "std_msgs/Empty",
+    "/emergency_stop": "std_msgs/Empty",
+    "/move_group/cancel": "actionlib_msgs/GoalID",
+}
 
 
 class World:
@@ -21,10 +34,19 @@ class World:
 
     def __init__(self, **settings: Any) -> None:
         self.now_s = 0.0
+        self.graph = Graph(REGISTRY, lambda: self.now_s, call_later=FakeClock().call_later)
+        server = Node("server")
+        for topic, type_name in STOPS.items():
+            self.graph.subscribe(server, topic, type_name, Subscriber(lambda _published: None))
+        for action, type_name in (("/move_group", "MoveGroup"), ("/move_action", "MoveGroup")):
+            self.graph.actions.offer(server, action, f"moveit_msgs/action/{type_name}", lambda _goal: None)
+        self.graph.actions.offer(
+            server, "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", lambda _goal: None
+        )
         self.access = Access(AccessSettings.model_validate(settings), lambda: self.now_s, lambda: 0.0)
 
     def authorizer(self, identity: Identity | None = ANYONE, name: str = "x") -> Authorizer:
-        return self.access.authorizer(Node(name, remote=True, identity=identity))
+        return self.access.authorizer(Node(name, remote=True, identity=identity), self.graph)
 
 
 def asked(authorizer: Authorizer, op: str, **fields: Any) -> str | None:
@@ -101,6 +123,51 @@ def test_a_refused_operation_is_refused_again(topic: str) -> None:
     authorizer = World().authorizer(SCREEN)
     for _ in range(3):
         assert asked(authorizer, "publish", topic=topic) is not None
+
+
+class TestStopsThatStopNothing:
+    """Names that would stop the arm, of topics and services that are not there."""
+
+    FOLLOW = "/any_controller/follow_joint_trajectory"
+
+    @pytest.mark.parametrize(
+        "topic", ["/moveit_goal_cancel", f"{FOLLOW}/cancel", "/sequence_move_group/cancel", "/move_action/cancel"]
+    )
+    def test_a_viewer_makes_no_topics_by_them(self, topic: str) -> None:
+        authorizer = World().authorizer(SCREEN)
+        for op in ("advertise", "publish"):
+            refusal = asked(authorizer, op, topic=topic, type="std_msgs/String")
+            assert f"topic {topic}: needs the role operate" in str(refusal)
+
+    def test_the_cancel_topic_of_an_action_of_a_client_is_open_with_its_type_alone(self) -> None:
+        for type_name, is_open in (("actionlib_msgs/GoalID", True), ("std_msgs/String", False)):
+            world, provider = World(), Node("provider", remote=True)
+            authorizer = world.authorizer(SCREEN)
+            world.graph.advertise(provider, f"{self.FOLLOW}/cancel", type_name)
+            assert asked(authorizer, "publish", topic=f"{self.FOLLOW}/cancel") is not None
+            world.graph.actions.offer(
+                provider, self.FOLLOW, "control_msgs/action/FollowJointTrajectory", lambda _goal: None
+            )
+            assert (asked(authorizer, "publish", topic=f"{self.FOLLOW}/cancel") is None) is is_open
+            world.graph.remove(provider)
+            assert asked(authorizer, "publish", topic=f"{self.FOLLOW}/cancel") is not None
+
+    def test_a_topic_that_only_a_client_listens_to_stops_nothing(self) -> None:
+        world = World()
+        client = Node("client", remote=True)
+        world.graph.subscribe(client, "/moveit_goal_cancel", "std_msgs/Empty", Subscriber(lambda _published: None))
+        assert asked(world.authorizer(SCREEN), "publish", topic="/moveit_goal_cancel") is not None
+
+    def test_the_cancel_service_of_no_action_needs_the_role_of_any_other_service(self) -> None:
+        world = World()
+        service = "/mine/_action/cancel_goal"
+        assert "needs the role operate" in str(asked(world.authorizer(SCREEN), "call_service", service=service))
+        assert asked(world.authorizer(OTTO), "call_service", service=service) is None
+
+    def test_an_operator_may_use_the_names_as_any_other(self) -> None:
+        assert (
+            asked(World().authorizer(OTTO), "advertise", topic=f"{self.FOLLOW}/cancel", type="std_msgs/String") is None
+        )
 
 
 class TestControl:
@@ -274,7 +341,7 @@ def test_an_auth_without_a_token_names_the_missing_field() -> None:
 
 def test_all_clients_share_one_lease_and_have_a_rate_of_their_own() -> None:
     limited = access_of(goal_burst=1)
-    first, second = (limited.authorizer(Node(name, remote=True)) for name in ("first", "second"))
+    first, second = (limited.authorizer(Node(name, remote=True), Graph(REGISTRY)) for name in ("first", "second"))
     assert first.publishing("/moveit_goal_named", {}) is None
     assert "first has controlled" in str(second.publishing("/moveit_goal_named", {}))
     assert "goal_burst" in str(first.publishing("/moveit_goal_named", {}))
@@ -283,7 +350,8 @@ def test_all_clients_share_one_lease_and_have_a_rate_of_their_own() -> None:
 def test_without_limits_all_drive_at_once() -> None:
     everything = unlimited()
     for name in ("first", "second"):
-        assert everything.authorizer(Node(name, remote=True)).publishing("/moveit_goal_named", {}) is None
+        authorizer = everything.authorizer(Node(name, remote=True), Graph(REGISTRY))
+        assert authorizer.publishing("/moveit_goal_named", {}) is None
 
 
 async def test_every_service_of_the_server_stands_in_the_table_and_no_other(client: ArmClient) -> None:

@@ -8,15 +8,18 @@ import pytest
 from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
 from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
+from server.execution.queue import RunningGoal
 from server.graph.node import Node
 from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.gateway import InProcess
 from tests.helpers.server import ServerOnBus
 
+GOAL = RunningGoal("goal 5 of a from /execute_trajectory", 33.2)
+
 
 class Leased:
     def __init__(self, policy: str = "lease") -> None:
-        self.busy = False
+        self.busy: RunningGoal | None = None
         self.changes: list[str] = []
         self.lease = ControlLease(policy, 10.0, lambda: 1_000_000.0, lambda: self.busy)  # type: ignore[arg-type]
         self.lease.watch(lambda: self.changes.append(str(self.lease.holder)))
@@ -42,6 +45,24 @@ def test_another_client_is_told_the_holder_the_time_and_how_control_becomes_free
         "/arm/release_control, or asks for nothing for another 9 s (access.control_idle_s = 10)"
     )
     assert leased.lease.holder is leased.a
+
+
+def test_another_is_told_of_the_goal_that_runs_and_of_its_end(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.busy = GOAL
+    assert leased.lease.drive(leased.b, 20.0) == (
+        "a has controlled the arm since 13:46:40 UTC, and goal 5 of a from /execute_trajectory runs until about "
+        "13:47:13 UTC, in 34 s; it is free when that client leaves, calls /arm/release_control, or has asked for "
+        "nothing for 10 s after the last goal (access.control_idle_s = 10)"
+    )
+
+
+def test_another_is_told_of_a_goal_whose_end_is_not_known_and_of_those_behind_it(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.busy = RunningGoal("goal 5 of a from /move_action", None, 2)
+    assert (
+        "goal 5 of a from /move_action is worked on, whose motion has not begun, and 2 more wait behind it; it is free"
+    ) in str(leased.lease.drive(leased.b, 20.0))
 
 
 def test_it_is_free_when_its_holder_leaves(leased: Leased) -> None:
@@ -71,16 +92,16 @@ def test_an_idle_holder_loses_control(leased: Leased) -> None:
 
 def test_nobody_idles_while_a_goal_is_worked_on_nor_right_after(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
-    leased.busy = True
+    leased.busy = GOAL
     leased.lease.tick(60.0)
-    leased.busy = False
+    leased.busy = None
     assert leased.lease.drive(leased.b, 69.9) is not None
     assert leased.lease.drive(leased.b, 70.0) is None
 
 
 def test_another_is_refused_while_a_goal_is_worked_on_however_late_the_beat(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
-    leased.busy = True
+    leased.busy = GOAL
     assert leased.lease.drive(leased.b, 1000.0) is not None
     assert leased.lease.holder is leased.a
 
@@ -261,9 +282,16 @@ async def test_others_see_the_idle_time_until_control_is_free(world: World) -> N
 
 async def test_nobody_loses_it_while_a_goal_is_worked_on(world: World) -> None:
     world.call("a", "/arm/take_control")
-    world.busy = True
+    world.busy = GOAL
     await world.advance(60.0)
     assert world.access.lease.holder is not None
+
+
+async def test_the_time_until_control_is_free_includes_that_of_the_goal(world: World) -> None:
+    world.watch("viewer")
+    world.busy = GOAL
+    world.call("a", "/arm/take_control")
+    assert values_of(world.told("viewer")[-1])["free_in_s"] == "43"
 
 
 async def test_no_beat_comes_after_the_end(world: World) -> None:

@@ -92,6 +92,15 @@ def test_a_fault_of_a_bus_is_refused_for_an_ideal_arm_which_has_none(tmp_path, c
     )
 
 
+def test_an_arm_process_that_cannot_be_started_is_one_line_and_exit_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/no/such/python")
+    assert cli.main(["serve", "--port", "0"]) == ExitCode.FAILED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("armbridge: the arm process cannot be started: [Errno 2] No such file")
+
+
 def test_a_recording_is_played_to_its_end(tmp_path: Path) -> None:
     path = record(tmp_path / "run.mcap", [text(0), text(1)])
     assert cli.main(["replay", str(path), "--port", "0", "--rate", "100"]) == ExitCode.DONE

@@ -24,7 +24,7 @@ from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
 from robot.messages import ArmConfig, ArmState, Mode
 from robot.trajectory import Trajectory
-from server.execution.executor import MAX_SAMPLES, GoalExecutor, MotionRecorder
+from server.execution.executor import MAX_SAMPLES, PROGRESS_PERIOD_S, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
 from server.execution.queue import GoalState, Progress
@@ -221,6 +221,50 @@ def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
     return ExternalTrajectory(lambda _held_rad: motion)
 
 
+def limited(stage: Stage, trajectory_s: float) -> None:
+    """Give the stage an executor with a limit of the motions' duration [s]."""
+    limits = TimeLimits(trajectory_s=trajectory_s)
+    stage.executor = GoalExecutor(stage.arm, model.builtin(), stage, stage, time_limits=limits)  # type: ignore[arg-type]
+
+
+async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_anew(stage: Stage) -> None:
+    limited(stage, 0.9)
+    await stage.begin(replace(to(shoulder_pan=0.4), attempts=5))
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.FAILURE
+    assert answer.message == (
+        "the duration of the planned motion is 1 s, longer than goals.max_trajectory_duration_s = 0.9: raise the "
+        "velocity and acceleration scaling"
+    )
+    assert (len(stage.problems), stage.arm.played) == (1, [])
+
+
+async def test_the_motions_of_a_sequence_count_together(stage: Stage) -> None:
+    limited(stage, 1.9)
+    steps = (*to(shoulder_pan=0.4).steps, *to(shoulder_pan=0.0).steps)
+    await stage.begin(PlannedMotion(steps))
+    assert "is 2 s, longer than" in (await stage.answer()).message
+    assert stage.arm.played == []
+
+
+async def test_a_given_trajectory_that_takes_too_long_is_refused(stage: Stage) -> None:
+    limited(stage, 1.9)
+    await stage.begin(given(0.0, 0.2))
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.INVALID_MOTION_PLAN
+    assert "the duration of the trajectory is 2 s, longer than" in answer.message
+    assert stage.arm.played == []
+
+
+async def test_the_time_left_of_a_sequence_is_that_of_all_its_motions(stage: Stage) -> None:
+    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(shoulder_pan=0.0).steps)))
+    stage.arm.state = replace(stage.arm.state, fraction=0.75, remaining_s=0.25)
+    await asyncio.sleep(1.5 * PROGRESS_PERIOD_S)
+    assert (stage.news[-1].state, stage.news[-1].remaining_s) == (GoalState.EXECUTING, 1.25)
+    stage.executor.cancel("a test")
+    await stage.answer()
+
+
 async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(stage: Stage) -> None:
     stage.arm.started.clear()
     await stage.begin(to(shoulder_pan=0.4))
@@ -389,7 +433,9 @@ async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_
         await asyncio.sleep(0.1)
         stage.arm.end()
         await stage.answer()
-    assert os.listdir(tmp_path) == ["goal-19700101T000000.000000Z-PLANNING_FAILED.json"]  # noqa: PTH208
+    assert [name for name in os.listdir(tmp_path) if name.endswith(".json")] == [  # noqa: PTH208
+        "goal-19700101T000000.000000Z-PLANNING_FAILED.json"
+    ]
 
 
 async def under_way(stage: Stage) -> None:
@@ -414,6 +460,16 @@ async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop(s
     np.testing.assert_allclose(whole.sample(0.1)[0], former.sample(from_s + 0.1)[0], atol=1e-9)
     assert stage.problems[-1].start_velocity_rad_s["shoulder_pan"] > 0.0
     assert answer.performed.planned == (whole,)
+
+
+async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stage) -> None:
+    await under_way(stage)
+    stage.executor._time_limits = TimeLimits(trajectory_s=0.9)
+    await stage.begin(to(shoulder_pan=-0.2))
+    answer = await stage.answer()
+    assert "longer than goals.max_trajectory_duration_s = 0.9" in answer.message
+    assert len(stage.arm.played) == 1
+    assert len(stage.arm.stops) >= 1
 
 
 def be_nowhere_to_leave(stage: Stage) -> None:

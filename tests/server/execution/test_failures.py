@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import itertools
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,13 @@ def failed_goals(tmp_path: Path) -> FailedGoals:
     return FailedGoals(tmp_path / "failed", model.builtin(), itertools.count(1_800_000_000).__next__, KEPT)
 
 
+def names(directory: Path) -> list[str]:
+    return sorted(path.name for path in directory.glob("*.json"))
+
+
 async def test_a_saved_goal_is_read_as_it_was_written(failed_goals: FailedGoals, tmp_path: Path) -> None:
     await failed_goals.save(EASY, IN_THE_WAY, FAILURE)
-    (path,) = (tmp_path / "failed").iterdir()
+    (path,) = (tmp_path / "failed").glob("*.json")
     assert path.name == "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json"
     saved = problem_file.read(path, model.builtin())
     assert saved.problems[0].problem.goal == EASY.goal
@@ -46,10 +51,20 @@ async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Pa
     (tmp_path / "failed" / "notes.json").write_text("of the user")
     for _ in range(KEPT + 3):
         await failed_goals.save(EASY, Scene(), FAILURE)
-    names = sorted(path.name for path in (tmp_path / "failed").iterdir())
-    assert len(names) == KEPT + 1
-    assert names[0].startswith("goal-20270115T080003")
-    assert names[-1] == "notes.json"
+    left = names(tmp_path / "failed")
+    assert len(left) == KEPT + 1
+    assert left[0].startswith("goal-20270115T080003")
+    assert left[-1] == "notes.json"
+
+
+async def test_two_servers_save_goals_of_the_same_moment_in_two_files(tmp_path: Path) -> None:
+    servers = [FailedGoals(tmp_path, model.builtin(), lambda: 1_800_000_000.0, KEPT) for _ in range(3)]
+    await asyncio.gather(*(server.save(EASY, Scene(), FAILURE) for server in servers))
+    assert names(tmp_path) == [
+        "goal-20270115T080000.000000Z-GOAL_IN_COLLISION-1.json",
+        "goal-20270115T080000.000000Z-GOAL_IN_COLLISION-2.json",
+        "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json",
+    ]
 
 
 async def test_a_directory_that_cannot_be_written_is_only_logged(

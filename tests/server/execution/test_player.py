@@ -89,6 +89,23 @@ async def test_the_answer_after_a_stop_names_its_reason(stage: Stage) -> None:
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test: stopped half-way")
 
 
+async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
+    stage = Stage()
+
+    def broken(_progress: Progress) -> None:
+        raise ValueError("a bug")
+
+    stage.running = asyncio.create_task(stage.player.play(MOTION, broken))
+    await settle()
+    motion = stage.arm.played[-1]
+    assert motion is MOTION.trajectory
+    await asyncio.sleep(2.0 * executor_module.PROGRESS_PERIOD_S)
+    with pytest.raises(ValueError, match="a bug"):
+        await stage.answer()
+    assert len(stage.arm.stops) == 1
+    assert stage.arm.stops != [None]
+
+
 async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details(stage: Stage) -> None:
     stage.scene_monitor.found(CONTACT)
     stage.player.stop("too late")

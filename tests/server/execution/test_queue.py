@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress, QueuedGoal
+from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress, QueuedGoal, RunningGoal
 
 DONE = Answer(MoveItErrorCode.SUCCESS, "done")
 
@@ -17,10 +17,12 @@ class ScriptedRunner:
     def __init__(self) -> None:
         self.started: list[object] = []
         self.stopped: list[str] = []
+        self.report: Callable[[Progress], None] = lambda _progress: None
         self._end: asyncio.Future[Answer] | None = None
 
     async def run(self, request: object, report: Callable[[Progress], None]) -> Answer:
         self.started.append(request)
+        self.report = report
         report(Progress(GoalState.PLANNING, "planning"))
         if isinstance(request, Exception):
             raise request
@@ -103,6 +105,19 @@ async def test_the_queue_is_busy_while_a_goal_is_active(desk: Desk) -> None:
     desk.runner.finish()
     await settle()
     assert desk.queue.busy == ""
+
+
+async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:
+    assert desk.queue.running is None
+    desk.queue.submit("/goals", "first", client="unity")
+    await settle()
+    assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", None, 0)
+    desk.queue.submit("/goals", "second")
+    desk.runner.report(Progress(GoalState.EXECUTING, "", 0.25, 3.0))
+    assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", 3.0, 1)
+    desk.runner.finish()
+    await settle()
+    assert desk.queue.running == RunningGoal("goal 2 from /goals", None, 0)
 
 
 async def test_a_goal_over_the_capacity_is_rejected_with_the_limit(desk: Desk) -> None:

@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 
+from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.messages import Course, Pace
+from server.errors import RefusedError
 from server.execution.time_limits import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm
@@ -10,6 +14,19 @@ from tests.helpers.fake_arm import FakeArm
 DURATION_S = 3.0
 LIMITS = TimeLimits(scaling=3.0, margin_s=4.0, paused_s=50.0)
 ALLOWED_S = 13.0
+
+
+@pytest.mark.parametrize("duration_s", [12.5, math.inf, math.nan])
+def test_a_motion_that_takes_too_long_is_refused_with_field_limit_and_value(duration_s: float) -> None:
+    limits, code = TimeLimits(trajectory_s=12.0), MoveItErrorCode.INVALID_MOTION_PLAN
+    limits.check_duration(12.0, "points[3]", code)
+    with pytest.raises(RefusedError) as raised:
+        limits.check_duration(duration_s, "points[3]", code, ": hurry")
+    assert raised.value.failure == PlanningFailure(
+        code,
+        f"points[3] is {duration_s:g} s, longer than goals.max_trajectory_duration_s = 12: hurry",
+        {"duration_s": duration_s, "limit_s": 12.0},
+    )
 
 
 def test_the_deadline_is_exceeded_after_the_allowed_time() -> None:

@@ -5,6 +5,10 @@ import pytest
 from protocol.errors import FrameError
 from protocol.limits import Limits
 from protocol.session import Session
+from server.access.permissions import Identity, Role
+from server.graph import latching
+from server.graph.node import Node
+from server.graph.topics import Subscriber
 from tests.helpers.gateway import InProcess
 
 
@@ -60,3 +64,36 @@ def test_a_message_that_cannot_be_encoded_for_one_reaches_the_others(
     world.say("y", op="publish", topic="/a", msg={"data": "hello"})
     assert len(world.heard("whole")) == 1
     assert "broken: refused: subscribe: cannot be encoded" in caplog.text
+
+
+class TestLatching:
+    """What is told to clients of messages that are not latched."""
+
+    def test_a_viewers_stop_stops_and_is_not_latched(self, world: InProcess) -> None:
+        stopped: list[object] = []
+        server = Node("server")
+        world.graph.subscribe(server, "/trajectory_execution_event", "std_msgs/String", Subscriber(stopped.append))
+        world.enter("screen", Identity("screen", Role.VIEW))
+        world.say("screen", op="set_level", level="warning")
+        event = {"topic": "/trajectory_execution_event", "latch": True}
+        world.say("screen", op="advertise", type="std_msgs/String", **event)
+        world.say("screen", op="publish", msg={"data": "stop"}, **event)
+        assert len(stopped) == 1
+        assert not world.graph.is_latched("/trajectory_execution_event")
+        said = [told["msg"] for told in world.heard("screen")]
+        assert said == [
+            f"{op}: field latch: has no effect, it needs the role operate" for op in ("advertise", "publish")
+        ]
+
+    def test_a_client_is_warned_with_the_limit_of_what_is_not_latched(
+        self, world: InProcess, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(latching, "MAX_CLIENT_LATCHED_BYTES", 100)
+        world.say("x", op="set_level", level="warning")
+        world.say("x", op="advertise", topic="/map", type="std_msgs/String", latch=True)
+        world.say("x", op="publish", topic="/map", msg={"data": "x" * 200})
+        (told,) = world.heard("x")
+        assert told["level"] == "warning"
+        assert told["msg"] == (
+            "publish: topic /map: not latched: this client has 211 bytes latched with it, the limit is 100"
+        )

@@ -73,6 +73,23 @@ def test_one_connection_too_many_in_all_is_told_the_limit() -> None:
     )
 
 
+def test_one_address_leaves_room_for_others_where_there_are_fewer_files_than_clients() -> None:
+    limiter = ConnectionLimiter(ServerSettings())
+    limiter.reduce(100)
+    for number in range(100):
+        limiter.acquire(HERE, float(number))
+    assert limiter.open_count == 80
+    assert "the limit is 80 (server.max_clients_per_address, reduced" in refusal(acquire(limiter, HERE, 100.0))[1]
+    assert acquire(limiter, THERE, 100.0).rejection is None
+
+
+def test_one_address_may_have_all_of_fewer_clients_where_the_settings_say_so() -> None:
+    limiter = limits(clients=1000, per_address=1000)
+    limiter.reduce(100)
+    assert all(acquire(limiter).rejection is None for _ in range(100))
+    assert "the limit is 100 (server.max_clients, reduced" in refusal(acquire(limiter))[1]
+
+
 def test_a_slot_released_twice_makes_room_once() -> None:
     limiter = limits(clients=1)
     slot = acquire(limiter)

@@ -30,6 +30,7 @@ from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import (
     COUNT_TOPIC,
+    LIST_PERIOD_S,
     LIST_TOPIC,
     SPARE,
     ClientList,
@@ -45,7 +46,8 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import RosApi
 from tests.conformance.cases import cases, play
-from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, until_empty
+from tests.helpers.clock import FakeClock
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, status, until_empty
 from tests.helpers.resources import Pair, make_pair, openssl
 from tests.helpers.server import ROOT
 
@@ -256,17 +258,56 @@ def latest(graph: Graph, topic: str) -> Any:
 
 def test_a_late_subscriber_gets_the_list_of_clients() -> None:
     graph = Graph(Registry.load())
-    clients = ClientList(graph, wall_clock=lambda: 7.0)
+    clock = FakeClock()
+    clients = ClientList(graph, lambda: 7.0, clock.call_later)
     clients.open()
     assert latest(graph, COUNT_TOPIC) == {"data": 0}
     first, second = Node("a"), Node("b")
     clients.add(first, "10.0.0.1")
+    assert latest(graph, COUNT_TOPIC) == {"data": 1}
+    clock.advance(LIST_PERIOD_S)
     clients.add(second, "10.0.0.2")
     assert latest(graph, COUNT_TOPIC) == {"data": 2}
+    clock.advance(LIST_PERIOD_S)
     clients.remove(first)
     assert latest(graph, LIST_TOPIC) == {
         "clients": [{"ip_address": "10.0.0.2", "connection_time": {"sec": 7, "nanosec": 0}}]
     }
+
+
+def test_clients_that_come_at_once_are_told_of_together() -> None:
+    graph, clock = Graph(Registry.load()), FakeClock()
+    clients = ClientList(graph, lambda: 7.0, clock.call_later)
+    counts: list[int] = []
+    lengths: list[int] = []
+    clients.open()
+    listening = Node("listening")
+    graph.subscribe(listening, COUNT_TOPIC, None, Subscriber(lambda published: counts.append(published.msg["data"])))
+    graph.subscribe(
+        listening, LIST_TOPIC, None, Subscriber(lambda published: lengths.append(len(published.msg["clients"])))
+    )
+    nodes = [Node(f"client {number}") for number in range(100)]
+    for node in nodes:
+        clients.add(node, "10.0.0.1")
+    assert counts == lengths == [1]
+    clock.advance(LIST_PERIOD_S)
+    assert counts == lengths == [1, 100]
+    for node in nodes:
+        clients.remove(node)
+    clock.advance(LIST_PERIOD_S)
+    assert counts == lengths == [1, 100, 0]
+    clock.advance(10 * LIST_PERIOD_S)
+    assert counts == lengths == [1, 100, 0]
+
+
+def test_a_list_that_is_closed_publishes_no_more() -> None:
+    graph, clock = Graph(Registry.load()), FakeClock()
+    clients = ClientList(graph, lambda: 7.0, clock.call_later)
+    clients.open()
+    for name in ("a", "b"):
+        clients.add(Node(name), "10.0.0.1")
+    clients.close()
+    assert clock.waiting == 0
 
 
 REGISTRY = Registry.load()
@@ -547,7 +588,7 @@ def test_the_limit_is_raised_as_far_as_is_needed(
     monkeypatch: pytest.MonkeyPatch, hard: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     limit = Limit(monkeypatch, 1024, hard)
-    raise_file_limit(1000)
+    assert raise_file_limit(1000) == 1000
     assert limit.value == (1000 + SPARE, hard)
     assert not caplog.records
 
@@ -555,17 +596,30 @@ def test_the_limit_is_raised_as_far_as_is_needed(
 @pytest.mark.parametrize("soft", [1024, resource.RLIM_INFINITY])
 def test_a_limit_that_is_high_enough_stays(monkeypatch: pytest.MonkeyPatch, soft: int) -> None:
     limit = Limit(monkeypatch, soft, 4096)
-    raise_file_limit(100)
+    assert raise_file_limit(100) == 100
     assert limit.value == (soft, 4096)
 
 
-def test_one_that_cannot_be_raised_enough_is_told(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("hard", "clients"), [(2048, 2048 - SPARE), (300, 150)])
+def test_one_that_cannot_be_raised_enough_reduces_the_number_of_clients(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, hard: int, clients: int
 ) -> None:
-    limit = Limit(monkeypatch, 1024, 2048)
-    raise_file_limit(5000)
-    assert limit.value == (2048, 2048)
-    assert f"enough for {2048 - SPARE} clients, not for server.max_clients = 5000" in caplog.text
+    limit = Limit(monkeypatch, 256, hard)
+    assert raise_file_limit(5000) == clients
+    assert limit.value == (hard, hard)
+    assert f"it serves {clients} clients at a time, not server.max_clients = 5000" in caplog.text
+
+
+async def test_clients_beyond_the_files_that_the_system_allows_are_refused_and_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    Limit(monkeypatch, 2, 4)
+    async with listening(ServerSettings(port=0, max_clients=3, max_clients_per_address=3)) as listener:
+        url = f"ws://127.0.0.1:{listener.port}"
+        async with connect(url), connect(url):
+            answer = await exchange(listener.port, request())
+    assert status(answer) == 503
+    assert "the limit is 2 (server.max_clients, reduced to the files that the system lets the server open)" in answer
 
 
 def listener_of(server: ServerSettings, access: AccessSettings | None = None) -> Listener:

@@ -23,7 +23,7 @@ from server.gateway.listener import Listener
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, listening, request, status
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, listening, request, status, until_empty
 
 TALKER = Node("talker")
 
@@ -224,15 +224,60 @@ async def read_to_end(reader: asyncio.StreamReader) -> bytes:
             return b""
 
 
-@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: localhost\r\n"], ids=["nothing", "half"])
-async def test_a_client_that_does_not_finish_its_request_is_disconnected(
+async def test_a_client_that_sends_no_request_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
+    async with listening() as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        assert await read_to_end(reader) == b""
+        writer.close()
+
+
+HALF_A_REQUEST = (b"G", b"GET / HTTP/1.1\r\n", b"GET / HTTP/1.1\r\nHost: localhost\r\n")
+
+
+@pytest.mark.parametrize("sent", HALF_A_REQUEST)
+async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_disconnected(
     sent: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
+        answer = await exchange(listener.port, sent)
+        await until_empty(listener)
+    assert status(answer) == 400
+    assert answer.endswith(f"the request was not complete within {LOWEST_S:g} s\n")
+
+
+@pytest.mark.parametrize("sent", HALF_A_REQUEST)
+async def test_a_client_that_ends_its_stream_within_its_request_is_answered_400(sent: bytes) -> None:
+    async with listening() as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(sent)
+        writer.write_eof()
+        answer = (await read_to_end(reader)).decode()
+        await until_empty(listener)
+        writer.close()
+    assert status(answer) == 400
+    assert "this is no complete HTTP request: connection closed while reading HTTP" in answer
+
+
+async def test_a_client_that_ends_its_stream_without_a_request_is_not_answered() -> None:
+    async with listening() as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write_eof()
         assert await read_to_end(reader) == b""
+        await until_empty(listener)
+        writer.close()
+
+
+async def test_a_client_that_stays_after_the_answer_to_a_broken_request_is_disconnected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
+    async with listening() as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(b"what\r\n\r\n")
+        assert (await read_to_end(reader)).count(b"HTTP/1.1 400") == 1
+        await until_empty(listener)
         writer.close()
 
 
@@ -264,11 +309,11 @@ async def test_a_connected_client_outlives_the_timeout_of_requests(monkeypatch: 
         (request(f"X: {'x' * 10_000}"), 431),
         (request(*(f"X-{number}: x" for number in range(200))), 431),
         (request(path=f"/{'x' * 10_000}"), 414),
-        (request("Content-Length: 5"), 0),
-        (request("Transfer-Encoding: chunked"), 0),
-        (b"\x16\x03\x01 this is TLS\r\n\r\n", 0),
+        (request("Content-Length: 5"), 400),
+        (request("Transfer-Encoding: chunked"), 400),
+        (b"\x16\x03\x01 this is TLS\r\n\r\n", 400),
         (b"\x00" * 100_000, 414),
-        (b"GET / HTTP/2\r\n\r\n", 0),
+        (b"GET / HTTP/2\r\n\r\n", 400),
         (request(host=None), 400),
         (request(host="evil.com"), 421),
         (request("Host: localhost"), 400),

@@ -46,8 +46,8 @@ def test_an_offer_is_found_by_its_name_with_its_canonical_type(table: Table) -> 
     offer = table.offer(CLIENT)
     assert table.get("/s") is offer
     assert table.get("/nothing") is None
-    assert table.all() == [offer]
-    assert table.types() == {"/s": "std_srvs/srv/SetBool"}
+    assert table.names.types() == {"/s": "std_srvs/srv/SetBool"}
+    assert table.by_node.of(CLIENT) == [offer]
 
 
 def test_a_client_takes_the_place_of_a_client_whose_offer_ends(table: Table) -> None:
@@ -73,7 +73,15 @@ def test_an_offer_is_withdrawn_by_its_own_node_only(table: Table) -> None:
     assert table.ended == []
     table.withdraw(CLIENT, "/s")
     assert table.ended == [offer]
-    assert table.all() == []
+    assert table.names.types() == {}
+    assert table.by_node.of(CLIENT) == []
+
+
+def test_all_offers_of_a_node_end_and_nobody_elses(table: Table) -> None:
+    offer, others = table.offer(CLIENT, "/a"), table.offer(OTHER, "/b")
+    table.withdraw_all(CLIENT)
+    assert table.ended == [offer]
+    assert table.get("/b") is others
 
 
 def test_an_offer_is_removed_before_it_is_told_of_its_end() -> None:

@@ -310,3 +310,15 @@ def test_a_call_says_what_dialect_its_caller_wants_to_be_told_in(services: Servi
     ask(services)
     ask(services, dialect="ros1")
     assert [call.dialect for call in provider.calls] == ["ros2", "ros1"]
+
+
+def test_what_a_node_provides_and_who_provides_a_type_can_be_looked_up(services: Services) -> None:
+    node, other = Node("node", remote=True), Node("other", remote=True)
+    for provider, name in ((node, "/a"), (node, "/b"), (other, "/c")):
+        services.offer_calls(provider, name, "std_srvs/SetBool", lambda _call: None)
+    assert services.provided_by(node) == ["/a", "/b"]
+    assert services.providers_of_type("std_srvs/srv/SetBool") == {node, other}
+    assert services.providers_of_type("std_srvs/Trigger") == set()
+    services.remove(node)
+    assert services.provided_by(node) == []
+    assert services.nodes() == [other]

@@ -5,104 +5,24 @@ from typing import Any
 import pytest
 
 from protocol.errors import MessageError
-from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
+from server.access.permissions import Identity, Role
 from server.errors import GraphError
-from server.graph import topics
+from server.graph import latching
 from server.graph.node import Node
 from server.graph.topics import (
-    MAX_RECENT_PER_TOPIC,
     MAX_TOPICS,
+    MAX_TOPICS_FOR_VIEWERS,
+    MAX_TOPICS_OF_PUBLISHER,
     UNREGISTER_TIMEOUT_S,
     Graph,
-    LatchedMessages,
     Subscriber,
 )
+from tests.helpers.clock import FakeClock
+from tests.helpers.cost import count_calls
 
 REGISTRY = Registry.load()
-
-
-def published(data: str, topic: str = "/t") -> PublishedMessage:
-    return PublishedMessage(topic, "std_msgs/msg/String", {"data": data}, REGISTRY, Stamp(1, 2))
-
-
-def data_of(kept: LatchedMessages, now: float, topic: str = "/t") -> list[str]:
-    return [one.msg["data"] for one in kept.of(topic, now)]
-
-
-@pytest.fixture
-def kept() -> LatchedMessages:
-    return LatchedMessages()
-
-
-def test_the_last_latched_message_is_kept_for_ever(kept: LatchedMessages) -> None:
-    assert kept.latch(published("old"))
-    assert kept.latch(published("new"))
-    assert data_of(kept, 1e9) == ["new"]
-
-
-def test_a_latched_message_can_be_given_an_end(kept: LatchedMessages) -> None:
-    kept.latch(published("x"))
-    kept.unlatch_at("/t", 10.0)
-    assert data_of(kept, 9.9) == ["x"]
-    assert data_of(kept, 10.1) == []
-
-
-def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
-    kept.latch(published("x"))
-    kept.unlatch_at("/t", 10.0)
-    kept.latch(published("y"))
-    assert data_of(kept, 100.0) == ["y"]
-
-
-def test_messages_are_kept_for_their_lifespan_in_order(kept: LatchedMessages) -> None:
-    for now, data in enumerate("abc"):
-        kept.keep(published(data), float(now), lifespan_s=1.5)
-    assert data_of(kept, 2.2) == ["b", "c"]
-    assert data_of(kept, 4.0) == []
-
-
-def test_topics_do_not_mix(kept: LatchedMessages) -> None:
-    kept.keep(published("a"), 0.0, 1.0)
-    kept.latch(published("b", "/other"))
-    assert data_of(kept, 0.5) == ["a"]
-    assert data_of(kept, 0.5, "/other") == ["b"]
-    kept.forget("/t")
-    assert data_of(kept, 0.5) == []
-    assert data_of(kept, 0.5, "/other") == ["b"]
-
-
-def test_of_one_topic_only_so_many_are_kept(kept: LatchedMessages) -> None:
-    for number in range(3 * MAX_RECENT_PER_TOPIC):
-        kept.keep(published(str(number)), 0.0, 1.0)
-    assert data_of(kept, 0.5) == [str(number) for number in range(2 * MAX_RECENT_PER_TOPIC, 3 * MAX_RECENT_PER_TOPIC)]
-
-
-def test_recent_messages_are_bounded_in_bytes_and_the_oldest_goes(
-    kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(topics, "MAX_RECENT_BYTES", 1000)
-    for number in range(20):
-        kept.keep(published(f"{number:0200}", f"/t{number}"), 0.0, 1.0)
-    assert [number for number in range(20) if kept.of(f"/t{number}", 0.5)] == [16, 17, 18, 19]
-
-
-def test_a_message_larger_than_the_bound_is_not_kept(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topics, "MAX_RECENT_BYTES", 1000)
-    kept.keep(published("x" * 2000), 0.0, 1.0)
-    assert data_of(kept, 0.5) == []
-    kept.keep(published("x"), 0.0, 1.0)
-    assert data_of(kept, 0.5) == ["x"]
-
-
-def test_latched_messages_are_bounded_in_bytes_together(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topics, "MAX_LATCHED_BYTES", 1000)
-    assert kept.latch(published("x" * 600, "/a"))
-    assert not kept.latch(published("x" * 600, "/b"))
-    kept.unlatch("/a")
-    assert kept.latch(published("x" * 600, "/b"))
-    assert data_of(kept, 0.0, "/a") == []
 
 
 class Listening:
@@ -308,6 +228,96 @@ def test_the_number_of_topics_is_bounded(graph: Graph) -> None:
         graph.advertise(TALKER, "/one_more", "std_msgs/Empty")
 
 
+def test_a_topic_out_of_use_makes_room_without_costing_the_others_their_type(graph: Graph) -> None:
+    for number in range(MAX_TOPICS):
+        graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
+    for number in (1, 0):
+        graph.unadvertise(TALKER, f"/t{number}")
+    graph.advertise(TALKER, "/one_more", "std_msgs/Empty")
+    assert graph.topic_type("/t1") is None
+    assert graph.topic_type("/t0") is not None
+
+
+def test_topics_whose_time_is_over_are_forgotten(graph: Graph, clock: Clock) -> None:
+    for number in range(10):
+        graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
+    graph.remove(TALKER)
+    clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
+    graph.advertise(TALKER, "/another", "std_msgs/Empty")
+    assert list(graph._topics) == ["/another"]
+
+
+def test_clients_that_may_only_look_leave_others_room_for_topics(graph: Graph) -> None:
+    viewer = Node("viewer", remote=True, identity=Identity("screen", Role.VIEW))
+    subscriber = Listening().subscriber
+    for number in range(MAX_TOPICS_FOR_VIEWERS):
+        graph.subscribe(viewer, f"/t{number}", "std_msgs/Empty", subscriber)
+    with pytest.raises(GraphError, match=f"the limit for the role view is {MAX_TOPICS_FOR_VIEWERS}"):
+        graph.subscribe(viewer, "/one_more", "std_msgs/Empty", subscriber)
+    graph.advertise(Node("operator", remote=True), "/one_more", "std_msgs/Empty")
+    graph.subscribe(viewer, "/one_more", "std_msgs/Empty", subscriber)
+
+
+def test_the_topics_that_a_client_publishes_on_without_advertising_them_are_bounded(graph: Graph) -> None:
+    client = Node("client", remote=True)
+    for number in range(MAX_TOPICS_OF_PUBLISHER + 1):
+        graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
+    for number in range(MAX_TOPICS_OF_PUBLISHER):
+        graph.publish(client, f"/t{number}", {})
+    with pytest.raises(GraphError, match=f"publishes on {MAX_TOPICS_OF_PUBLISHER} topics already"):
+        graph.publish(client, f"/t{MAX_TOPICS_OF_PUBLISHER}", {})
+    graph.publish(client, "/t0", {})
+
+
+def test_what_a_node_does_can_be_looked_up(graph: Graph) -> None:
+    listener = Listening()
+    graph.advertise(TALKER, "/a", "std_msgs/Empty")
+    graph.publish(TALKER, "/a", {})
+    graph.subscribe(listener.node, "/a", None, listener.subscriber)
+    graph.subscribe(listener.node, "/b", "std_msgs/Empty", listener.subscriber)
+    assert graph.published_by(TALKER) == ["/a"]
+    assert graph.subscribed_by(listener.node) == ["/a", "/b"]
+    assert graph.nodes() == {TALKER, listener.node}
+    graph.unsubscribe(listener.node, "/a")
+    graph.remove(TALKER)
+    assert graph.published_by(TALKER) == []
+    assert graph.subscribed_by(listener.node) == ["/b"]
+    assert graph.nodes() == {listener.node}
+
+
+@pytest.mark.parametrize("step", ["come and go", "publish once", "advertise a new topic"])
+def test_a_step_costs_the_same_however_much_others_do(step: str) -> None:
+    costs = []
+    for others in (10, 1000):
+        graph = Graph(REGISTRY, call_later=FakeClock().call_later)
+        listener, client = Listening(), Node("client", remote=True)
+        for number in range(others):
+            other = Node(f"other {number}", remote=True)
+            graph.advertise(other, f"/t{number}", "std_msgs/Empty")
+            graph.subscribe(other, f"/t{number}", None, listener.subscriber)
+            graph.services.offer_calls(other, f"/s{number}", "std_srvs/Trigger", lambda _call: None)
+            graph.services.call(other, f"/s{number}", {}, lambda _response: None)
+            graph.actions.offer(other, f"/a{number}", "control_msgs/PointHead", lambda _goal: None)
+        graph.advertise(client, "/unused", "std_msgs/Empty")
+        graph.unadvertise(client, "/unused")
+
+        def come_and_go(graph: Graph = graph, client: Node = client, listener: Listening = listener) -> None:
+            graph.subscribe(client, "/t1", None, listener.subscriber)
+            graph.services.call(client, "/s1", {}, lambda _response: None)
+            graph.services.offer_calls(client, "/of_client", "std_srvs/Trigger", lambda _call: None)
+            graph.remove(client)
+
+        def publish_once(graph: Graph = graph, client: Node = client) -> None:
+            graph.publish(client, "/t1", {})
+
+        def advertise(graph: Graph = graph, client: Node = client) -> None:
+            graph.advertise(client, "/new", "std_msgs/Empty")
+
+        steps = {"come and go": come_and_go, "publish once": publish_once, "advertise a new topic": advertise}
+        costs.append(count_calls(steps[step]))
+    assert costs[0] == costs[1]
+
+
 def data_for_newcomer(graph: Graph, topic: str = "/t") -> list[Any]:
     listener = Listening()
     kept = [published.msg["data"] for published in graph.subscribe(listener.node, topic, None, listener.subscriber)]
@@ -353,12 +363,66 @@ def test_a_topic_of_a_new_type_has_nothing_of_the_old_one(graph: Graph) -> None:
 def test_a_message_too_large_to_be_latched_is_delivered_and_logged(
     graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(topics, "MAX_LATCHED_BYTES", 100)
+    monkeypatch.setattr(latching, "MAX_SERVER_LATCHED_BYTES", 100)
     listener = Listening()
     graph.subscribe(listener.node, "/t", "std_msgs/String", listener.subscriber)
     graph.publish(TALKER, "/t", {"data": "x" * 200}, latch=True)
     assert len(listener.messages) == 1
-    assert "/t: too large to be latched" in caplog.text
+    assert "/t: not latched: the server has 211 bytes latched with it, the limit is 100" in caplog.text
+
+
+class TestWhatClientsLatch:
+    """Room for latched messages, which clients cannot take from the server, nor from each other for good."""
+
+    FIRST, SECOND = Node("first", remote=True), Node("second", remote=True)
+
+    @pytest.fixture(autouse=True)
+    def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for name, limit in (("SERVER", 2000), ("CLIENTS", 2000), ("CLIENT", 1000)):
+            monkeypatch.setattr(latching, f"MAX_{name}_LATCHED_BYTES", limit)
+
+    def latch(self, graph: Graph, node: Node, topic: str, size_bytes: int = 900) -> str | None:
+        graph.advertise(node, topic, "std_msgs/String")
+        return graph.publish(node, topic, {"data": "x" * size_bytes}, latch=True)
+
+    def test_the_servers_messages_are_latched_whatever_clients_have_latched(self, graph: Graph) -> None:
+        for node in (self.FIRST, self.SECOND):
+            assert self.latch(graph, node, f"/of_{node}") is None
+        assert self.latch(graph, TALKER, "/planning_scene", 1900) is None
+        assert len(data_for_newcomer(graph, "/planning_scene")) == 1
+
+    def test_a_client_is_told_the_limit_that_its_message_exceeds(self, graph: Graph) -> None:
+        assert self.latch(graph, self.FIRST, "/a") is None
+        assert self.latch(graph, self.FIRST, "/b") == (
+            "topic /b: not latched: this client has 1822 bytes latched with it, the limit is 1000"
+        )
+        assert data_for_newcomer(graph, "/b") == []
+
+    def test_one_client_leaves_room_for_another(self, graph: Graph) -> None:
+        self.latch(graph, self.FIRST, "/a")
+        self.latch(graph, self.FIRST, "/b")
+        assert self.latch(graph, self.SECOND, "/c") is None
+
+    def test_changing_names_use_nothing_up(self, graph: Graph) -> None:
+        for number in range(10):
+            assert self.latch(graph, self.FIRST, f"/t{number}") is None
+            graph.unadvertise(self.FIRST, f"/t{number}")
+        assert len(data_for_newcomer(graph, "/t9")) == 1
+
+    def test_changing_clients_use_nothing_up(self, graph: Graph) -> None:
+        for number in range(10):
+            node = Node(f"client {number}", remote=True)
+            assert self.latch(graph, node, f"/t{number}") is None
+            graph.remove(node)
+        assert len(data_for_newcomer(graph, "/t9")) == 1
+
+    def test_a_message_whose_time_is_over_is_given_up(self, graph: Graph, clock: Clock) -> None:
+        graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+        graph.publish(TALKER, "/t", {"data": "x"})
+        graph.unadvertise(TALKER, "/t")
+        clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
+        graph.advertise(TALKER, "/another", "std_msgs/String")
+        assert graph._latched_messages._of_server.size_bytes == 0
 
 
 def test_publishers_and_subscribers_of_a_topic_can_be_looked_up(graph: Graph) -> None:

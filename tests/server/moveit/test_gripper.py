@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import asyncio
 import re
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from robot.arm import Arm
@@ -15,9 +17,21 @@ from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.executor import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
-from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, SQUEEZE_PERIOD_S, Gripper, GripperCommand
+from server.graph.actions import Goal, Result
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.moveit.gripper import (
+    GRIPPER_ACTION,
+    PARALLEL_ACTION,
+    SQUEEZE_PERIOD_S,
+    Gripper,
+    GripperActions,
+    GripperCommand,
+    GripperReading,
+)
 from tests.helpers.clients import ArmClient
 from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
+from tests.helpers.moveit import REGISTRY
 from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
@@ -190,6 +204,65 @@ async def together(arm: SlowArm, seconds: float) -> None:
     for _ in range(round(seconds / SQUEEZE_PERIOD_S)):
         await asyncio.sleep(SQUEEZE_PERIOD_S)
         arm.pass_time(SQUEEZE_PERIOD_S)
+
+
+class Grippers:
+    """The gripper's actions on a graph, for an arm whose motions end when a test says so."""
+
+    def __init__(self) -> None:
+        self.arm, self.graph = SlowArm(), Graph(REGISTRY)
+        self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
+        self.gripper = Gripper(self.arm, builtin().joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)  # type: ignore[arg-type]
+        self.actions = GripperActions(self.graph, builtin().joints["gripper"], self.gripper)
+        self.results: list[Result] = []
+
+    async def send(self, **command: Any) -> Goal:
+        """Send a goal to the action that takes a velocity."""
+        client, told = Node("client", remote=True), {"name": ["gripper"], "position": [1.0], **command}
+        goal = self.graph.actions.send_goal(client, PARALLEL_ACTION, PARALLEL, {"command": told}, self.results.append)
+        await settle()
+        assert goal is not None
+        return goal
+
+
+async def test_a_goal_that_is_over_takes_the_grippers_motion_along() -> None:
+    grippers = Grippers()
+    goal = await grippers.send()
+    assert len(grippers.arm.played) == 1
+    goal.fail("took more than 3600 s")
+    assert len(grippers.arm.stops) == 1
+
+
+async def test_a_gripper_whose_goal_ends_by_an_error_is_braked() -> None:
+    grippers = Grippers()
+
+    def broken(_reading: GripperReading) -> None:
+        raise ValueError("a bug")
+
+    with pytest.raises(ValueError, match="a bug"):
+        await grippers.gripper.move(grippers.gripper.claim(), GripperCommand(1.0), broken)
+    assert len(grippers.arm.stops) == 1
+
+
+@pytest.mark.parametrize(("velocity", "told"), [(1e-3, "1000"), (5e-324, "inf")])
+async def test_a_gripper_motion_that_takes_too_long_is_refused(velocity: float, told: str) -> None:
+    grippers = Grippers()
+    await grippers.send(velocity=[velocity])
+    (result,) = grippers.results
+    assert not result.ok
+    assert f"the duration of the way to 1.000 rad is {told}" in result.values
+    assert "longer than goals.max_trajectory_duration_s = 600: raise the command's velocity" in result.values
+    assert grippers.arm.played == []
+
+
+async def test_the_time_left_of_the_grippers_motion_is_known() -> None:
+    grippers = Grippers()
+    assert grippers.gripper.remaining_s is None
+    await grippers.send(velocity=[0.01])
+    assert grippers.gripper.remaining_s == pytest.approx(100.0, abs=1.0)
+    grippers.arm.end()
+    await settle()
+    assert grippers.gripper.remaining_s is None
 
 
 @pytest.mark.stepped_time

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
+from robot import files
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.description import model
@@ -24,14 +26,16 @@ from server.moveit import named_states
 from server.moveit.named_states import (
     MAX_NAME_LENGTH,
     NAMED_STATES_TOPIC,
+    Change,
     NamedStates,
     NamedStatesFile,
     NamedStatesServices,
     Positions,
+    States,
     default_path,
 )
 from tests.helpers.arm_rig import reading
-from tests.helpers.moveit import keep_nothing
+from tests.helpers.moveit import keep_in_memory
 
 ROBOT = model.builtin()
 BENT = {"elbow_flex": 0.4}
@@ -48,11 +52,13 @@ class Kept(NamedStates):
     def __init__(self, saved: Mapping[str, Positions] | None = None) -> None:
         self.kept: Mapping[str, Positions] = {}
         self.changes = 0
+        self._keeper = keep_in_memory()
         super().__init__(ROBOT, "arm", saved or {}, self._take)
         self.on_change(self._count)
 
-    async def _take(self, saved: Mapping[str, Positions]) -> None:
-        self.kept = saved
+    async def _take(self, change: Change) -> States:
+        self.kept = states = await self._keeper(change)
+        return states
 
     def _count(self) -> None:
         self.changes += 1
@@ -140,7 +146,7 @@ async def test_the_number_of_saved_states_is_bounded(states: Kept, monkeypatch: 
 
 
 async def test_a_state_that_cannot_be_written_is_not_saved() -> None:
-    async def full(_saved: Mapping[str, Positions]) -> None:
+    async def full(_change: Change) -> States:
         raise ServiceError("no space")
 
     states = NamedStates(ROBOT, "arm", {}, full)
@@ -164,10 +170,85 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "armbridge" / "states.json"
 
 
+async def put(file: NamedStatesFile, states: States) -> None:
+    """Save states in place of all in a file."""
+    await file.change(lambda _before: states)
+
+
 async def test_saved_states_are_read_again(path: Path) -> None:
-    await NamedStatesFile(path).save(KEPT_STATES)
+    await put(NamedStatesFile(path), KEPT_STATES)
     assert NamedStatesFile(path).load() == KEPT_STATES
-    assert [each.name for each in path.parent.iterdir()] == [path.name]
+    assert {each.name for each in path.parent.iterdir()} == {path.name, files.lock_path(path).name}
+
+
+def opened(path: Path) -> NamedStates:
+    """The states of a server that has just started."""
+    file = NamedStatesFile(path)
+    return NamedStates(ROBOT, "arm", file.load(), file.change)
+
+
+async def test_two_servers_keep_what_the_other_has_saved(path: Path) -> None:
+    one, other = opened(path), opened(path)
+    await one.save("mine", BENT)
+    await other.save("yours", {"elbow_flex": 0.5})
+    assert set(NamedStatesFile(path).load()) == {"mine", "yours"}
+    assert set(other.saved) == {"mine", "yours"}
+
+
+async def test_two_servers_that_save_at_the_same_time_lose_nothing(path: Path) -> None:
+    servers = [opened(path) for _ in range(4)]
+    await asyncio.gather(*(states.save(f"state {i}", BENT) for i, states in enumerate(servers)))
+    assert set(NamedStatesFile(path).load()) == {f"state {i}" for i in range(4)}
+
+
+async def test_a_state_that_another_server_has_deleted_is_not_known_any_more(path: Path) -> None:
+    await opened(path).save("mine", BENT)
+    one, other = opened(path), opened(path)
+    await one.delete("mine")
+    with pytest.raises(ServiceError, match="no state 'mine'"):
+        await other.rename("mine", "yours")
+    assert NamedStatesFile(path).load() == {}
+
+
+async def test_states_of_another_arm_stay_in_the_file(path: Path) -> None:
+    await put(NamedStatesFile(path), {"its": {"knee": 0.1}})
+    await opened(path).save("mine", BENT)
+    assert set(NamedStatesFile(path).load()) == {"its", "mine"}
+
+
+async def test_a_file_that_another_process_has_is_refused_with_its_name(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "LOCK_TIMEOUT_S", 0.0)
+    holder = files.FileLock(path)
+    holder.acquire()
+    with pytest.raises(ServiceError, match=rf"states\.json.* is in use by armbridge \(process {os.getpid()}\)"):
+        await opened(path).save("mine", BENT)
+    holder.release()
+    await opened(path).save("mine", BENT)
+
+
+async def test_a_file_that_cannot_be_read_is_not_overwritten(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    states = opened(path)
+    await states.save("mine", BENT)
+
+    def unreadable(_file: NamedStatesFile) -> States:
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(NamedStatesFile, "_read", unreadable)
+        with pytest.raises(ServiceError, match=r"cannot be kept in .*: Input/output error"):
+            await states.save("yours", BENT)
+    assert set(NamedStatesFile(path).load()) == {"mine"}
+
+
+def test_a_second_broken_file_leaves_the_first_as_it_is(path: Path) -> None:
+    path.parent.mkdir()
+    for content in ("{", "["):
+        path.write_text(content)
+        assert NamedStatesFile(path).load() == {}
+    assert path.with_name(f"{path.name}.broken").read_text() == "{"
+    assert path.with_name(f"{path.name}.broken.1").read_text() == "["
 
 
 def test_without_a_file_there_are_no_states(path: Path) -> None:
@@ -198,10 +279,10 @@ def test_an_invalid_file_is_logged_and_renamed(path: Path, content: str, caplog:
 
 async def test_a_file_that_cannot_be_written_is_an_error_and_the_old_one_stays(path: Path) -> None:
     file = NamedStatesFile(path)
-    await file.save(KEPT_STATES)
-    path.with_name(f"{path.name}.new").mkdir()
+    await put(file, KEPT_STATES)
+    path.with_name(f".{path.name}.new").mkdir()
     with pytest.raises(ServiceError, match=str(path)):
-        await file.save({})
+        await put(file, {})
     assert file.load() == KEPT_STATES
 
 
@@ -216,7 +297,9 @@ def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytes
     ("environment", "directory"), [({"XDG_DATA_HOME": "/data"}, "/data"), ({"HOME": "/me"}, "/me/.local/share")]
 )
 def test_states_are_kept_in_the_users_data_directory(environment: dict[str, str], directory: str) -> None:
-    assert default_path(model.builtin(), environment) == Path(directory, "armbridge", "named_states_so101.json")
+    assert default_path("named_states", model.builtin(), environment) == Path(
+        directory, "armbridge", "named_states_so101.json"
+    )
 
 
 class Office:
@@ -224,7 +307,7 @@ class Office:
 
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
-        self.states = NamedStates(ROBOT, "arm", {}, keep_nothing)
+        self.states = NamedStates(ROBOT, "arm", {}, keep_in_memory())
         self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(Calibration.nominal())), lambda _state: None)
         NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT)).open()
         self.told: list[dict[str, Any]] = []

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import base64
+import os
 import random
+import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,6 +14,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from server.errors import ConfigurationError
 from server.recording import files
 from server.recording.files import (
     METADATA_NAME,
@@ -19,6 +23,7 @@ from server.recording.files import (
     McapFile,
     RecordedMessage,
     channel_metadata,
+    check_path,
     is_latched,
 )
 from server.recording.replay import Recording
@@ -127,6 +132,14 @@ def test_a_file_that_exists_is_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "run.mcap").read_text() == "precious"
 
 
+def test_two_recordings_that_are_given_one_name_have_a_file_each(tmp_path: Path) -> None:
+    one, other = series(tmp_path / "run.mcap"), series(tmp_path / "run.mcap")
+    for written in (one, other):
+        fill(written, 1)
+    assert names(tmp_path) == ["run.mcap", "run_1.mcap"]
+    assert topics(tmp_path / "run.mcap") == topics(tmp_path / "run_1.mcap") == ["/picture"]
+
+
 def test_a_file_that_has_its_size_is_followed_by_the_next(tmp_path: Path) -> None:
     fill(series(tmp_path / "run.mcap"), 5)
     assert names(tmp_path) == ["run.mcap", "run_1.mcap", "run_2.mcap"]
@@ -189,3 +202,39 @@ def test_the_numbers_of_older_releases_are_understood(number: int, latched: bool
 
 def test_a_channel_without_profiles_is_not_latched() -> None:
     assert not is_latched({})
+
+
+def make_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(path))
+
+
+NOT_A_FILE: dict[str, Callable[[Path], object]] = {
+    "a directory": Path.mkdir,
+    "a FIFO": os.mkfifo,
+    "a socket": make_socket,
+    "a character device": lambda path: path.symlink_to("/dev/null"),
+    "a symbolic link to nothing": lambda path: path.symlink_to("/no/such/file"),
+}
+
+
+@pytest.mark.parametrize(("kind", "make"), NOT_A_FILE.items(), ids=NOT_A_FILE.keys())
+def test_a_path_that_is_no_regular_file_is_refused(kind: str, make: Callable[[Path], object], tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    make(path)
+    with pytest.raises(ConfigurationError) as refused:
+        check_path(path)
+    assert str(refused.value) == f"recording.file: {path} must be a regular file or not exist; it is {kind}"
+
+
+def test_a_path_below_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigurationError, match=r"file/run\.mcap cannot be used: Not a directory"):
+        check_path(tmp_path / "file" / "run.mcap")
+
+
+def test_a_path_of_a_file_of_a_link_to_one_or_of_nothing_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "file.mcap").touch()
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "file.mcap")
+    for name in ("file.mcap", "link.mcap", "nothing.mcap"):
+        check_path(tmp_path / name)

@@ -9,7 +9,7 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.description import model
 from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalState, Performed, Progress
+from server.execution.queue import Answer, GoalPolicy, GoalState, Performed, Progress, RunningGoal
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.moveit.actions.joint_trajectory_controller import (
@@ -30,10 +30,21 @@ ACTION, TYPE = "/move", "moveit_msgs/action/ExecuteTrajectory"
 class Desk(ActionDesk):
     def __init__(self) -> None:
         super().__init__()
+        self.cancelled: list[str] = []
+        # True to go on with a goal that another preempts.
+        self.hold = False
         self.graph.actions.offer(Node("server"), ACTION, TYPE, self.start)
+
+    def preempt(self, reason: str) -> None:
+        if not self.hold:
+            ActionDesk.cancel(self, reason)
 
     def start(self, goal: Goal) -> None:
         submit_goal(goal, self.queue, PlannedMotion(()), MoveGroupFeedback(), code)
+
+    def cancel(self, reason: str) -> None:
+        self.cancelled.append(reason)
+        super().cancel(reason)
 
 
 def code(answer: Answer) -> dict[str, object]:
@@ -72,6 +83,39 @@ async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: Desk) -> No
     await settle()
     assert desk.results[0].status == GoalStatus.CANCELED
     assert desk.results[0].values["error_code"]["message"] == "cancelled by a client of /move"
+
+
+async def test_a_goal_that_is_over_takes_its_motion_along(desk: Desk) -> None:
+    goal = await desk.send(ACTION)
+    assert goal is not None
+    goal.fail("Action /move took more than 3600 s")
+    await settle()
+    assert desk.cancelled == ["the goal of /move is over: Action /move took more than 3600 s"]
+    assert desk.queue.running is None
+
+
+async def test_a_goal_that_is_over_before_its_turn_never_moves(desk: Desk) -> None:
+    desk.queue.submit("/moveit_goal_pose", PlannedMotion(()), policy=GoalPolicy.QUEUE)
+    await settle()
+    desk.hold = True
+    goal = await desk.send(ACTION)
+    assert goal is not None
+    assert desk.queue.waiting_count == 1
+    goal.fail("over")
+    assert desk.queue.waiting_count == 0
+
+
+async def test_a_goal_that_ended_with_its_motion_leaves_the_next_alone(desk: Desk) -> None:
+    await desk.send(ACTION)
+    desk.finish()
+    await settle()
+    assert [result.status for result in desk.results] == [GoalStatus.SUCCEEDED]
+    assert desk.cancelled == []
+
+
+async def test_a_goal_names_its_client_to_those_who_wait_for_its_end(desk: Desk) -> None:
+    await desk.send(ACTION)
+    assert desk.queue.running == RunningGoal("goal 1 of client from /move", None)
 
 
 async def test_a_rejected_goal_is_answered_and_the_motion_continues(desk: Desk) -> None:

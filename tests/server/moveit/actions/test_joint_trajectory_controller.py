@@ -17,6 +17,7 @@ from robot.messages import ArmState, Outcome
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory
 from server.execution.queue import Answer, GoalState, Performed, Progress
+from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -55,6 +56,7 @@ class Desk(ActionDesk):
             self.arm.as_arm,
             self.current,
             self.queue,
+            TimeLimits(),
         )
 
     async def publish(self, **trajectory: Any) -> None:
@@ -101,6 +103,28 @@ async def test_a_new_goal_preempts_the_old_one(desk: Desk) -> None:
     await desk.send(INDUSTRIAL_ACTION, trajectory=TRAJECTORY)
     assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
     assert "preempted by goal 2" in desk.results[0].values["error_string"]
+
+
+TOO_LONG = {**TRAJECTORY, "points": [{"positions": [0.3], "time_from_start": {"sec": 601}}]}
+TOO_LONG_WORDS = "trajectory.points[0].time_from_start is 601 s, longer than goals.max_trajectory_duration_s = 600"
+
+
+async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_continues(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    await desk.send(ACTION, trajectory=TOO_LONG)
+    await desk.publish(**TOO_LONG)
+    assert desk.codes == [(GoalStatus.ABORTED, FollowCode.INVALID_GOAL)]
+    assert desk.results[0].values["error_string"] == TOO_LONG_WORDS
+    assert desk.refused == [TOO_LONG_WORDS] * 2
+    assert len(desk.asked) == 1
+
+
+async def test_a_goal_that_is_over_takes_its_motion_along(desk: Desk) -> None:
+    goal = await desk.send(ACTION, trajectory=TRAJECTORY)
+    assert goal is not None
+    goal.fail("took more than 3600 s")
+    await settle()
+    assert desk.queue.running is None
 
 
 async def test_a_cancel_ends_the_goal(desk: Desk) -> None:

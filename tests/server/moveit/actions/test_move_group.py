@@ -11,6 +11,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.execution.motions import ExternalTrajectory, PlannedMotion
+from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
@@ -45,7 +46,7 @@ OFFERED = {
 @pytest.fixture
 async def desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    MotionActions(made.graph, made.context, made.arm, made.queue).open(())  # type: ignore[arg-type]
+    MotionActions(made.graph, made.context, made.arm, made.queue, TimeLimits()).open(())  # type: ignore[arg-type]
     yield made
     await made.close()
 
@@ -118,6 +119,24 @@ async def test_a_plan_alone_can_be_cancelled(planning_desk: ActionDesk, monkeypa
     await settle()
     assert codes(planning_desk) == [-7]
     assert planning_desk.results[0].status == GoalStatus.CANCELED
+
+
+async def test_a_plan_alone_ends_with_its_goal(planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended: list[str] = []
+
+    async def never(*_request: object) -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended.append("planning")
+
+    monkeypatch.setattr(planning_desk.pool, "ask", never)
+    goal = await planning_desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
+    assert goal is not None
+    goal.fail("took more than 3600 s")
+    await settle()
+    assert ended == ["planning"]
+    assert len(planning_desk.results) == 1
 
 
 async def test_a_bug_in_planning_is_answered(
@@ -265,13 +284,13 @@ def test_look_around_is_ignored_with_a_warning() -> None:
 @pytest.fixture
 async def execution_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    ExecuteTrajectory(made.graph, ROBOT, made.current, made.queue)
+    ExecuteTrajectory(made.graph, ROBOT, made.current, made.queue, TimeLimits())
     yield made
     await made.close()
 
 
-def trajectory(position_rad: float) -> dict[str, object]:
-    point = {"positions": [position_rad], "time_from_start": {"sec": 2}}
+def trajectory(position_rad: float, seconds: int = 2) -> dict[str, object]:
+    point = {"positions": [position_rad], "time_from_start": {"sec": seconds}}
     return {"joint_trajectory": {"joint_names": ["elbow_flex"], "points": [point]}}
 
 
@@ -302,6 +321,18 @@ async def test_a_bad_trajectory_is_answered_and_the_motion_continues(execution_d
     await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(9.0))
     assert [result.values["error_code"]["val"] for result in execution_desk.results] == [-2]
     assert "elbow_flex" in execution_desk.results[0].values["error_code"]["message"]
+    assert len(execution_desk.asked) == 1
+
+
+async def test_a_trajectory_that_takes_too_long_is_answered_and_the_motion_continues(
+    execution_desk: ActionDesk,
+) -> None:
+    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
+    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5, 3600))
+    (result,) = execution_desk.results
+    assert result.values["error_code"]["message"] == (
+        "trajectory.points[0].time_from_start is 3600 s, longer than goals.max_trajectory_duration_s = 600"
+    )
     assert len(execution_desk.asked) == 1
 
 

@@ -1,0 +1,163 @@
+"""Files that several processes may change: locked against each other, and replaced as a whole.
+
+The lock of a file is an advisory one (flock(2)) on ``.NAME.lock`` beside it, which contains the number of the
+process that locked it last. The kernel frees it with the process, however that ends; the lock's file stays, since
+removing it would let two processes lock two files of one name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+# Whoever writes a file is done in milliseconds, on a memory card in some tenths of a second.
+LOCK_TIMEOUT_S = 2.0
+LOCK_POLL_S = 0.02
+
+# A process's name and number fit; more is nothing of ours.
+MAX_HOLDER_BYTES = 200
+
+
+class FileLockedError(OSError):
+    """Another process has the lock of a file; ``strerror`` names the process."""
+
+    def __init__(self, path: Path, holder: str) -> None:
+        super().__init__(errno.EAGAIN, f"is in use by {holder}", str(path))
+
+
+class FileLock:
+    """Lock of one file; of the processes, and of the locks in one process, one has it at a time.
+
+    Args:
+        path: the file, which need not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = lock_path(path)
+        self._descriptor: int | None = None
+
+    def acquire(self, timeout_s: float = 0.0, clock: Callable[[], float] = time.monotonic) -> None:
+        """Take the lock; the directory of the file is made when it is missing.
+
+        Args:
+            timeout_s: longest wait for another that has it [s]; 0 to try once.
+            clock: monotonic time [s].
+
+        Raises:
+            FileLockedError: another process has it for longer.
+            OSError: the lock's file cannot be made, or the file system has no locks.
+        """
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            self._wait(descriptor, timeout_s, clock)
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"armbridge (process {os.getpid()})\n".encode(), 0)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        self._descriptor = descriptor
+
+    def _wait(self, descriptor: int, timeout_s: float, clock: Callable[[], float]) -> None:
+        until_s = clock() + timeout_s
+        while not _locked(descriptor):
+            if clock() >= until_s:
+                holder = os.pread(descriptor, MAX_HOLDER_BYTES, 0).decode(errors="replace").strip()
+                raise FileLockedError(self._path, holder or "another process")
+            time.sleep(LOCK_POLL_S)
+
+    def release(self) -> None:
+        """Give the lock back; do nothing without it."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a file, for as long as it takes to read, change and replace it.
+
+    Args:
+        path: the file, which need not exist.
+
+    Raises:
+        FileLockedError: another process has it for longer than :data:`LOCK_TIMEOUT_S`.
+        OSError: the lock's file cannot be made.
+    """
+    lock = FileLock(path)
+    lock.acquire(LOCK_TIMEOUT_S)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def replace(path: Path, content: bytes) -> None:
+    """Write a file whose lock is held; a crash leaves the old content or the new one.
+
+    Args:
+        path: the file; of a symbolic link, the file that it leads to.
+        content: all of it.
+
+    Raises:
+        OSError: it cannot be written; the old content stays.
+    """
+    path = path.resolve()
+    unfinished = path.with_name(f".{path.name}.new")
+    try:
+        with unfinished.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise
+    _sync_directory(path.parent)
+
+
+def set_aside(path: Path) -> Path:
+    """Rename a file that cannot be used, whose lock is held, to ``NAME.broken``, ``NAME.broken.1`` and so on.
+
+    Returns:
+        Its new path, at which there was nothing before.
+
+    Raises:
+        OSError: it cannot be renamed.
+    """
+    aside, number = path.with_name(f"{path.name}.broken"), 0
+    while aside.exists():
+        number += 1
+        aside = path.with_name(f"{path.name}.broken.{number}")
+    path.replace(aside)
+    return aside
+
+
+def lock_path(path: Path) -> Path:
+    """Return the path of a file's lock; all names of one file have the same."""
+    resolved = path.resolve()
+    return resolved.with_name(f".{resolved.name}.lock")
+
+
+def _locked(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _sync_directory(path: Path) -> None:
+    """Make the renaming of a file in a directory outlive a loss of power, where the file system can."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,186 @@
+"""Latching: the messages of topics that are kept for those who subscribe later.
+
+The server's own messages have room of their own, so that nothing that clients latch can shut out the planning scene.
+A message whose publisher has left has an end; it goes before, when another one needs the room.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, OrderedDict, deque
+from typing import NamedTuple
+
+from protocol.publication import PublishedMessage
+from server.graph.node import Node
+
+# Maps and meshes are latched, and have megabytes: as much for the server as for all clients together, and at most half
+# of that for one of them, so that one alone does not shut the others out.
+MAX_SERVER_LATCHED_BYTES = 67_108_864
+MAX_CLIENTS_LATCHED_BYTES = 67_108_864
+MAX_CLIENT_LATCHED_BYTES = MAX_CLIENTS_LATCHED_BYTES // 2
+
+# The last messages of many topics, or a picture; the oldest goes first.
+MAX_RECENT_BYTES = 4_194_304
+
+# As many of one topic as rosbridge_server's subscribers take (QoS depth 10).
+MAX_RECENT_PER_TOPIC = 10
+
+
+class _Kept(NamedTuple):
+    """A message that is kept.
+
+    Attributes:
+        published: the message.
+        size_bytes: its size.
+        until_s: time until which it is kept [s], monotonic.
+        client: the client that has latched it; None for the server.
+    """
+
+    published: PublishedMessage
+    size_bytes: int
+    until_s: float
+    client: Node | None = None
+
+
+class _Share:
+    """Latched messages of the server, or of all clients.
+
+    Attributes:
+        size_bytes: their size together.
+        ending: topics whose message has an end, the earliest first.
+    """
+
+    def __init__(self) -> None:
+        self.size_bytes = 0
+        self.ending: OrderedDict[str, None] = OrderedDict()
+
+
+class LatchedMessages:
+    """Latched and recent messages of all topics, for those who subscribe later."""
+
+    def __init__(self) -> None:
+        self._latched: dict[str, _Kept] = {}
+        self._of_server, self._of_clients = _Share(), _Share()
+        # Size of what each client has latched that has no end [bytes].
+        self._by_client: Counter[Node] = Counter()
+        # By topic, oldest first; the topics in order of their newest message, so that those in front have the oldest.
+        self._recent: OrderedDict[str, deque[_Kept]] = OrderedDict()
+        self._recent_bytes = 0
+
+    def latch(self, published: PublishedMessage, client: Node | None = None) -> str | None:
+        """Keep a message instead of the one latched before it.
+
+        Args:
+            published: the message.
+            client: the client that latches it; None for the server.
+
+        Returns:
+            The limit that it exceeds, as a sentence; then the topic has no latched message. None when it is kept.
+        """
+        self.unlatch(published.topic)
+        size_bytes = published.size_bytes
+        problem = self._make_room(size_bytes, client)
+        if problem is None:
+            self._latched[published.topic] = _Kept(published, size_bytes, math.inf, client)
+            self._share(client).size_bytes += size_bytes
+            if client is not None:
+                self._by_client[client] += size_bytes
+        return problem
+
+    def _make_room(self, size_bytes: int, client: Node | None) -> str | None:
+        """Give up messages that have an end, the earliest first, for one more; return the limit if that fails."""
+        share, limit, holder = self._of_server, MAX_SERVER_LATCHED_BYTES, "the server has"
+        if client is not None:
+            share, limit, holder = self._of_clients, MAX_CLIENTS_LATCHED_BYTES, "all clients have"
+            with_it = self._by_client[client] + size_bytes
+            if with_it > MAX_CLIENT_LATCHED_BYTES:
+                return f"this client has {with_it} bytes latched with it, the limit is {MAX_CLIENT_LATCHED_BYTES}"
+        while share.ending and share.size_bytes + size_bytes > limit:
+            self.unlatch(next(iter(share.ending)))
+        with_it = share.size_bytes + size_bytes
+        return None if with_it <= limit else f"{holder} {with_it} bytes latched with it, the limit is {limit}"
+
+    def unlatch(self, topic: str) -> None:
+        """Give the latched message up, if there is one."""
+        kept = self._latched.pop(topic, None)
+        if kept is not None:
+            self._discharge(kept)
+            share = self._share(kept.client)
+            share.size_bytes -= kept.size_bytes
+            share.ending.pop(topic, None)
+
+    def unlatch_at(self, topic: str, until_s: float) -> None:
+        """Keep the latched message, if there is one, until then and no longer [s]; later ends are set later."""
+        kept = self._latched.get(topic)
+        if kept is not None:
+            # What goes as soon as somebody needs the room is no burden on its client.
+            self._discharge(kept)
+            self._latched[topic] = kept._replace(until_s=until_s)
+            share = self._share(kept.client)
+            share.ending[topic] = None
+            share.ending.move_to_end(topic)
+
+    def keep(self, published: PublishedMessage, now: float, lifespan_s: float) -> None:
+        """Keep a message for a while.
+
+        Args:
+            published: the message.
+            now: present time [s], monotonic.
+            lifespan_s: for how long [s]; the same for all.
+        """
+        topic, size_bytes = published.topic, published.size_bytes
+        recent = self._recent.setdefault(topic, deque())
+        recent.append(_Kept(published, size_bytes, now + lifespan_s))
+        self._recent.move_to_end(topic)
+        self._recent_bytes += size_bytes
+        if len(recent) > MAX_RECENT_PER_TOPIC:
+            self._recent_bytes -= recent.popleft().size_bytes
+        self._give_up_recent(now)
+
+    def of(self, topic: str, now: float) -> list[PublishedMessage]:
+        """Return what a new subscriber to the topic gets, oldest first.
+
+        Args:
+            topic: fully qualified name.
+            now: present time [s], monotonic.
+        """
+        latched = self._latched.get(topic)
+        recent = self._recent.get(topic, ())
+        kept_now = recent if latched is None else [latched, *recent]
+        return [kept.published for kept in kept_now if kept.until_s >= now]
+
+    def forget(self, topic: str) -> None:
+        """Give up all that is kept of a topic."""
+        self.unlatch(topic)
+        self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
+
+    def give_up_old(self, now: float) -> None:
+        """Give up what nobody gets any more.
+
+        Args:
+            now: present time [s], monotonic.
+        """
+        for share in (self._of_server, self._of_clients):
+            while share.ending and self._latched[topic := next(iter(share.ending))].until_s < now:
+                self.unlatch(topic)
+        self._give_up_recent(now)
+
+    def _give_up_recent(self, now: float) -> None:
+        """Drop what is too old; over the limit, the oldest message of the topic that has been quiet for longest."""
+        while self._recent:
+            topic, recent = next(iter(self._recent.items()))
+            if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:
+                return
+            self._recent_bytes -= recent.popleft().size_bytes
+            if not recent:
+                del self._recent[topic]
+
+    def _share(self, client: Node | None) -> _Share:
+        return self._of_server if client is None else self._of_clients
+
+    def _discharge(self, kept: _Kept) -> None:
+        """Take a message off its client's account, unless that was done when it got its end."""
+        if kept.client is not None and kept.until_s == math.inf:
+            self._by_client[kept.client] -= kept.size_bytes
+            if not self._by_client[kept.client]:
+                del self._by_client[kept.client]

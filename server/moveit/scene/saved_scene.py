@@ -1,0 +1,307 @@
+"""The planning scene between two runs of the server: the file that keeps what clients have added.
+
+The file holds a moveit_msgs/PlanningScene as JSON, without joints. One server has it at a time, from its start to its
+end; two servers would take the other's obstacles for their own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from protocol.errors import MessageError
+from robot import files
+from robot.description.model import RobotModel
+from server.errors import RefusedError
+from server.graph.message_types import MessageTypes
+from server.moveit.poses import Message
+from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
+from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene_message
+from server.moveit.scene.planning_scene import SceneContents
+from server.moveit.scene.scene_state import SceneState
+from server.timers import CallLater, Timer, call_later
+
+log = logging.getLogger("armbridge.scene")
+
+SCENE_TYPE = "moveit_msgs/msg/PlanningScene"
+OBJECT_TYPE = "moveit_msgs/msg/CollisionObject"
+ATTACHED_TYPE = "moveit_msgs/msg/AttachedCollisionObject"
+
+# A scene of 1000 boxes has half a megabyte, a mesh of 200 000 triangles 15 MB; reading takes a second for 60 MB.
+MAX_FILE_BYTES = 64_000_000
+
+# A change is written after so long, with all that have come meanwhile: clients build scenes object by object, and move
+# objects many times a second.
+DELAY_S = 1.0
+
+# Share of its time that a slow disk may spend on the scene.
+WRITING_SHARE = 0.1
+
+# Fields of a planning scene that may be long are encoded by themselves, their lists so many elements at a time, a
+# millisecond: the encoder holds the interpreter's lock, which the event loop needs.
+LONG_FIELDS = {
+    "allowed_collision_matrix",
+    "attached_collision_objects",
+    "collision_objects",
+    "detach_posture",
+    "enabled",
+    "entry_values",
+    "fixed_frame_transforms",
+    "meshes",
+    "object",
+    "object_colors",
+    "points",
+    "robot_state",
+    "triangles",
+    "vertices",
+    "world",
+}
+SLICE = 500
+
+
+class SceneFile:
+    """File of a scene.
+
+    Args:
+        path: of the file; created with the first change.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = files.FileLock(path)
+
+    def open(self) -> None:
+        """Take the file for this process; a server that is just ending is waited for.
+
+        Raises:
+            OSError: another process has it for longer, or its directory cannot be written.
+        """
+        self._lock.acquire(files.LOCK_TIMEOUT_S)
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._lock.release()
+
+    def read(self) -> Any:
+        """Return the content, as JSON has it; None when there is no file.
+
+        Raises:
+            ValueError: it is too large, or no JSON.
+            OSError: it cannot be read.
+        """
+        try:
+            with self.path.open("rb") as file:
+                text = file.read(MAX_FILE_BYTES + 1)
+        except FileNotFoundError:
+            return None
+        if len(text) > MAX_FILE_BYTES:
+            raise ValueError(f"it has more than {MAX_FILE_BYTES} bytes")
+        try:
+            return json.loads(text)
+        except RecursionError as error:
+            raise ValueError("it nests too deep") from error
+
+    def write(self, message: Message) -> None:
+        """Replace the content; a crash leaves the old one or the new one.
+
+        Raises:
+            ValueError: the message is too large; the file is removed, for an older scene would be a wrong one.
+            OSError: it cannot be written.
+        """
+        pieces, size = [], 0
+        for piece in encoded(message):
+            # Give the interpreter's lock to the event loop, if that waits for it, and not only every 5 ms.
+            time.sleep(0)
+            pieces.append(piece)
+            size += len(piece)
+            if size > MAX_FILE_BYTES:
+                self.path.unlink(missing_ok=True)
+                raise ValueError(f"it has more than {MAX_FILE_BYTES} bytes as text")
+        files.replace(self.path, b"".join(pieces))
+
+
+class SavedScene:
+    """Keeper of the scene: restores it at the start, and writes it after changes, off the event loop.
+
+    Args:
+        file: of the scene.
+        state: the scene.
+        robot: the arm.
+        message_types: to check what the file holds.
+        clock: monotonic time [s].
+        call_later: calls a function after a delay.
+    """
+
+    def __init__(
+        self,
+        file: SceneFile,
+        state: SceneState,
+        robot: RobotModel,
+        message_types: MessageTypes,
+        clock: Callable[[], float] = time.monotonic,
+        call_later: CallLater = call_later,
+    ) -> None:
+        self._file = file
+        self._state = state
+        self._robot = robot
+        self._message_types = message_types
+        self._clock = clock
+        self._call_later = call_later
+        self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
+        self._kept = state.contents
+        self._delay_s = DELAY_S
+        self._timer: Timer | None = None
+        self._writing: asyncio.Task[None] | None = None
+        self._failing = False
+        self._open = False
+
+    async def start(self) -> None:
+        """Restore the scene, and keep its changes from now on; nothing that is wrong with the file prevents a start."""
+        path = self._file.path
+        try:
+            await asyncio.to_thread(self._file.open)
+        except files.FileLockedError as error:
+            remedy = "give one of the two servers a scene.file of its own"
+            log.warning("the planning scene is not kept: %s %s; %s", path, error.strerror, remedy)
+            return
+        except OSError as error:
+            log.warning("the planning scene is not kept in %s: %s", path, error.strerror)
+            return
+        try:
+            self._restore()
+        except OSError as error:
+            self._file.close()
+            log.warning("the planning scene is not kept: %s cannot be read: %s", path, error.strerror)
+            return
+        self._open = True
+        self._kept = self._state.contents
+        self._state.on_change(self._schedule)
+
+    async def close(self) -> None:
+        """Write the last changes, and give the file back."""
+        if not self._open:
+            return
+        self._open = False
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        try:
+            if self._writing is not None:
+                await asyncio.shield(self._writing)
+            if self._state.contents is not self._kept:
+                await self._write()
+        finally:
+            self._file.close()
+
+    def _restore(self) -> None:
+        """Apply the scene in the file; set a file aside that has none.
+
+        Raises:
+            OSError: the file cannot be read, or not be set aside.
+        """
+        try:
+            content = self._file.read()
+            if content is None:
+                return
+            self._state.apply_diff(self._complete(content), None)
+        except (ValueError, MessageError, RefusedError) as error:
+            aside = files.set_aside(self._file.path)
+            log.warning(
+                "the planning scene in %s cannot be restored: %s; the file is now %s", self._file.path, error, aside
+            )
+            return
+        world, held = len(self._state.contents.objects), len(self._state.contents.attached)
+        log.info(
+            "the planning scene is restored from %s: %d objects, %d of them held", self._file.path, world + held, held
+        )
+
+    def _complete(self, content: Any) -> Message:
+        """Return the complete moveit_msgs/PlanningScene; objects are completed one by one, as they came.
+
+        Raises:
+            MessageError: it is none.
+        """
+        complete = self._message_types.complete
+        world: list[Any] = []
+        held: list[Any] = []
+        if isinstance(content, dict):
+            world, content = _taken(content, "world", "collision_objects")
+            held, content = _taken(content, "robot_state", "attached_collision_objects")
+        message = complete(SCENE_TYPE, content)
+        message["world"]["collision_objects"] = [complete(OBJECT_TYPE, each) for each in world]
+        message["robot_state"]["attached_collision_objects"] = [complete(ATTACHED_TYPE, each) for each in held]
+        return message
+
+    def _schedule(self) -> None:
+        if self._open and self._timer is None and self._writing is None:
+            self._timer = self._call_later(self._delay_s, self._begin)
+
+    def _begin(self) -> None:
+        self._timer = None
+        self._writing = asyncio.create_task(self._write(), name="keep the planning scene")
+        self._writing.add_done_callback(self._on_written)
+
+    def _on_written(self, task: asyncio.Task[None]) -> None:
+        self._writing = None
+        if not task.cancelled() and task.exception() is not None:
+            log.error("the planning scene is not kept", exc_info=task.exception())
+        if self._state.contents is not self._kept:
+            self._schedule()
+
+    async def _write(self) -> None:
+        """Write the present scene; errors are logged once, until it can be written again."""
+        began_s, contents = self._clock(), self._state.contents
+        # What cannot be written is not tried again before the next change.
+        self._kept = contents
+        try:
+            await asyncio.to_thread(self._file.write, self._message(contents))
+        except (OSError, ValueError) as error:
+            if not self._failing:
+                log.warning("the planning scene is not kept in %s: %s", self._file.path, error)
+            self._failing = True
+        else:
+            self._failing = False
+        self._delay_s = max(DELAY_S, (self._clock() - began_s) / WRITING_SHARE)
+
+    def _message(self, contents: SceneContents) -> Message:
+        """Return the scene as a message; a matrix that nobody has changed is left to the SRDF of the next start."""
+        message = scene_message(contents, self._robot, NO_STATE, EVERYTHING)
+        if contents.allowed_collisions == self._srdf_matrix:
+            message["allowed_collision_matrix"] = NO_MATRIX
+        return message
+
+
+def encoded(value: Any) -> Iterator[bytes]:
+    """Encode a message as JSON, in pieces each of which takes a millisecond at most."""
+    if isinstance(value, dict):
+        short = {key: each for key, each in value.items() if key not in LONG_FIELDS}
+        yield json.dumps(short).encode()[:-1]
+        opening = b", " if short else b""
+        for key in LONG_FIELDS & value.keys():
+            yield opening + json.dumps(key).encode() + b": "
+            yield from encoded(value[key])
+            opening = b", "
+        yield b"}"
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        step = 1 if LONG_FIELDS & value[0].keys() else SLICE
+        opening = b"["
+        for first in range(0, len(value), step):
+            yield opening
+            yield from encoded(value[first]) if step == 1 else (json.dumps(value[first : first + step]).encode()[1:-1],)
+            opening = b", "
+        yield b"]"
+    else:
+        yield json.dumps(value).encode()
+
+
+def _taken(content: dict[str, Any], part: str, field: str) -> tuple[list[Any], dict[str, Any]]:
+    """Take a list out of a part of a message; return the list, and the message without it."""
+    inner = content.get(part)
+    if not isinstance(inner, dict) or not isinstance(inner.get(field), list):
+        return [], content
+    return inner[field], {**content, part: {**inner, field: []}}

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import pytest
+
+from protocol.messages import Stamp
+from protocol.publication import PublishedMessage
+from protocol.registry import Registry
+from server.graph import latching
+from server.graph.latching import MAX_RECENT_PER_TOPIC, LatchedMessages
+from server.graph.node import Node
+
+REGISTRY = Registry.load()
+
+
+def published(data: str, topic: str = "/t") -> PublishedMessage:
+    return PublishedMessage(topic, "std_msgs/msg/String", {"data": data}, REGISTRY, Stamp(1, 2))
+
+
+def data_of(kept: LatchedMessages, now: float, topic: str = "/t") -> list[str]:
+    return [one.msg["data"] for one in kept.of(topic, now)]
+
+
+@pytest.fixture
+def kept() -> LatchedMessages:
+    return LatchedMessages()
+
+
+def test_the_last_latched_message_is_kept_for_ever(kept: LatchedMessages) -> None:
+    assert kept.latch(published("old")) is None
+    assert kept.latch(published("new")) is None
+    assert data_of(kept, 1e9) == ["new"]
+
+
+def test_a_latched_message_can_be_given_an_end(kept: LatchedMessages) -> None:
+    kept.latch(published("x"))
+    kept.unlatch_at("/t", 10.0)
+    assert data_of(kept, 9.9) == ["x"]
+    assert data_of(kept, 10.1) == []
+
+
+def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
+    kept.latch(published("x"))
+    kept.unlatch_at("/t", 10.0)
+    kept.latch(published("y"))
+    assert data_of(kept, 100.0) == ["y"]
+
+
+def test_messages_are_kept_for_their_lifespan_in_order(kept: LatchedMessages) -> None:
+    for now, data in enumerate("abc"):
+        kept.keep(published(data), float(now), lifespan_s=1.5)
+    assert data_of(kept, 2.2) == ["b", "c"]
+    assert data_of(kept, 4.0) == []
+
+
+def test_topics_do_not_mix(kept: LatchedMessages) -> None:
+    kept.keep(published("a"), 0.0, 1.0)
+    kept.latch(published("b", "/other"))
+    assert data_of(kept, 0.5) == ["a"]
+    assert data_of(kept, 0.5, "/other") == ["b"]
+    kept.forget("/t")
+    assert data_of(kept, 0.5) == []
+    assert data_of(kept, 0.5, "/other") == ["b"]
+
+
+def test_of_one_topic_only_so_many_are_kept(kept: LatchedMessages) -> None:
+    for number in range(3 * MAX_RECENT_PER_TOPIC):
+        kept.keep(published(str(number)), 0.0, 1.0)
+    assert data_of(kept, 0.5) == [str(number) for number in range(2 * MAX_RECENT_PER_TOPIC, 3 * MAX_RECENT_PER_TOPIC)]
+
+
+def test_recent_messages_are_bounded_in_bytes_and_the_oldest_goes(
+    kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(latching, "MAX_RECENT_BYTES", 1000)
+    for number in range(20):
+        kept.keep(published(f"{number:0200}", f"/t{number}"), 0.0, 1.0)
+    assert [number for number in range(20) if kept.of(f"/t{number}", 0.5)] == [16, 17, 18, 19]
+
+
+def test_a_message_larger_than_the_bound_is_not_kept(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latching, "MAX_RECENT_BYTES", 1000)
+    kept.keep(published("x" * 2000), 0.0, 1.0)
+    assert data_of(kept, 0.5) == []
+    kept.keep(published("x"), 0.0, 1.0)
+    assert data_of(kept, 0.5) == ["x"]
+
+
+FIRST, SECOND = Node("first", remote=True), Node("second", remote=True)
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Limits of a few messages of 600 characters."""
+    monkeypatch.setattr(latching, "MAX_SERVER_LATCHED_BYTES", 1000)
+    monkeypatch.setattr(latching, "MAX_CLIENTS_LATCHED_BYTES", 2000)
+    monkeypatch.setattr(latching, "MAX_CLIENT_LATCHED_BYTES", 1300)
+
+
+@pytest.mark.usefixtures("small")
+class TestRoom:
+    def test_the_servers_latched_messages_are_bounded_in_bytes_together(self, kept: LatchedMessages) -> None:
+        assert kept.latch(published("x" * 600, "/a")) is None
+        assert kept.latch(published("x" * 600, "/b")) == (
+            "the server has 1222 bytes latched with it, the limit is 1000"
+        )
+        kept.unlatch("/a")
+        assert kept.latch(published("x" * 600, "/b")) is None
+        assert data_of(kept, 0.0, "/a") == []
+
+    def test_those_of_a_client_are_bounded(self, kept: LatchedMessages) -> None:
+        assert kept.latch(published("x" * 600, "/a"), FIRST) is None
+        assert kept.latch(published("x" * 600, "/b"), FIRST) is None
+        assert kept.latch(published("x" * 600, "/c"), FIRST) == (
+            "this client has 1833 bytes latched with it, the limit is 1300"
+        )
+        assert kept.latch(published("y" * 600, "/b"), FIRST) is None
+
+    def test_those_of_all_clients_are_bounded_together(self, kept: LatchedMessages) -> None:
+        for topic, client in (("/a", FIRST), ("/b", FIRST), ("/c", SECOND)):
+            assert kept.latch(published("x" * 600, topic), client) is None
+        assert kept.latch(published("x" * 600, "/d"), SECOND) == (
+            "all clients have 2444 bytes latched with it, the limit is 2000"
+        )
+
+    def test_a_message_that_has_an_end_makes_room_the_earliest_first(self, kept: LatchedMessages) -> None:
+        for topic in ("/a", "/b", "/c"):
+            kept.latch(published("x" * 600, topic), FIRST)
+            kept.unlatch_at(topic, 10.0)
+        assert kept.latch(published("x" * 600, "/d"), SECOND) is None
+        assert [bool(data_of(kept, 5.0, topic)) for topic in ("/a", "/b", "/c", "/d")] == [False, True, True, True]
+
+    def test_it_makes_none_for_the_other_side(self, kept: LatchedMessages) -> None:
+        kept.latch(published("x" * 600, "/a"))
+        kept.unlatch_at("/a", 10.0)
+        for topic, client in (("/b", FIRST), ("/c", FIRST), ("/d", SECOND), ("/e", SECOND)):
+            kept.latch(published("x" * 600, topic), client)
+        assert data_of(kept, 5.0, "/a") != []
+
+    def test_after_its_end_it_takes_no_room(self, kept: LatchedMessages) -> None:
+        kept.latch(published("x" * 600, "/a"))
+        kept.unlatch_at("/a", 10.0)
+        kept.give_up_old(10.1)
+        assert kept._of_server.size_bytes == 0
+        assert not kept._latched
+
+    def test_before_its_end_it_stays(self, kept: LatchedMessages) -> None:
+        kept.latch(published("x", "/a"))
+        kept.unlatch_at("/a", 10.0)
+        kept.give_up_old(9.9)
+        assert data_of(kept, 9.9, "/a") == ["x"]
+
+    def test_what_is_given_up_is_off_every_account(self, kept: LatchedMessages) -> None:
+        for topic in ("/a", "/b"):
+            kept.latch(published("x" * 600, topic), FIRST)
+        kept.unlatch_at("/a", 10.0)
+        kept.unlatch_at("/a", 11.0)
+        for topic in ("/a", "/b"):
+            kept.forget(topic)
+        assert kept._of_clients.size_bytes == 0
+        assert not kept._of_clients.ending
+        assert not kept._by_client

@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from server.monitoring.memory import (
+    EXCESS_BYTES,
+    FIRST_TRIM_S,
+    FULL_COLLECTION_PERIOD_S,
+    LONGEST_TRIM_S,
+    THRESHOLDS,
+    CollectorPolicy,
+    MemoryKeeper,
+    resident_bytes,
+    trim_heap,
+)
+
+BASE_BYTES = 80 << 20
+
+
+class StepClock:
+    """A clock that goes on by a step at each look."""
+
+    def __init__(self, step_s: float) -> None:
+        self.step_s = step_s
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        self.now_s += self.step_s
+        return self.now_s
+
+
+class Node:
+    """Something that can refer to itself."""
+
+    alive = 0
+
+    def __init__(self) -> None:
+        self.itself = self
+        Node.alive += 1
+
+    def __del__(self) -> None:
+        Node.alive -= 1
+
+
+@pytest.fixture
+def clock() -> StepClock:
+    return StepClock(0.0)
+
+
+@pytest.fixture
+def collector(clock: StepClock) -> Iterator[CollectorPolicy]:
+    made = CollectorPolicy(clock)
+    made.start()
+    yield made
+    made.stop()
+
+
+def test_what_outlives_a_slow_collection_is_not_gone_through_again(
+    collector: CollectorPolicy, clock: StepClock
+) -> None:
+    clock.step_s = 0.1
+    lists = [[] for _ in range(1000)]
+    gc.collect()
+    assert collector.overdue
+    found = gc.get_objects(generation=2)
+    assert not any(each is lists[0] for each in found)
+
+
+def test_a_quick_collection_leaves_nothing_out(collector: CollectorPolicy) -> None:
+    before = gc.get_freeze_count()
+    lists = [[] for _ in range(1000)]
+    gc.collect()
+    assert not collector.overdue
+    assert gc.get_freeze_count() == before
+    assert lists
+
+
+def test_young_collections_leave_nothing_out(collector: CollectorPolicy, clock: StepClock) -> None:
+    clock.step_s = 0.1
+    gc.collect(1)
+    assert not collector.overdue
+
+
+def test_garbage_that_was_left_out_is_found_by_a_collection_of_all(
+    collector: CollectorPolicy, clock: StepClock
+) -> None:
+    clock.step_s = 0.1
+    node = Node()
+    gc.collect()
+    del node
+    gc.collect()
+    assert Node.alive == 1
+    collector.collect_all()
+    assert (Node.alive, collector.overdue) == (0, False)
+
+
+def test_the_collector_is_put_back_to_what_it_was() -> None:
+    before = gc.get_threshold(), list(gc.callbacks)
+    collector = CollectorPolicy()
+    collector.start()
+    assert gc.get_threshold() == THRESHOLDS
+    collector.stop()
+    collector.stop()
+    assert (gc.get_threshold(), gc.callbacks) == before
+
+
+class Collections(CollectorPolicy):
+    """A policy whose collections of all are only counted."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.made = 0
+
+    @property
+    def overdue(self) -> bool:
+        return True
+
+    def collect_all(self) -> None:
+        self.made += 1
+
+
+class KeeperRig:
+    """A keeper of memory that a test sets."""
+
+    def __init__(self) -> None:
+        self.collector = Collections()
+        self.quiet = True
+        self.resident = BASE_BYTES
+        self.gain = 0
+        self.trims: list[float] = []
+        self.threads: set[str] = set()
+        self.now_s = 0.0
+        self.keeper = MemoryKeeper(self.collector, lambda: self.quiet, lambda: self.resident, self._trim)
+
+    def _trim(self) -> None:
+        self.threads.add(threading.current_thread().name)
+        self.trims.append(self.now_s)
+        self.resident -= self.gain
+
+    async def check(self, seconds: int = 1) -> None:
+        for _ in range(seconds):
+            self.now_s += 1.0
+            await self.keeper.check(self.now_s)
+
+
+@pytest.fixture
+async def rig() -> KeeperRig:
+    made = KeeperRig()
+    await made.check(2)
+    return made
+
+
+async def test_memory_of_a_burst_is_given_back_by_a_thread(rig: KeeperRig) -> None:
+    rig.resident, rig.gain = BASE_BYTES + EXCESS_BYTES, EXCESS_BYTES
+    await rig.check(3)
+    assert len(rig.trims) == 1
+    assert threading.current_thread().name not in rig.threads
+
+
+async def test_a_little_memory_is_kept(rig: KeeperRig) -> None:
+    rig.resident += EXCESS_BYTES - 1
+    await rig.check(10)
+    assert not rig.trims
+
+
+async def test_while_memory_grows_none_is_given_back(rig: KeeperRig) -> None:
+    for _ in range(10):
+        rig.resident += EXCESS_BYTES
+        await rig.check()
+    assert not rig.trims
+
+
+async def test_while_something_moves_nothing_pauses_for_memory(rig: KeeperRig) -> None:
+    rig.resident += 10 * EXCESS_BYTES
+    rig.quiet = False
+    await rig.check(int(2 * FULL_COLLECTION_PERIOD_S))
+    assert (len(rig.trims), rig.collector.made) == (0, 1)
+    rig.quiet = True
+    await rig.check()
+    assert (len(rig.trims), rig.collector.made) == (1, 2)
+
+
+async def test_trims_in_vain_become_rare(rig: KeeperRig) -> None:
+    rig.resident += 10 * EXCESS_BYTES
+    await rig.check(2000)
+    waits = [after - before for before, after in zip(rig.trims, rig.trims[1:], strict=False)]
+    assert waits[:3] == [2 * FIRST_TRIM_S, 4 * FIRST_TRIM_S, 8 * FIRST_TRIM_S]
+    assert max(waits) == LONGEST_TRIM_S
+
+
+async def test_after_a_gain_the_next_trim_comes_soon_again(rig: KeeperRig) -> None:
+    rig.resident += 10 * EXCESS_BYTES
+    await rig.check(1000)
+    rig.gain = 4 * EXCESS_BYTES
+    await rig.check(int(LONGEST_TRIM_S) + int(FIRST_TRIM_S))
+    assert rig.trims[-1] - rig.trims[-2] == FIRST_TRIM_S
+
+
+async def test_all_is_collected_no_more_often_than_its_period(rig: KeeperRig) -> None:
+    await rig.check(int(3 * FULL_COLLECTION_PERIOD_S) - 10)
+    assert rig.collector.made == 3
+
+
+def test_free_memory_between_used_memory_is_given_back() -> None:
+    # Of a size that is taken from the heap, and not by itself from the system.
+    taken = [bytearray(3000) for _ in range(20_000)]
+    kept = taken[::50]
+    full = resident_bytes()
+    del taken
+    trim_heap()
+    assert full - resident_bytes() > 40_000_000
+    assert kept

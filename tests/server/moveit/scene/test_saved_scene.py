@@ -1,0 +1,337 @@
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot import files
+from server.graph.message_types import MessageTypes
+from server.moveit.scene import saved_scene
+from server.moveit.scene.interface import EVERYTHING, NO_STATE, scene_message
+from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, SavedScene, SceneFile, encoded
+from server.moveit.scene.scene_state import SceneState
+from tests.helpers.clients import arm_client
+from tests.helpers.clock import FakeClock
+from tests.helpers.moveit import BENT, REGISTRY, ROBOT, box, diff, held, message, pose
+from tests.helpers.server import RunningServer
+
+CORNERS = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.1, "z": 0.0}]
+MESH = {"triangles": [{"vertex_indices": [0, 1, 2]}], "vertices": CORNERS}
+COLOR = {"r": 1.0, "g": 0.5, "b": 0.0, "a": 1.0}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "armbridge" / "scene.json"
+
+
+class Run:
+    """One run of a server, as far as its scene goes; time passes when a test says so."""
+
+    def __init__(self, path: Path) -> None:
+        self.clock, self.state = FakeClock(), SceneState(ROBOT)
+        types = MessageTypes(REGISTRY, self.clock)
+        self.file = SceneFile(path)
+        self.saved = SavedScene(self.file, self.state, ROBOT, types, self.clock, self.clock.call_later)
+
+    async def __aenter__(self) -> Run:
+        await self.saved.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.saved.close()
+
+    def apply(self, **fields: Any) -> None:
+        self.state.apply_diff(diff(**fields), BENT)
+
+    def add(self, *names: str) -> None:
+        self.apply(world={"collision_objects": [box(name, at=pose(x=0.5)) for name in names]})
+
+    def message(self) -> dict[str, Any]:
+        return scene_message(self.state.contents, ROBOT, NO_STATE, EVERYTHING)
+
+    async def pass_time(self, seconds: float) -> None:
+        """Let time pass, and what is then written be written."""
+        self.clock.advance(seconds)
+        while self.saved._writing is not None:
+            await asyncio.sleep(0.001)
+
+    def written(self) -> list[str] | None:
+        """Names of the objects in the file; None without a file."""
+        content = self.file.read()
+        return None if content is None else [each["id"] for each in content["world"]["collision_objects"]]
+
+
+async def test_all_that_clients_added_is_there_at_the_next_start(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    names = [*ROBOT.links, "wall"]
+    async with Run(path) as run:
+        mesh = {
+            "id": "mesh",
+            "meshes": [MESH],
+            "pose": pose(y=0.4),
+            "subframe_names": ["tip"],
+            "subframe_poses": [pose()],
+        }
+        run.apply(
+            name="kitchen",
+            world={"collision_objects": [box("wall", at=pose(x=0.5)), mesh]},
+            robot_state={
+                "attached_collision_objects": [
+                    held("cup", touch_links=("moving_jaw_so101_v1_link",), primitives=[CUBE])
+                ]
+            },
+            allowed_collision_matrix={
+                "entry_names": names,
+                "entry_values": [{"enabled": [True] * len(names)} for _ in names],
+                "default_entry_names": ["mesh"],
+                "default_entry_values": [True],
+            },
+            link_padding=[{"link_name": "gripper_link", "padding": 0.01}],
+            object_colors=[{"id": "wall", "color": COLOR}],
+            fixed_frame_transforms=[{"header": {"frame_id": ROBOT.root_link}, "child_frame_id": "table"}],
+        )
+        kept = run.message()
+    async with Run(path) as again:
+        assert again.message() == kept
+        assert [each.pose for each in again.state.scene.objects] == [each.pose for each in run.state.scene.objects]
+    assert f"the planning scene is restored from {path}: 3 objects, 1 of them held" in caplog.text
+
+
+CUBE = {"type": 1, "dimensions": [0.05, 0.05, 0.05]}
+
+
+async def test_a_matrix_that_nobody_changed_is_left_to_the_description(path: Path) -> None:
+    async with Run(path) as run:
+        run.add("wall")
+    assert run.file.read()["allowed_collision_matrix"]["entry_names"] == []
+
+
+async def test_a_scene_that_nobody_changed_is_not_written(path: Path) -> None:
+    async with Run(path) as run:
+        await run.pass_time(10.0)
+    assert run.written() is None
+
+
+async def test_changes_are_written_together_after_a_while_and_the_last_ones_at_the_end(path: Path) -> None:
+    async with Run(path) as run:
+        run.add("a")
+        await run.pass_time(0.9 * DELAY_S)
+        run.add("b")
+        assert run.written() is None
+        await run.pass_time(0.1 * DELAY_S)
+        assert run.written() == ["a", "b"]
+        run.add("c")
+        assert run.written() == ["a", "b"]
+    assert run.written() == ["a", "b", "c"]
+
+
+async def test_what_changes_while_it_is_written_is_written_next(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with Run(path) as run:
+        write = run.file.write
+        loop = asyncio.get_running_loop()
+
+        def slow(content: Any) -> None:
+            loop.call_soon_threadsafe(run.add, "b")
+            write(content)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(run.file, "write", slow)
+            run.add("a")
+            await run.pass_time(DELAY_S)
+        assert run.written() == ["a"]
+        await run.pass_time(DELAY_S)
+        assert run.written() == ["a", "b"]
+
+
+async def test_a_slow_disk_is_written_to_less_often(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with Run(path) as run:
+        monkeypatch.setattr(run.file, "write", lambda _content: run.clock.advance(2.0))
+        run.add("a")
+        await run.pass_time(DELAY_S)
+        monkeypatch.undo()
+        run.add("b")
+        await run.pass_time(0.9 * 2.0 / WRITING_SHARE)
+        assert run.written() is None
+        await run.pass_time(0.1 * 2.0 / WRITING_SHARE)
+        assert run.written() == ["a", "b"]
+
+
+BROKEN = {
+    "not JSON": "{",
+    "nests too deep": "[" * 100_000,
+    "not UTF-8": "\udcff",
+    "another form": "[]",
+    "a word for a list": '{"world": {"collision_objects": "all"}}',
+    "no object": '{"world": {"collision_objects": [7]}}',
+    "an object without shape": '{"world": {"collision_objects": [{"id": "x"}]}}',
+    "an unknown link": json.dumps({"robot_state": {"attached_collision_objects": [held("cup", "tail")]}}),
+}
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
+def test_a_file_that_cannot_be_restored_is_set_aside_and_the_scene_kept_anew(
+    path: Path, content: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path.parent.mkdir()
+    octets = content.encode("utf-8", "surrogateescape")
+    path.write_bytes(octets)
+
+    async def run() -> Run:
+        async with Run(path) as made:
+            assert made.state.contents == SceneState(ROBOT).contents
+            made.add("wall")
+            return made
+
+    assert asyncio.run(run()).written() == ["wall"]
+    assert path.with_name("scene.json.broken").read_bytes() == octets
+    assert "cannot be restored" in caplog.text
+
+
+def test_a_file_that_cannot_be_read_prevents_nothing_and_stays(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path.mkdir(parents=True)
+
+    async def run() -> None:
+        async with Run(path) as made:
+            made.add("wall")
+
+    asyncio.run(run())
+    assert path.is_dir()
+    assert "is not kept" in caplog.text
+
+
+async def test_a_directory_that_cannot_be_written_prevents_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "file").touch()
+    async with Run(tmp_path / "file" / "scene.json") as run:
+        run.add("wall")
+    assert "the planning scene is not kept in" in caplog.text
+
+
+async def test_a_scene_that_is_too_large_is_told_once_and_leaves_no_older_one(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Run(path) as run:
+        run.add("a")
+        await run.pass_time(DELAY_S)
+        monkeypatch.setattr(saved_scene, "MAX_FILE_BYTES", 100)
+        for name in "bc":
+            run.add(name)
+            await run.pass_time(DELAY_S)
+        assert caplog.text.count("more than 100 bytes") == 1
+        assert run.written() is None
+
+
+async def test_a_disk_that_was_full_is_written_to_at_the_next_change(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(_path: Path, _content: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    async with Run(path) as run:
+        with monkeypatch.context() as patched:
+            patched.setattr(files, "replace", full)
+            run.add("a")
+            await run.pass_time(DELAY_S)
+        assert "No space left" in caplog.text
+        run.add("b")
+        await run.pass_time(DELAY_S)
+        assert run.written() == ["a", "b"]
+
+
+async def test_a_server_that_is_just_ending_is_waited_for(path: Path) -> None:
+    first = Run(path)
+    await first.saved.start()
+    first.add("wall")
+    second = asyncio.create_task(Run(path).__aenter__())
+    await asyncio.sleep(0.05)
+    await first.saved.close()
+    run = await second
+    assert list(run.state.contents.objects) == ["wall"]
+    await run.saved.close()
+
+
+async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(files, "LOCK_TIMEOUT_S", 0.0)
+    async with Run(path) as first:
+        first.add("wall")
+        await first.pass_time(DELAY_S)
+        async with Run(path) as second:
+            assert second.state.contents.objects == {}
+            second.add("mine")
+        assert f"{path} is in use by armbridge (process {os.getpid()}); give one of the two servers" in caplog.text
+        assert first.written() == ["wall"]
+    async with Run(path) as third:
+        assert list(third.state.contents.objects) == ["wall"]
+
+
+json_values: st.SearchStrategy[Any] = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text() | st.just("vertices"), st.lists(inner)),
+)
+
+
+@given(json_values)
+def test_pieces_together_are_json(value: Any) -> None:
+    assert json.loads(b"".join(encoded(value))) == value
+
+
+def test_a_mesh_is_encoded_in_small_pieces() -> None:
+    mesh = {"vertices": CORNERS * 5_000, "triangles": MESH["triangles"] * 5_000}
+    scene = message("PlanningScene", world={"collision_objects": [box("a", meshes=[mesh]), box("b")]})
+    pieces = list(encoded(scene))
+    assert json.loads(b"".join(pieces)) == scene
+    assert max(map(len, pieces)) < 50_000
+    assert len(pieces) < 1_000
+
+
+def test_numbers_that_are_not_finite_come_back() -> None:
+    assert math.isnan(json.loads(b"".join(encoded({"weight": math.nan})))["weight"])
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+async def test_a_server_that_was_ended_or_killed_starts_with_its_scene_though_it_touches_the_arm(
+    tmp_path: Path, end: signal.Signals
+) -> None:
+    settings = {"ARMBRIDGE_SCENE__FILE": str(tmp_path / "scene.json")}
+    around = {"collision_objects": [box("around the arm", at=pose(z=0.1))]}
+    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": around}
+    with RunningServer(settings=settings) as first:
+        async with arm_client(first.url) as client:
+            assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+        if end is signal.SIGKILL:
+            await until_there(lambda: (tmp_path / "scene.json").exists())
+        first.end(end)
+    with RunningServer(settings=settings) as second:
+        assert second.has_logged("the planning scene is restored from")
+        async with arm_client(second.url) as client:
+            shown = (await client.call("/get_planning_scene"))["scene"]
+        assert [each["id"] for each in shown["world"]["collision_objects"]] == ["around the arm"]
+
+
+async def until_there(there: Callable[[], bool]) -> None:
+    async with asyncio.timeout(30.0):
+        while not there():
+            await asyncio.sleep(0.02)
+
+
+async def test_a_server_that_keeps_no_scene_writes_none(tmp_path: Path) -> None:
+    settings = {"ARMBRIDGE_SCENE__FILE": str(tmp_path / "scene.json"), "ARMBRIDGE_SCENE__KEEP": "false"}
+    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [box("wall")]}}
+    with RunningServer(settings=settings) as server:
+        async with arm_client(server.url) as client:
+            assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+        server.end(signal.SIGTERM)
+    assert os.listdir(tmp_path) == []  # noqa: PTH208

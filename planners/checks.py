@@ -33,6 +33,9 @@ START_CONTACT_DEPTH_M = 0.01
 MAX_ATTEMPTS = 1000
 MAX_PLANNING_TIME_S = 3600.0
 
+# Pairs in contact that an answer names; a scene of 1000 shapes has thousands where the arm is amid them.
+MAX_PAIRS = 100
+
 # A joint that is measured while it moves at its limit may be reported a little faster.
 SPEED_TOLERANCE = 1e-6
 
@@ -121,8 +124,8 @@ def describe_pairs(pairs: Sequence[CollidingPair]) -> str:
 
 
 def pairs_as_data(pairs: Sequence[CollidingPair]) -> list[dict[str, Any]]:
-    """The pairs as plain values."""
-    return [asdict(pair) for pair in pairs]
+    """The pairs as plain values, `MAX_PAIRS` of them at most."""
+    return [asdict(pair) for pair in pairs[:MAX_PAIRS]]
 
 
 def _number_flaws(problem: PlanningProblem) -> Iterator[PlanningFailure]:

@@ -10,11 +10,11 @@ import numpy as np
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Scene, SceneObject, Shape, Sphere
 
-# A tree over this many triangles takes half a second to build and 100 MB; a scan of a workshop has fewer.
-MAX_TRIANGLES = 200_000
+# A tree over this many triangles takes 0.2 s to build and 40 MB; a scan of a workshop has fewer.
+MAX_TRIANGLES = 80_000
 
-# All meshes of a scene together: their trees leave a planner process four fifths of its memory.
-MAX_SCENE_TRIANGLES = 400_000
+# All meshes of a scene together: as JSON they have 7 MB, and clients are sent a whole scene in one message.
+MAX_SCENE_TRIANGLES = 160_000
 
 # Each shape adds a pair with every link; this many still build within 50 ms.
 MAX_SHAPES = 1000

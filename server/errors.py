@@ -4,6 +4,7 @@ ServerError
 ├── GraphError          an operation on a topic, service or action that the graph refuses
 ├── ServiceError        a service that cannot do what it is asked for
 │   └── FileTooLargeError   a file that has more bytes than are served
+├── UnsuccessfulError   a service that has not succeeded, with its response
 ├── RefusedError        a request that cannot be carried out, with the failure that answers it
 ├── ConfigurationError  a setting that is wrong or contradicts another
 ├── RecordingError      a recording that cannot be read
@@ -41,6 +42,20 @@ class ServiceError(ServerError):
 
 class FileTooLargeError(ServiceError):
     """A file that has more bytes than are served."""
+
+
+class UnsuccessfulError(ServerError):
+    """A service that has not succeeded, as its response says; the response has no field for the reason.
+
+    Attributes:
+        response: the response message.
+        complete: True if the response has every field.
+    """
+
+    def __init__(self, response: Mapping[str, Any], reason: str, *, complete: bool = False) -> None:
+        super().__init__(reason)
+        self.response = response
+        self.complete = complete
 
 
 class RefusedError(ServerError):

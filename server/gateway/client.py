@@ -271,6 +271,8 @@ class ClientServices:
         def end(response: Response) -> None:
             self._calls_in_flight -= 1
             self._planning_calls -= plans
+            if response.reason:
+                self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
             answer(response)
 
         if self._calls_in_flight >= self._limits.max_calls_in_flight:

@@ -118,8 +118,8 @@ class ClientStatus:
         else:
             self.refuse(Refusal(op, id_, text))
 
-    def tell(self, level: Literal["warning", "info"], operation: Operation, text: str) -> None:
-        """Tell of an operation that is carried out."""
+    def tell(self, level: Literal["error", "warning", "info"], operation: Operation, text: str) -> None:
+        """Tell of an operation that is carried out; of an error that is logged elsewhere."""
         self._session.status(level, f"{operation.op}: {text}", operation.id)
         self._wake()
 

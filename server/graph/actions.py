@@ -16,6 +16,7 @@ from typing import Any
 from protocol.errors import InterfaceError, MessageError
 from server.errors import GraphError
 from server.graph.index import Index
+from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
@@ -156,10 +157,12 @@ class ActionProvider(Provider):
 
     Attributes:
         start: gets each goal.
+        check_lists: checks the lists of a goal message before it is completed; None for any.
         goals: those in flight by their id in base64, the oldest first.
     """
 
     start: Callable[[Goal], None]
+    check_lists: CheckLists | None = None
     goals: dict[str, Goal] = field(default_factory=dict)
 
 
@@ -180,7 +183,14 @@ class Actions(ProviderDirectory[ActionProvider]):
         # Those in flight, by their sender.
         self._sent: Index[Node, Goal] = Index()
 
-    def offer(self, node: Node, name: str, type_name: str, start: Callable[[Goal], None]) -> None:
+    def offer(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        start: Callable[[Goal], None],
+        limits: ListLimits | None = None,
+    ) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
 
         Args:
@@ -189,11 +199,17 @@ class Actions(ProviderDirectory[ActionProvider]):
             type_name: the action's type.
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
                 `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
+            limits: of the lists in a goal message; None for any.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
-        offer = ActionProvider(node, name, self._offers.claim(node, name, type_name), start)
+        canonical = self._offers.claim(node, name, type_name)
+        check_lists = None
+        if limits is not None:
+            check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
+            self._message_types.prepare(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
+        offer = ActionProvider(node, name, canonical, start, check_lists)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
@@ -238,6 +254,8 @@ class Actions(ProviderDirectory[ActionProvider]):
         """
         try:
             offer = self._offer(name, type_name)
+            if offer.check_lists is not None:
+                offer.check_lists(arguments)
             request = self._message_types.complete_arguments(f"{offer.type_name}_Goal", arguments)
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))

@@ -38,15 +38,17 @@ class ReceivedMessage:
         size_bytes: as given.
         dialect: as given.
         are_arguments: True for a request or a goal, whose fields may come in order of declaration.
+        checked: True once its lists have been found to be within their limits.
     """
 
-    __slots__ = ("_completed", "_type_name", "are_arguments", "dialect", "size_bytes", "value")
+    __slots__ = ("_completed", "_type_name", "are_arguments", "checked", "dialect", "size_bytes", "value")
 
     def __init__(self, value: object, size_bytes: int, dialect: Dialect = "ros2") -> None:
         self.value = value
         self.size_bytes = size_bytes
         self.dialect = dialect
         self.are_arguments = False
+        self.checked = False
         self._type_name: str | None = None
         self._completed: dict[str, Any] | MessageError | None = None
 
@@ -127,6 +129,11 @@ class MessageTypes:
     def now(self) -> Stamp:
         """Return the time of receipt of what comes now."""
         return Stamp.from_seconds(self._wall_clock())
+
+    def prepare(self, *type_names: str) -> None:
+        """Compile types ahead of their first messages: the largest ones take 20 ms."""
+        for type_name in type_names:
+            messages.complete(self.registry, type_name, {}, Stamp(0, 0))
 
     def complete(self, type_name: str, value: object, received: Stamp | None = None) -> dict[str, Any]:
         """Validate a message and fill in what it leaves out; see `protocol.messages.complete`.

@@ -15,8 +15,9 @@ from typing import Any, TypeAlias
 
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
-from server.errors import ServiceError
+from server.errors import ServiceError, UnsuccessfulError
 from server.graph.index import Index
+from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
@@ -24,8 +25,19 @@ from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
 
+
+@dataclass(frozen=True)
+class CompleteResponse:
+    """A large response message that is complete and valid already; nobody may change it any more."""
+
+    message: Mapping[str, Any]
+
+
+# Fields of a response message, of which some may be left out, or all of them.
+Answered: TypeAlias = Mapping[str, Any] | CompleteResponse
+
 # Offered by a local part: request in, response out, both in ROS 2 spelling.
-ServiceFunction: TypeAlias = Callable[[dict[str, Any]], Mapping[str, Any] | Awaitable[Mapping[str, Any]]]
+ServiceFunction: TypeAlias = Callable[[dict[str, Any]], Answered | Awaitable[Answered]]
 
 
 @dataclass(frozen=True)
@@ -35,10 +47,12 @@ class Response:
     Attributes:
         ok: whether the service succeeded.
         values: the complete response message; of a call that failed a sentence, or what the provider gave.
+        reason: why the response says that the service has not succeeded, for types without a field for it.
     """
 
     ok: bool
     values: Any
+    reason: str = ""
 
 
 class Call(PendingRequest[Response]):
@@ -77,8 +91,12 @@ class Call(PendingRequest[Response]):
         self.dialect = dialect
         self._message_types = message_types
 
-    def succeed(self, values: object) -> None:
+    def succeed(self, values: object, reason: str = "") -> None:
         """Answer with a response message; what it leaves out gets its default.
+
+        Args:
+            values: the message.
+            reason: as in `Response`.
 
         Raises:
             MessageError: the values do not fit the service's type; the caller has been told that the call failed.
@@ -88,14 +106,14 @@ class Call(PendingRequest[Response]):
         except MessageError as error:
             self.fail(f"Service {self.service} gave a response that does not fit {self.type_name}: {error}")
             raise
-        self._end(Response(ok=True, values=completed))
+        self._end(Response(ok=True, values=completed, reason=reason))
 
-    def succeed_as_it_is(self, response: Mapping[str, Any]) -> None:
+    def succeed_as_it_is(self, response: Mapping[str, Any], reason: str = "") -> None:
         """Answer with a response message that is complete and valid already.
 
         For a large one of the server's own, of which most has been told before. Nobody may change it from here on.
         """
-        self._end(Response(ok=True, values=response))
+        self._end(Response(ok=True, values=response, reason=reason))
 
     def fail(self, values: object) -> None:
         """Answer that it failed, with a sentence or with what the provider gave."""
@@ -111,12 +129,19 @@ def answer(call: Call, function: ServiceFunction) -> None:
             # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
             call.when_ended(lambda _response: task.cancel())
         else:
-            call.succeed(values)
+            _succeed(call, values)
 
 
-async def _answer_later(call: Call, values: Awaitable[Mapping[str, Any]]) -> None:
+async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
     with failure_told(call):
-        call.succeed(await values)
+        _succeed(call, await values)
+
+
+def _succeed(call: Call, values: Answered, reason: str = "") -> None:
+    if isinstance(values, CompleteResponse):
+        call.succeed_as_it_is(values.message, reason)
+    else:
+        call.succeed(values, reason)
 
 
 @contextlib.contextmanager
@@ -126,6 +151,8 @@ def failure_told(call: Call) -> Iterator[None]:
         yield
     except ServiceError as error:
         call.fail(str(error))
+    except UnsuccessfulError as error:
+        _succeed(call, CompleteResponse(error.response) if error.complete else error.response, str(error))
     except Exception:  # a bug in a service must not leave its caller waiting
         log.exception("service %s failed", call.service)
         call.fail(f"Service {call.service} failed inside the server")
@@ -143,6 +170,9 @@ MAX_TIMEOUT_S = 3600.0
 # As for topics: far more than any robot has.
 MAX_SERVICES = 10_000
 
+# Of requests to parts of the server that say nothing else.
+DEFAULT_LIMITS = ListLimits()
+
 
 @dataclass(eq=False)
 class ServiceProvider(Provider):
@@ -151,11 +181,13 @@ class ServiceProvider(Provider):
     Attributes:
         start: gets each call.
         timeout_s: how long a call may take that names no time of its own [s].
+        check_lists: checks the lists of a request before it is completed; None for any.
         calls: those in flight, the oldest first.
     """
 
     start: Callable[[Call], None]
     timeout_s: float
+    check_lists: CheckLists | None = None
     calls: dict[Call, None] = field(default_factory=dict)
 
 
@@ -175,7 +207,13 @@ class Services(ProviderDirectory[ServiceProvider]):
         self._calls: Index[Node, Call] = Index()
 
     def offer(
-        self, node: Node, name: str, type_name: str, function: ServiceFunction, timeout_s: float = LOCAL_TIMEOUT_S
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        function: ServiceFunction,
+        timeout_s: float = LOCAL_TIMEOUT_S,
+        limits: ListLimits = DEFAULT_LIMITS,
     ) -> None:
         """Offer a service of a local part.
 
@@ -186,11 +224,12 @@ class Services(ProviderDirectory[ServiceProvider]):
             function: gets the complete request and returns the response, at once or when awaited. It raises
                 ServiceError with the reason when it cannot.
             timeout_s: how long a call may take that names no time of its own [s].
+            limits: of the lists in a request.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by another part of the server.
         """
-        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s)
+        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits)
 
     def offer_calls(
         self,
@@ -199,16 +238,22 @@ class Services(ProviderDirectory[ServiceProvider]):
         type_name: str,
         start: Callable[[Call], None],
         timeout_s: float = DEFAULT_TIMEOUT_S,
+        limits: ListLimits | None = None,
     ) -> None:
         """Offer a service whose calls are handed over one by one, to be ended by `Call.succeed` or `Call.fail`.
 
-        A client takes the place of a client that offered the service before.
+        A client takes the place of a client that offered the service before. Only limits of parts of the server are
+        given: what another client answers costs the server no more than to pass it on.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
         canonical = self._offers.claim(node, name, type_name)
-        self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s))
+        check_lists = None
+        if limits is not None:
+            check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
+            self._message_types.prepare(f"{canonical}_Request", f"{canonical}_Response")
+        self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists))
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""
@@ -245,6 +290,8 @@ class Services(ProviderDirectory[ServiceProvider]):
             on_response(Response(ok=False, values=f"Service {name} does not exist"))
             return
         try:
+            if offer.check_lists is not None:
+                offer.check_lists(arguments)
             request = self._message_types.complete_arguments(f"{offer.type_name}_Request", arguments)
         except MessageError as error:
             on_response(Response(ok=False, values=f"Service {name}: {error}"))

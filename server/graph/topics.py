@@ -17,12 +17,14 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from protocol.errors import InterfaceError, MessageError
+from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph.actions import Actions
 from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
+from server.graph.list_limits import CheckLists
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.services import Services
@@ -61,11 +63,13 @@ class Subscriber:
         refused: called with the error when somebody publishes what the topic's type does not allow.
         turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
             sender, and with a sentence that says why.
+        check_lists: checks the lists of a message before it is completed, whoever publishes it; None for any.
     """
 
     deliver: Callable[[PublishedMessage], None]
     refused: Callable[[MessageError], None] | None = None
     turned_away: Callable[[Mapping[str, Any], Node, str], None] | None = None
+    check_lists: CheckLists | None = None
 
 
 @dataclass
@@ -238,7 +242,14 @@ class Graph:
             self.unsubscribe(node, name)
 
     def publish(
-        self, node: Node, name: str, message: object, *, latch: bool = False, lifespan_s: float = 0.0
+        self,
+        node: Node,
+        name: str,
+        message: object,
+        *,
+        latch: bool = False,
+        lifespan_s: float = 0.0,
+        as_it_is: bool = False,
     ) -> str | None:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
 
@@ -248,6 +259,8 @@ class Graph:
             message: the message.
             latch: keep it for who subscribes later, as for a topic advertised so.
             lifespan_s: otherwise, for how long it reaches who subscribes later [s].
+            as_it_is: the message is complete and valid already, as a large one of the server's own; nobody may change
+                it any more.
 
         Returns:
             A sentence about a message that could not be latched: it is delivered, and lost to who subscribes later.
@@ -261,7 +274,7 @@ class Graph:
             self._check_publications(node, name)
         received = self.message_types.now()
         try:
-            completed = self.message_types.complete(topic.type_name, message, received)
+            completed: Any = message if as_it_is else self._completed(topic, message, received)
         except MessageError as error:
             for subscriber in list(topic.subscribers.values()):
                 if subscriber.refused is not None:
@@ -306,11 +319,17 @@ class Graph:
         if topic is None or not listeners:
             return
         try:
-            completed: Mapping[str, Any] = self.message_types.complete(topic.type_name, message)
+            completed: Mapping[str, Any] = self._completed(topic, message, self.message_types.now())
         except MessageError:
             completed = {}
         for turned_away in listeners:
             turned_away(completed, node, reason)
+
+    def _completed(self, topic: Topic, message: object, received: Stamp) -> dict[str, Any]:
+        for subscriber in topic.subscribers.values():
+            if subscriber.check_lists is not None:
+                subscriber.check_lists(message)
+        return self.message_types.complete(topic.type_name, message, received)
 
     def tell(self, node: Node, name: str, message: object) -> None:
         """Deliver a message to one subscriber alone; nothing happens when it is none.
@@ -332,7 +351,7 @@ class Graph:
                 PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
             )
 
-    def latch(self, name: str, message: object) -> None:
+    def latch(self, name: str, message: object, *, as_it_is: bool = False) -> None:
         """Keep a message for who subscribes later, and deliver it to nobody now.
 
         For topics that tell those who listen of changes alone; otherwise latch what is published.
@@ -340,13 +359,14 @@ class Graph:
         Args:
             name: fully qualified name of a topic that is advertised.
             message: what a new subscriber is to get first.
+            as_it_is: as for :meth:`publish`.
 
         Raises:
             GraphError: nobody has said what type the topic has.
             MessageError: the message does not fit the type.
         """
         topic, received = self._topic(name), self.message_types.now()
-        completed = self.message_types.complete(topic.type_name, message, received)
+        completed: Any = message if as_it_is else self.message_types.complete(topic.type_name, message, received)
         published = PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
         self._latch(published, None)
 

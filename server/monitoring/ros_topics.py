@@ -18,7 +18,7 @@ from robot import logs
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.topics import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
-from server.errors import ServiceError
+from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -181,7 +181,7 @@ LEVELS = {
 }
 
 # Loggers in one request; there are a few dozen.
-MAX_REQUESTED = 1000
+MAX_REQUESTED = 200
 
 _OURS = re.compile(rf"{OUR_LOGGER}(\.[a-z0-9_]{{1,40}}){{0,4}}")
 
@@ -236,24 +236,23 @@ def log_message(record: logging.LogRecord) -> dict[str, Any]:
 def offer_level_services(graph: Graph) -> None:
     """Offer the services that get and set the levels of loggers."""
     node = Node(OUR_LOGGER)
-    graph.services.offer(node, GET_LEVELS, "rcl_interfaces/srv/GetLoggerLevels", _get_levels)
-    graph.services.offer(node, SET_LEVELS, "rcl_interfaces/srv/SetLoggerLevels", _set_levels)
+    getting, setting = "rcl_interfaces/srv/GetLoggerLevels", "rcl_interfaces/srv/SetLoggerLevels"
+    graph.services.offer(node, GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"))
+    graph.services.offer(node, SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"))
+
+
+def _limits(field: str) -> ListLimits:
+    return ListLimits({field: MAX_REQUESTED})
 
 
 def _get_levels(request: dict[str, Any]) -> dict[str, Any]:
-    names = _limited(request["names"], "names")
+    names = request["names"]
     return {"levels": [{"name": name, "level": _level(name)} for name in names]}
 
 
 def _set_levels(request: dict[str, Any]) -> dict[str, Any]:
-    reasons = [_change(each["name"], each["level"]) for each in _limited(request["levels"], "levels")]
+    reasons = [_change(each["name"], each["level"]) for each in request["levels"]]
     return {"results": [{"successful": not reason, "reason": reason} for reason in reasons]}
-
-
-def _limited(requested: list[Any], field: str) -> list[Any]:
-    if len(requested) > MAX_REQUESTED:
-        raise ServiceError(f"{field}: {len(requested)} loggers, the limit is {MAX_REQUESTED}")
-    return requested
 
 
 def _level(name: str) -> int:

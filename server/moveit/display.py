@@ -32,6 +32,9 @@ CONTACT_DIAMETER_M = 0.02
 CONTACT_LIFETIME_S = 10
 CONTACT_COLOR = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 0.7}
 
+# More of them hide the arm.
+MAX_CONTACTS = 50
+
 TRANSFORMS_TOPIC = "/tf"
 STATIC_TRANSFORMS_TOPIC = "/tf_static"
 
@@ -70,12 +73,17 @@ class DisplayTopics:
             start_rad: position of every movable joint where the first one begins [rad].
         """
         root = self._robot.root_link
-        message = {
-            "model_id": self._robot.name,
-            "trajectory": [to_message(motion, root) for motion in motions],
-            "trajectory_start": state_message(dict(start_rad), root, 0.0),
-        }
-        self._graph.publish(self._node, PATH_TOPIC, message)
+        self.trajectories([to_message(motion, root) for motion in motions], state_message(dict(start_rad), root, 0.0))
+
+    def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
+        """Show planned motions, one after the other, that are written already.
+
+        Args:
+            trajectories: moveit_msgs/RobotTrajectory of each.
+            start: moveit_msgs/RobotState where the first one begins.
+        """
+        message = {"model_id": self._robot.name, "trajectory": list(trajectories), "trajectory_start": start}
+        self._graph.publish(self._node, PATH_TOPIC, message, as_it_is=True)
 
     def pipeline(self, request: Message, response: Message) -> None:
         """Publish a request to the planners and its response, if there are subscribers.
@@ -95,14 +103,14 @@ class DisplayTopics:
             self.contacts(pairs)
 
     def contacts(self, pairs: Sequence[Mapping[str, Any]]) -> None:
-        """Show contacts in place of those before.
+        """Show contacts in place of those before, `MAX_CONTACTS` of them.
 
         Args:
             pairs: as in the details of a failure: ``first``, ``second``, ``depth_m``, ``point_m``.
         """
         header = {"stamp": Stamp(0, 0).as_message(), "frame_id": self._robot.root_link}
         clear = {"header": header, "ns": "", "action": DELETE_ALL}
-        markers = [_marker(header, index, pair) for index, pair in enumerate(pairs)]
+        markers = [_marker(header, index, pair) for index, pair in enumerate(pairs[:MAX_CONTACTS])]
         self._graph.publish(self._node, CONTACTS_TOPIC, {"markers": [clear, *markers]})
 
 

@@ -6,6 +6,7 @@ The service ``/check_goals`` checks many such goals without planning or moving.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import logging
 import math
@@ -23,12 +24,13 @@ from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from robot.trajectory import rest_to_rest
+from robot.trajectory import rest_to_rest_s
 from server.arm.topics import key_values
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions
 from server.execution.queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
+from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_messages import (
@@ -310,10 +312,14 @@ class GoalChecks:
         self._pool = pool
         self._scene = scene
         self._node = Node("goal checks")
+        self._turn = asyncio.Lock()
 
     def open(self) -> None:
         """Offer the service."""
-        self._graph.services.offer(self._node, SERVICE, "armbridge_msgs/CheckGoals", self._check)
+        # Each may be the only ones; both together are counted in the call.
+        fields = ("poses", "joints")
+        limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in fields})
+        self._graph.services.offer(self._node, SERVICE, "armbridge_msgs/CheckGoals", self._check, limits=limits)
 
     async def _check(self, request: dict[str, Any]) -> dict[str, Any]:
         poses, joints = request["poses"], request["joints"]
@@ -322,11 +328,20 @@ class GoalChecks:
         present_rad = self._current.positions_rad()
         if present_rad is None:
             raise ServiceError("where the arm is is not known: it is not connected")
-        problems = [_problem(self._translator.pose, each, present_rad) for each in poses]
-        problems += [_problem(self._translator.joints, each, present_rad) for each in joints]
+        problems, results = [], []
+        # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
+        async with self._turn:
+            for translate, messages in ((self._translator.pose, poses), (self._translator.joints, joints)):
+                for each in messages:
+                    await asyncio.sleep(0)
+                    problems.append(_problem(translate, each, present_rad))
+        await self._scene.settled()
         answers = await answers_in_time(problems, self._pool, self._scene.scene)
-        desired = [self._desired_pose(each, present_rad) for each in poses] + [None] * len(joints)
-        results = [self._reports.report(present_rad, *each) for each in zip(answers, desired, strict=True)]
+        async with self._turn:
+            for answer, message in itertools.zip_longest(answers, poses):
+                await asyncio.sleep(0)
+                desired = None if message is None else self._desired_pose(message, present_rad)
+                results.append(self._reports.report(present_rad, answer, desired))
         return {"results": results}
 
     def _desired_pose(self, message: Message, present_rad: Positions) -> Pose | None:
@@ -436,13 +451,11 @@ class GoalReports:
     def _duration_s(self, start_rad: Positions, end_rad: Positions) -> float:
         """Return the duration of the slowest joint when nothing is in the way [s]."""
         return max(
-            rest_to_rest(
-                joint.name,
-                start_rad[joint.name],
-                end_rad[joint.name],
+            rest_to_rest_s(
+                abs(end_rad[joint.name] - start_rad[joint.name]),
                 self._parameters.max_velocity_scaling * joint.max_velocity,
                 self._parameters.max_acceleration_scaling * joint.max_acceleration,
-            ).duration_s
+            )
             for joint in self._joints
         )
 

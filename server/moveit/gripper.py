@@ -24,6 +24,7 @@ from server.execution.executor import BRAKING_TIMEOUT_S
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.time_limits import ArmClock, TimeLimits
 from server.graph.actions import Goal, GoalStatus
+from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import cancel_with_goal
@@ -334,7 +335,7 @@ class GripperActions:
         self._tasks: set[asyncio.Task[None]] = set()
         node = Node("gripper")
         for name, messages in self._actions.items():
-            graph.actions.offer(node, name, messages.type_name, self._start)
+            graph.actions.offer(node, name, messages.type_name, self._start, ListLimits())
 
     def _start(self, goal: Goal) -> None:
         messages = self._actions[goal.action]

@@ -25,7 +25,7 @@ from server.errors import ServiceError
 from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Positions
 from server.graph.node import Node
-from server.graph.services import ServiceFunction
+from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.named_states")
@@ -340,7 +340,7 @@ class NamedStatesServices:
         self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete)
 
     def _offer(self, name: str, type_name: str, function: ServiceFunction) -> None:
-        def serve(request: Request) -> Mapping[str, Any] | Awaitable[Mapping[str, Any]]:
+        def serve(request: Request) -> Answered | Awaitable[Answered]:
             if request["robot"] not in ("", self._robot.name):
                 raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {self._robot.name!r}")
             return function(request)

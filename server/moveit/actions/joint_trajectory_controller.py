@@ -33,7 +33,9 @@ from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.poses import Message
+from server.moveit.requests.durations import read_seconds
 from server.moveit.requests.error_codes import error_code, refused
+from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
 from server.moveit.requests.trajectories import external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
@@ -272,8 +274,9 @@ class JointTrajectoryController:
         self.actions = (f"/{group.name}_controller/follow_joint_trajectory", INDUSTRIAL_ACTION)
         node = Node(f"{group.name} controller")
         for name in self.actions:
-            graph.actions.offer(node, name, ACTION_TYPE, self._start)
-        graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play))
+            graph.actions.offer(node, name, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
+        check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
+        graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check))
 
     def take_state(self, state: ArmState) -> None:
         """Check the tolerances of all goals against a state of the arm."""
@@ -458,7 +461,7 @@ def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
     """
     path = read_tolerances(goal["path_tolerance"], "path_tolerance", group.joints)
     end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
-    time_s = _seconds(goal["goal_time_tolerance"])
+    time_s = read_seconds(goal["goal_time_tolerance"], "goal_time_tolerance")
     if time_s > MAX_GOAL_TIME_TOLERANCE_S:
         raise _invalid(f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s")
     return SegmentTolerances(path, end, max(time_s, 0.0))
@@ -528,7 +531,7 @@ def check_trajectory(
         text = f"trajectory.joint_names has {unknown[0]!r}; the controller has {', '.join(group.joints)}"
         raise TrajectoryRefusedError(FollowCode.INVALID_JOINTS, text)
     late_s = now_s - _end_s(trajectory)
-    if _seconds(trajectory["header"]["stamp"]) > 0.0 and late_s > 0.0:
+    if read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp") > 0.0 and late_s > 0.0:
         text = f"by trajectory.header.stamp the motion would have ended {late_s:.1f} s ago; the stamp 0 starts it now"
         raise TrajectoryRefusedError(FollowCode.OLD_HEADER_TIMESTAMP, text)
     if present_rad is not None:
@@ -548,7 +551,9 @@ def check_duration(trajectory: Message, limits: TimeLimits) -> None:
     points = trajectory["points"]
     if points:
         field = f"trajectory.points[{len(points) - 1}].time_from_start"
-        limits.check_duration(_seconds(points[-1]["time_from_start"]), field, MoveItErrorCode.INVALID_MOTION_PLAN)
+        limits.check_duration(
+            read_seconds(points[-1]["time_from_start"], field), field, MoveItErrorCode.INVALID_MOTION_PLAN
+        )
 
 
 def rejection_code(error: RefusedError) -> FollowCode:
@@ -579,11 +584,9 @@ def point(positions_rad: Vector) -> dict[str, Any]:
 
 def _end_s(trajectory: Message) -> float:
     """Return the end of a trajectory by its stamp [s since the epoch]."""
-    return _seconds(trajectory["header"]["stamp"]) + _seconds(trajectory["points"][-1]["time_from_start"])
-
-
-def _seconds(stamp: Message) -> float:
-    return float(stamp["sec"]) + 1e-9 * float(stamp["nanosec"])
+    last = len(trajectory["points"]) - 1
+    last_s = read_seconds(trajectory["points"][last]["time_from_start"], f"trajectory.points[{last}].time_from_start")
+    return read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp") + last_s
 
 
 def _invalid(message: str, **details: Any) -> RefusedError:

@@ -41,6 +41,7 @@ from server.moveit.actions.joint_trajectory_controller import (
 )
 from server.moveit.poses import Message
 from server.moveit.requests.error_codes import refused
+from server.moveit.requests.list_limits import PLANNING_LIMITS, TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests
 from server.moveit.requests.trajectories import external_motion, external_trajectory
@@ -147,7 +148,7 @@ class PlanningActions:
             except RefusedError as error:
                 reject_goal(goal, self._queue, error.failure, result)
 
-        self._graph.actions.offer(self._node, name, action.type_name, start)
+        self._graph.actions.offer(self._node, name, action.type_name, start, PLANNING_LIMITS)
 
     def _move(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
         motion = planned_motion(planning_goal, self._context)
@@ -194,6 +195,10 @@ def read_planning_options(message: Message) -> PlanningOptions:
     if not (math.isfinite(delay_s) and 0.0 <= delay_s <= MAX_DELAY_S):
         text = f"planning_options.replan_delay must be from 0 to {MAX_DELAY_S:g} s, not {delay_s:g}"
         raise refused(MoveItErrorCode.FAILURE, text, replan_delay=str(delay_s))
+    for field in ("look_around_attempts", "replan_attempts"):
+        if message[field] < 0:
+            text = f"planning_options.{field} must be 0 or more, not {message[field]}"
+            raise refused(MoveItErrorCode.FAILURE, text, field=field)
     attempts = message["replan_attempts"] if message["replan_attempts"] > 0 else DEFAULT_ATTEMPTS
     diff = message["planning_scene_diff"]
     return PlanningOptions(
@@ -347,7 +352,8 @@ class ExecuteTrajectory:
         self._queue = queue
         self._time_limits = time_limits
         node = Node("execute trajectory")
-        graph.actions.offer(node, EXECUTE_ACTION, "moveit_msgs/action/ExecuteTrajectory", self._start)
+        type_name = "moveit_msgs/action/ExecuteTrajectory"
+        graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS)
 
     def _start(self, goal: Goal) -> None:
         trajectory = goal.request["trajectory"]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode
@@ -163,6 +165,8 @@ class PlanningContext:
         assumed: joint positions that clients assume.
         parameters: planning parameters.
         display: topics that show plans.
+        turn: held while a request is read.
+        urdf_responses: complete moveit_msgs/GetGroupUrdf responses by group.
     """
 
     robot: RobotModel
@@ -174,6 +178,8 @@ class PlanningContext:
     assumed: AssumedStates
     parameters: PlannerParameters
     display: DisplayTopics
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    urdf_responses: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @cached_property
     def problems(self) -> ProblemBuilder:

@@ -55,6 +55,7 @@ from server.moveit.requests.constraints import (
     read_path_constraints,
 )
 from server.moveit.requests.context import RequestContext, planning_group
+from server.moveit.requests.durations import read_seconds
 from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.scene.frames import Frames
 
@@ -75,9 +76,7 @@ OPPOSITE = 1e-6
 MAX_ITEMS = 50
 
 # A robot has a few dozen links, and each costs time of the planner that all clients share.
-MAX_LINKS = 1000
-
-NANOSECONDS_PER_S = 1e9
+MAX_LINKS = 200
 
 
 @dataclass(frozen=True)
@@ -151,6 +150,7 @@ class ProblemBuilder:
         """
         parameters = self._parameters.of(request["group_name"], request["planner_id"])
         pipeline = check_pipeline(request["pipeline_id"])
+        _check_unread(request)
         group = planning_group(self._robot, request["group_name"], parameters)
         context = RequestContext(self._robot, group, self._frames, start_rad, parameters)
         warnings = context.warnings
@@ -301,16 +301,6 @@ def read_scaling(request: Message, field: str, warnings: list[str]) -> float:
     return min(value, 1.0) or 1.0
 
 
-def check_link_count(links: Sequence[str], field: str) -> None:
-    """Reject more names of links than any robot has.
-
-    Raises:
-        RefusedError: there are more than `MAX_LINKS`.
-    """
-    if len(links) > MAX_LINKS:
-        raise invalid(f"{field} has {len(links)} entries, the limit is {MAX_LINKS}")
-
-
 def tip_problem(
     planner: str, problem: PlanningProblem, arc: Message, tip_speed: float, context: RequestContext
 ) -> CartesianProblem:
@@ -396,9 +386,19 @@ def _names_arc(constraints: Message) -> bool:
     return constraints["name"] in (INTERIM, CENTER)
 
 
+def _check_unread(request: Message) -> None:
+    """Refuse values that are no numbers in fields that have no effect, or not always one."""
+    if math.isnan(request["max_cartesian_speed"]):
+        raise invalid("max_cartesian_speed must be a number, not nan")
+    for corner in ("min_corner", "max_corner"):
+        for axis, value in request["workspace_parameters"][corner].items():
+            if not math.isfinite(value):
+                raise invalid(f"workspace_parameters.{corner}.{axis} must be a finite number, not {value}")
+
+
 def _allowed_time_s(requested_s: float, parameters: MoveItParameters, warnings: list[str]) -> float:
-    if math.isnan(requested_s):
-        raise invalid("allowed_planning_time must be a number of seconds, not nan")
+    if math.isnan(requested_s) or requested_s < 0.0:
+        raise invalid(f"allowed_planning_time must be 0 s or more, 0 for the configured time, not {requested_s:g}")
     if requested_s > MAX_ALLOWED_PLANNING_TIME_S:
         warnings.append(
             f"allowed_planning_time {requested_s:g} s is taken as {MAX_ALLOWED_PLANNING_TIME_S:g} s, the limit"
@@ -407,6 +407,8 @@ def _allowed_time_s(requested_s: float, parameters: MoveItParameters, warnings: 
 
 
 def _attempts(requested: int, parameters: MoveItParameters, warnings: list[str]) -> int:
+    if requested < 0:
+        raise invalid(f"num_planning_attempts must be 0 or more, 0 for the configured number, not {requested}")
     if requested > MAX_PLANNING_ATTEMPTS:
         warnings.append(f"num_planning_attempts {requested} is taken as {MAX_PLANNING_ATTEMPTS}, the limit")
     return min(requested, MAX_PLANNING_ATTEMPTS) if requested > 0 else parameters.num_planning_attempts
@@ -461,7 +463,6 @@ def _tip_speed_m_s(request: Message, context: RequestContext) -> float | None:
 def _ik_goal(request: Message, context: RequestContext) -> Goal:
     """Read the poses to reach."""
     links, poses = request["ik_link_names"], request["pose_stamped_vector"]
-    check_link_count(links, "ik_link_names")
     if len(poses) > 1 or len(links) > 1:
         if len(links) != len(poses):
             raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
@@ -495,7 +496,7 @@ def _stamped_pose(stamped: Message, context: RequestContext) -> Pose:
 
 
 def _timeout_s(duration: Message, parameters: MoveItParameters) -> float:
-    timeout_s = duration["sec"] + duration["nanosec"] / NANOSECONDS_PER_S
+    timeout_s = read_seconds(duration, "ik_request.timeout")
     return min(timeout_s, MAX_KINEMATICS_TIMEOUT_S) if timeout_s > 0.0 else parameters.kinematics_solver_timeout
 
 

@@ -16,8 +16,11 @@ from server.moveit.requests.error_codes import invalid
 
 Pair = frozenset[str]
 
-# The matrix has the square of this many entries; a scene holds as many shapes at most.
-MAX_NAMES = 1000
+# The matrix has the square of this many entries. MoveIt names links and attached objects in it, some dozens.
+MAX_NAMES = 200
+
+# Pairs for which a scene differs from the SRDF. They go to each planner process with every change of the scene.
+MAX_EXCEPTIONS = 10_000
 
 
 def disabled_collisions(robot: RobotModel) -> frozenset[Pair]:
@@ -77,8 +80,18 @@ class AllowedCollisionMatrix:
         Args:
             disabled: pairs that may touch by the SRDF.
             known: names of all links and objects.
+
+        Raises:
+            RefusedError: there are more than `MAX_EXCEPTIONS`.
         """
         named = frozenset(self.names)
+        # Counted first: an entry for a default name stands for pairs with all others.
+        count = len(self.allowed ^ disabled) + len(self.defaults) * len(known)
+        if count > MAX_EXCEPTIONS:
+            raise invalid(
+                f"allowed_collision_matrix has {count} pairs, with those of its default entries and {len(known)} links"
+                f" and objects; the limit is {MAX_EXCEPTIONS}"
+            )
         exceptions = dict.fromkeys(self.allowed - disabled, True)
         exceptions |= {pair: False for pair in disabled - self.allowed if pair <= named}
         for first, default in self.defaults.items():

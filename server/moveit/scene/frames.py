@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
 from planners.problem import MoveItErrorCode
@@ -19,7 +20,10 @@ from server.moveit.scene.collision_objects import IDENTITY, AttachedCollisionObj
 WORLD = "world"
 
 # Looking up OBJECT/SUBFRAME takes time by the square of the length; real names are far shorter.
-MAX_NAME_LENGTH = 1000
+MAX_NAME_LENGTH = 255
+
+# Frames that are kept in mind for a scene and positions of the joints.
+MAX_RESOLVED = 100
 
 # Most frames that the error for an unknown one lists.
 MAX_LISTED = 20
@@ -103,6 +107,7 @@ class Frames:
         self._robot = robot
         self._forward = ForwardPlacements(robot)
         self._state = scene_state
+        self._latest = _Resolved(None, None, {})
 
     def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose:
         """Return the pose of a frame in the root link; names and errors are those of :func:`find_frame`.
@@ -111,7 +116,29 @@ class Frames:
             frame_id: its name.
             positions_rad: position of every movable joint [rad], None while they are not known.
         """
-        return find_frame(frame_id, self._state.contents, LinkTransforms(self._robot, self._forward, positions_rad))
+        latest, contents = self._latest, self._state.contents
+        # The many poses of one request are in the same frame mostly.
+        if (
+            latest.contents is not contents
+            or latest.positions_rad != positions_rad
+            or len(latest.poses) >= MAX_RESOLVED
+        ):
+            known = None if positions_rad is None else dict(positions_rad)
+            latest = self._latest = _Resolved(contents, known, {})
+        pose = latest.poses.get(frame_id)
+        if pose is None:
+            links = LinkTransforms(self._robot, self._forward, positions_rad)
+            pose = latest.poses[frame_id] = find_frame(frame_id, contents, links)
+        return pose
+
+
+@dataclass(frozen=True)
+class _Resolved:
+    """Poses of frames in the root link, by name, for one scene and one set of joint positions."""
+
+    contents: FrameObjects | None
+    positions_rad: Mapping[str, float] | None
+    poses: dict[str, Pose]
 
 
 def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Pose:

@@ -17,7 +17,7 @@ from typing import Any
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
 from robot import files
-from server.errors import RefusedError
+from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -263,15 +263,18 @@ class GeometryFiles:
     async def _read(self, name: str) -> None:
         path = file_within(self._directory, name)
         try:
-            objects = await asyncio.to_thread(_read_bounded, path, self._state.frame)
+            world = await asyncio.to_thread(self._read_world, path)
         except (OSError, UnicodeDecodeError) as error:
             raise invalid(f"{path} cannot be read: {error}") from error
-        try:
-            world = self._message_types.complete("moveit_msgs/msg/PlanningSceneWorld", {"collision_objects": objects})
         except MessageError as error:
             raise invalid(f"{path}: {error}") from error
         # As in MoveIt, objects that the file does not name stay.
-        self._state.apply_diff({"is_diff": True, "world": world}, self._current.positions_rad())
+        change = self._state.diff({"is_diff": True, "world": world})
+        await self._state.change(change, self._current.positions_rad())
+
+    def _read_world(self, path: Path) -> Message:
+        objects = _read_bounded(path, self._state.frame)
+        return self._message_types.complete("moveit_msgs/msg/PlanningSceneWorld", {"collision_objects": objects})
 
 
 def file_within(directory: Path | None, name: str) -> Path:
@@ -297,12 +300,16 @@ def file_within(directory: Path | None, name: str) -> Path:
 
 
 async def _success(service: str, work: Awaitable[None]) -> Message:
-    """Wait for the work of a service; the response has no room for a reason, so a failure is logged."""
+    """Wait for the work of a service; the response has no room for a reason, so a failure is logged and told.
+
+    Raises:
+        UnsuccessfulError: it has failed.
+    """
     try:
         await work
     except RefusedError as error:
         log.warning("%s: %s", service, error)
-        return {"success": False}
+        raise UnsuccessfulError({"success": False}, str(error)) from error
     return {"success": True}
 
 

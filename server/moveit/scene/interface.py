@@ -2,32 +2,58 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from planners.scene import Pose
+from planners.scene_checks import MAX_SCENE_TRIANGLES, MAX_SHAPES
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
+from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.node import Node
-from server.graph.services import Call, answer
+from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, write_pose
-from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, REMOVE
+from server.moveit.scene.collision_objects import ADD, IDENTITY, MAX_SUBFRAMES, NO_STAMP, REMOVE
 from server.moveit.scene.geometry_files import GeometryFiles
-from server.moveit.scene.planning_scene import NO_PADDING_M, NO_SCALE, SceneContents
-from server.moveit.scene.scene_state import AssumedStates, Positions, SceneState
+from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
+from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
 from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.scene")
 
-# Applies a message of a topic, given the position of every movable joint.
-Apply = Callable[[Message, Positions], None]
+# Returns the change by a message of a topic.
+ReadChange = Callable[[Message], SceneChange]
+
+_SHAPE_LISTS = ("primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses")
+
+# Corners of all prisms in a message. To cut their surfaces into triangles takes up to 0.1 ms each.
+MAX_CORNERS = 2_000
+
+SCENE_LIMITS = ListLimits(
+    {
+        **{f"moveit_msgs/msg/CollisionObject.{each}": MAX_SHAPES for each in _SHAPE_LISTS},
+        "moveit_msgs/msg/CollisionObject.subframe_names": 2 * MAX_SUBFRAMES,
+        "moveit_msgs/msg/CollisionObject.subframe_poses": 2 * MAX_SUBFRAMES,
+        "moveit_msgs/msg/PlanningScene.fixed_frame_transforms": MAX_FIXED_FRAMES,
+        "moveit_msgs/msg/PlanningScene.object_colors": MAX_COLORS,
+        # Some may be removed, and others added.
+        "moveit_msgs/msg/PlanningSceneWorld.collision_objects": 2 * MAX_SHAPES,
+        "moveit_msgs/msg/RobotState.attached_collision_objects": MAX_SHAPES,
+        "geometry_msgs/msg/Polygon.points": MAX_CORNERS,
+        "shape_msgs/msg/Mesh.triangles": MAX_SCENE_TRIANGLES,
+        "shape_msgs/msg/Mesh.vertices": 3 * MAX_SCENE_TRIANGLES,
+    },
+    # The matrix, and what is told of each object besides.
+    max_values=100_000,
+)
 
 MONITORED_TOPIC = "/monitored_planning_scene"
 GET = "/get_planning_scene"
@@ -74,6 +100,13 @@ NO_OBJECT: Message = {
     "subframe_names": [],
     "subframe_poses": [],
     "operation": ADD,
+}
+NO_ATTACHED_OBJECT: Message = {
+    "link_name": "",
+    "object": NO_OBJECT,
+    "touch_links": [],
+    "detach_posture": {"header": NO_HEADER, "joint_names": [], "points": []},
+    "weight": 0.0,
 }
 
 
@@ -142,15 +175,15 @@ def _objects(contents: SceneContents, robot: RobotModel, requested: int) -> list
 
 def _changed_objects(before: SceneContents, after: SceneContents) -> list[Message]:
     # Attaching an object removes it from the world.
-    removed = [name for name in _known(before) if name not in _known(after)]
+    removed = _known(before).keys() - _known(after).keys()
     changed = [each.message for name, each in after.objects.items() if before.objects.get(name) is not each]
-    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in removed), *changed]
+    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in _known(before) if name in removed), *changed]
 
 
 def _changed_attached(before: SceneContents, after: SceneContents) -> list[Message]:
     # Detached first: an object must be in the world to be removed from it.
     detached = [
-        {"link_name": held.link, "object": {**NO_OBJECT, "id": name, "operation": REMOVE}}
+        {**NO_ATTACHED_OBJECT, "link_name": held.link, "object": {**NO_OBJECT, "id": name, "operation": REMOVE}}
         for name, held in before.attached.items()
         if name not in after.attached
     ]
@@ -202,27 +235,29 @@ def subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, curre
         state: the scene.
         current: positions of the joints.
     """
-    topics: Mapping[str, tuple[str, Apply]] = {
-        "/planning_scene": ("moveit_msgs/PlanningScene", state.apply_diff),
-        "/planning_scene_world": ("moveit_msgs/PlanningSceneWorld", state.apply_world),
-        "/collision_object": ("moveit_msgs/CollisionObject", state.apply_collision_object),
-        "/attached_collision_object": ("moveit_msgs/AttachedCollisionObject", state.apply_attached_object),
+    topics: Mapping[str, tuple[str, ReadChange]] = {
+        "/planning_scene": ("moveit_msgs/msg/PlanningScene", state.diff),
+        "/planning_scene_world": ("moveit_msgs/msg/PlanningSceneWorld", state.world),
+        "/collision_object": ("moveit_msgs/msg/CollisionObject", state.collision_object),
+        "/attached_collision_object": ("moveit_msgs/msg/AttachedCollisionObject", state.attached_object),
     }
-    for topic, (type_name, apply) in topics.items():
-        graph.subscribe(node, topic, type_name, _subscriber(topic, apply, current))
+    for topic, (type_name, read) in topics.items():
+        check_lists = SCENE_LIMITS.check(graph.message_types.registry, type_name)
+        graph.subscribe(node, topic, type_name, _subscriber(topic, read, state, current, check_lists))
 
 
-def _subscriber(topic: str, apply: Apply, current: CurrentState) -> Subscriber:
+def _subscriber(
+    topic: str, read: ReadChange, state: SceneState, current: CurrentState, check_lists: CheckLists
+) -> Subscriber:
     def reject(error: MessageError | RefusedError) -> None:
         log.warning("%s: refused, nothing is changed: %s", topic, error)
 
     def deliver(published: PublishedMessage) -> None:
-        try:
-            apply(published.msg, current.positions_rad())
-        except RefusedError as error:
-            reject(error)
+        state.submit(
+            read(published.msg), current.positions_rad(), lambda refusal: None if refusal is None else reject(refusal)
+        )
 
-    return Subscriber(deliver, reject)
+    return Subscriber(deliver, reject, check_lists=check_lists)
 
 
 class MonitoredScenePublisher:
@@ -279,12 +314,16 @@ class MonitoredScenePublisher:
         self._timer, self._published_at_s = None, self._clock()
         before, self._published = self._published, self._state.contents
         if before != self._published:
-            self._graph.publish(self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._robot))
+            self._graph.publish(
+                self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._robot), as_it_is=True
+            )
             self._latch()
 
     def _latch(self) -> None:
         state = self._current.message()
-        self._graph.latch(MONITORED_TOPIC, scene_message(self._published, self._robot, state, EVERYTHING))
+        self._graph.latch(
+            MONITORED_TOPIC, scene_message(self._published, self._robot, state, EVERYTHING), as_it_is=True
+        )
 
 
 class SceneServices:
@@ -313,12 +352,24 @@ class SceneServices:
         self._assumed = assumed
         self._current = current
         services = graph.services
-        services.offer_calls(node, GET, "moveit_msgs/srv/GetPlanningScene", self._get)
-        services.offer_calls(node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply)
+        services.offer_calls(node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS)
+        services.offer_calls(node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS)
         # The scene has no octomap, so there is nothing to clear.
         services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {})
 
     def _get(self, call: Call) -> None:
+        if self._state.pending:
+            # As if the changes that have been sent before were quick.
+            task = asyncio.ensure_future(self._get_settled(call))
+            call.when_ended(lambda _response: task.cancel())
+        else:
+            self._respond(call)
+
+    async def _get_settled(self, call: Call) -> None:
+        await self._state.settled()
+        self._respond(call)
+
+    def _respond(self, call: Call) -> None:
         assumed = self._assumed
         positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
         assumed.note_sent(call.caller, positions_rad)
@@ -327,18 +378,24 @@ class SceneServices:
         call.succeed_as_it_is({"scene": scene_message(self._state.contents, self._robot, state, components)})
 
     def _apply(self, call: Call) -> None:
-        answer(call, lambda request: {"success": self._applied(call.caller, request["scene"])})
+        scene, caller, assumed = call.request["scene"], call.caller, self._assumed
 
-    def _applied(self, caller: Node, scene: Message) -> bool:
-        assumed = self._assumed
+        def end(refusal: RefusedError | None) -> None:
+            if refusal is None:
+                assumed.assume(caller, assumed_rad)
+                call.succeed({"success": True})
+            else:
+                log.warning("%s: refused, nothing is changed: %s", APPLY, refusal)
+                call.succeed({"success": False}, f"refused, nothing is changed: {refusal}")
+
+        assumed_rad = None
         try:
             assumed_rad = assumed.after(caller, scene["robot_state"])
-            self._state.apply_diff(scene, assumed.completed(assumed_rad, self._current.positions_rad()))
         except RefusedError as error:
-            log.warning("%s: refused, nothing is changed: %s", APPLY, error)
-            return False
-        assumed.assume(caller, assumed_rad)
-        return True
+            end(error)
+            return
+        positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
+        self._state.submit(self._state.diff(scene), positions_rad, end)
 
 
 class SceneInterface:
@@ -363,6 +420,7 @@ class SceneInterface:
         parameters: MoveItParameters,
     ) -> None:
         node = Node("planning_scene")
+        self._state = state
         subscribe_to_scene_topics(graph, node, state, current)
         SceneServices(graph, node, robot, state, assumed, current)
         GeometryFiles(graph, node, state, current, parameters.geometry_directory)
@@ -372,3 +430,4 @@ class SceneInterface:
     def close(self) -> None:
         """Publish no more."""
         self._publisher.close()
+        self._state.close()

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_checks import check_whole
 from robot.description.forward_kinematics import ForwardPlacements
@@ -19,8 +22,10 @@ from server.graph.node import Node
 from server.moveit.poses import Message
 from server.moveit.requests.error_codes import refused
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
+from server.moveit.scene.collision_objects import GEOMETRY_KINDS
 from server.moveit.scene.frames import LinkTransforms
 from server.moveit.scene.planning_scene import (
+    EMPTY_DIFF,
     SceneContents,
     SceneDraft,
     apply_attached_object,
@@ -32,11 +37,36 @@ from server.moveit.scene.planning_scene import (
 log = logging.getLogger("armbridge.scene")
 
 Positions = Mapping[str, float] | None
-Change = Callable[[SceneDraft], None]
+
+# Elements of a change that is applied at once; reading one takes 1 us, one of an object 20 us.
+AT_ONCE_ELEMENTS = 2_000
+OBJECT_ELEMENTS = 20
+
+# Elements of all changes that wait: those of two scenes full of meshes.
+MAX_WAITING_ELEMENTS = 1_000_000
+
+
+@dataclass(frozen=True)
+class SceneChange:
+    """A change of the scene by a message.
+
+    Attributes:
+        apply: applies it to a draft; raises RefusedError.
+        elements: number of elements in the message, as far as they take time.
+    """
+
+    apply: Callable[[SceneDraft], None]
+    elements: int
+
+
+# Called with the reason if a change was refused, or with None.
+Done = Callable[[RefusedError | None], None]
 
 
 class SceneState:
     """The planning scene. A message changes it as a whole or, when it is rejected, not at all.
+
+    Changes that take long are read by a thread, one after the other; those that come meanwhile wait for their turn.
 
     Messages are complete ones of their type. Positions are those of every movable joint [rad], by which the frames of
     links are found; None while they are not known.
@@ -56,6 +86,8 @@ class SceneState:
         self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
         self._callbacks: list[Callable[[], None]] = []
+        self._waiting: deque[tuple[SceneChange, Positions, Done]] = deque()
+        self._applying: asyncio.Task[None] | None = None
         self.frame = robot.root_link
         self.contents = SceneContents(self._srdf_matrix)
         self.scene = EMPTY_SCENE
@@ -64,42 +96,93 @@ class SceneState:
         """Call a function after every change."""
         self._callbacks.append(callback)
 
-    def apply_diff(self, message: Message, positions_rad: Positions) -> None:
-        """Apply a moveit_msgs/PlanningScene: a diff, or a whole scene if its ``is_diff`` is false.
+    def diff(self, message: Message) -> SceneChange:
+        """Return the change by a moveit_msgs/PlanningScene: a diff, or a whole scene if its ``is_diff`` is false."""
+        scene = {**EMPTY_DIFF, **message}
+        attached = scene["robot_state"]["attached_collision_objects"]
+        elements = _elements([*scene["world"]["collision_objects"], *(each["object"] for each in attached)])
+        elements += len(scene["allowed_collision_matrix"]["entry_names"]) ** 2
+        elements += OBJECT_ELEMENTS * (len(scene["fixed_frame_transforms"]) + len(scene["object_colors"]))
+        return SceneChange(lambda draft: self._apply_scene(draft, message), elements)
 
-        Raises:
-            RefusedError: it cannot be applied.
-        """
-        self._apply(lambda draft: self._apply_scene(draft, message), positions_rad)
-
-    def apply_world(self, message: Message, positions_rad: Positions) -> None:
-        """Replace all collision objects by those of a moveit_msgs/PlanningSceneWorld.
-
-        Raises:
-            RefusedError: it cannot be applied.
-        """
+    def world(self, message: Message) -> SceneChange:
+        """Return the replacement of all collision objects by those of a moveit_msgs/PlanningSceneWorld."""
 
         def change(draft: SceneDraft) -> None:
             draft.objects = {}
             apply_world(draft, message, "world")
 
-        self._apply(change, positions_rad)
+        return SceneChange(change, _elements(message["collision_objects"]))
 
-    def apply_collision_object(self, message: Message, positions_rad: Positions) -> None:
-        """Apply a moveit_msgs/CollisionObject.
+    def collision_object(self, message: Message) -> SceneChange:
+        """Return the change by a moveit_msgs/CollisionObject."""
+        return SceneChange(lambda draft: apply_collision_object(draft, message, "object"), _elements([message]))
+
+    def attached_object(self, message: Message) -> SceneChange:
+        """Return the change by a moveit_msgs/AttachedCollisionObject."""
+        elements = _elements([message["object"]])
+        return SceneChange(lambda draft: apply_attached_object(draft, message, "attached_object"), elements)
+
+    def submit(self, change: SceneChange, positions_rad: Positions, done: Done) -> None:
+        """Apply a change in its turn: at once if it is small and none waits.
+
+        Args:
+            change: the change.
+            positions_rad: position of every movable joint [rad], None while they are not known.
+            done: called once it is applied or refused.
+        """
+        if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
+            done(self._refusal(change, positions_rad))
+            return
+        elements = sum(waiting.elements for waiting, _, _ in self._waiting) + change.elements
+        if self._waiting and elements > MAX_WAITING_ELEMENTS:
+            text = f"changes of the scene with {elements} elements would wait; the limit is {MAX_WAITING_ELEMENTS}"
+            done(RefusedError(PlanningFailure(MoveItErrorCode.FAILURE, text)))
+            return
+        self._waiting.append((change, positions_rad, done))
+        if self._applying is None:
+            self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
+
+    async def change(self, change: SceneChange, positions_rad: Positions) -> None:
+        """Apply a change in its turn, and wait until it is applied; arguments are those of :meth:`submit`.
 
         Raises:
             RefusedError: it cannot be applied.
         """
-        self._apply(lambda draft: apply_collision_object(draft, message, "object"), positions_rad)
+        applied: asyncio.Future[RefusedError | None] = asyncio.get_running_loop().create_future()
+        self.submit(change, positions_rad, applied.set_result)
+        refusal = await asyncio.shield(applied)
+        if refusal is not None:
+            raise refusal
 
-    def apply_attached_object(self, message: Message, positions_rad: Positions) -> None:
-        """Apply a moveit_msgs/AttachedCollisionObject.
+    @property
+    def pending(self) -> bool:
+        """True while changes wait."""
+        return self._applying is not None
+
+    async def settled(self) -> None:
+        """Wait until the changes that have been submitted until now are applied or refused."""
+        if self._applying is not None:
+            turn = asyncio.get_running_loop().create_future()
+            self._waiting.append((SceneChange(lambda _draft: None, 0), None, lambda _refusal: turn.set_result(None)))
+            await asyncio.shield(turn)
+
+    def close(self) -> None:
+        """Apply no more of the changes that wait."""
+        if self._applying is not None:
+            self._applying.cancel()
+
+    def apply_diff(self, message: Message, positions_rad: Positions) -> None:
+        """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait; errors are those of :meth:`apply`."""
+        self.apply(self.diff(message), positions_rad)
+
+    def apply(self, change: SceneChange, positions_rad: Positions) -> None:
+        """Apply a change now, ahead of those that wait.
 
         Raises:
             RefusedError: it cannot be applied.
         """
-        self._apply(lambda draft: apply_attached_object(draft, message, "attached_object"), positions_rad)
+        self._commit(*self._changed(self.contents, change, positions_rad))
 
     def with_diff(self, message: Message, positions_rad: Positions) -> Scene:
         """Return the scene as a moveit_msgs/PlanningScene would make it; the state stays as it is.
@@ -109,7 +192,8 @@ class SceneState:
         Raises:
             RefusedError: it cannot be applied.
         """
-        return self._changed(lambda draft: self._apply_scene(draft, message), positions_rad)[1]
+        change = SceneChange(lambda draft: self._apply_scene(draft, message), 0)
+        return self._changed(self.contents, change, positions_rad)[1] or self.scene
 
     def _apply_scene(self, draft: SceneDraft, message: Message) -> None:
         model = message.get("robot_model_name", "")
@@ -117,24 +201,84 @@ class SceneState:
             log.warning("planning scene: robot_model_name is %r; this robot is %r", model, self._robot.name)
         apply_planning_scene(draft, message, self._srdf_matrix)
 
-    def _apply(self, change: Change, positions_rad: Positions) -> None:
-        contents, scene = self._changed(change, positions_rad)
+    async def _apply_waiting(self) -> None:
+        try:
+            while self._waiting:
+                change, positions_rad, done = self._waiting[0]
+                if change.elements <= AT_ONCE_ELEMENTS:
+                    refusal = self._refusal(change, positions_rad)
+                else:
+                    refusal = await self._applied_in_thread(change, positions_rad)
+                self._waiting.popleft()
+                done(refusal)
+        finally:
+            self._applying = None
+
+    async def _applied_in_thread(self, change: SceneChange, positions_rad: Positions) -> RefusedError | None:
+        """Apply a change read by a thread, once more if the scene has become another meanwhile."""
+        try:
+            while True:
+                before = self.contents
+                contents, scene = await asyncio.to_thread(self._changed_and_written, before, change, positions_rad)
+                if self.contents is before:
+                    self._commit(contents, scene)
+                    return None
+        except RefusedError as refusal:
+            return refusal
+        except Exception as error:  # a bug in one change must not hold up those that wait
+            log.exception("a change of the planning scene failed")
+            text = f"the change failed inside the server: {type(error).__name__}"
+            return RefusedError(PlanningFailure(MoveItErrorCode.FAILURE, text))
+
+    def _changed_and_written(
+        self, before: SceneContents, change: SceneChange, positions_rad: Positions
+    ) -> tuple[SceneContents, Scene | None]:
+        contents, scene = self._changed(before, change, positions_rad)
+        # Written here and once, for whoever is told of the scene.
+        for each in contents.objects.values():
+            _ = each.message
+        for held in contents.attached.values():
+            _ = held.message
+        return contents, scene
+
+    def _refusal(self, change: SceneChange, positions_rad: Positions) -> RefusedError | None:
+        try:
+            self.apply(change, positions_rad)
+        except RefusedError as refusal:
+            return refusal
+        return None
+
+    def _commit(self, contents: SceneContents, scene: Scene | None) -> None:
         if contents != self.contents:
-            self.contents, self.scene = contents, scene
+            self.contents, self.scene = contents, scene or self.scene
             for callback in self._callbacks:
                 callback()
 
-    def _changed(self, change: Change, positions_rad: Positions) -> tuple[SceneContents, Scene]:
-        draft = SceneDraft(self.contents, LinkTransforms(self._robot, self._forward, positions_rad))
-        change(draft)
+    def _changed(
+        self, before: SceneContents, change: SceneChange, positions_rad: Positions
+    ) -> tuple[SceneContents, Scene | None]:
+        """Return changed contents, and the scene for planners unless it stays the same; called in any thread."""
+        draft = SceneDraft(before, LinkTransforms(self._robot, self._forward, positions_rad))
+        change.apply(draft)
         contents = draft.contents()
-        if contents.looks_same(self.contents):
-            return contents, self.scene
+        if contents.looks_same(before):
+            return contents, None
         scene = contents.as_scene(next(self._versions), self._robot)
         fault = check_whole(scene, self._robot.links)
         if fault is not None:
             raise RefusedError(fault)
         return contents, scene
+
+
+def _elements(objects: Sequence[Message]) -> int:
+    """Count the elements of moveit_msgs/CollisionObject messages, as far as they take time."""
+    count = 0
+    for each in objects:
+        count += OBJECT_ELEMENTS * (1 + sum(len(each[field]) for field, _, _ in GEOMETRY_KINDS))
+        count += OBJECT_ELEMENTS * len(each["subframe_names"])
+        count += sum(len(mesh["triangles"]) + len(mesh["vertices"]) for mesh in each["meshes"])
+        count += sum(OBJECT_ELEMENTS * len(solid["polygon"]["points"]) for solid in each["primitives"])
+    return count
 
 
 class AssumedStates:

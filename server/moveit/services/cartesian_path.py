@@ -6,6 +6,7 @@ so a jump found here is no flip between two points but a place where joints race
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -37,6 +38,9 @@ SAMPLE_S = 0.02
 # Forward kinematics take some 0.1 ms; a slow path is sampled less often.
 MAX_SAMPLES = 500
 
+# A waypoint in a frame takes 50 us to read.
+MAX_WAYPOINTS_AT_ONCE = 50
+
 # Between quaternions with a cosine above this the rotation has no axis.
 ALIKE = 1.0 - 1e-9
 
@@ -50,17 +54,22 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
         RefusedError: the request cannot be used, or not even a part of the path can be followed.
     """
     start = context.start(request["start_state"], caller)
-    built, thresholds = context.problems.cartesian_path(request, start.start_rad), _read_thresholds(request)
+    # A long path takes as long to read as everybody may be kept waiting.
+    long = len(request["waypoints"]) > MAX_WAYPOINTS_AT_ONCE
+    read = context.problems.cartesian_path
+    built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
+    thresholds = _read_thresholds(request)
     plan = required(await context.pool.ask(built.problem, start.scene))
     if thresholds.any:
         plan = await _without_jumps(plan, built.problem, thresholds, start.scene, context)
-    context.display.planned((plan.trajectory,), start.start_rad)
+    root = context.robot.root_link
+    start_state, solution = state_message(dict(start.start_rad), root, 0.0), to_message(plan.trajectory, root)
+    context.display.trajectories([solution], start_state)
     if plan.stopped_by is not None:
         context.display.contacts_of(plan.stopped_by.details)
-    root = context.robot.root_link
     return {
-        "start_state": state_message(dict(start.start_rad), root, 0.0),
-        "solution": to_message(plan.trajectory, root),
+        "start_state": start_state,
+        "solution": solution,
         "fraction": plan.fraction,
         "error_code": _code(plan, (*start.warnings, *built.warnings)),
     }
@@ -82,7 +91,8 @@ async def _without_jumps(
         RefusedError: the part cannot be planned on its own.
     """
     tip = context.forward, problem.link
-    jump = first_jump(plan.trajectory, tip, problem.start_rad, problem.max_step_m, thresholds)
+    # Up to half a second of forward kinematics on a slow machine.
+    jump = await asyncio.to_thread(first_jump, plan.trajectory, tip, problem.start_rad, problem.max_step_m, thresholds)
     if jump is None:
         return plan
     start = pose_of(context.forward.transforms(problem.start_rad)[problem.link])

@@ -6,10 +6,11 @@ Their functions raise RefusedError. Here it is caught, logged and written into t
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 import logging
 import xml.etree.ElementTree as ET
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -18,22 +19,22 @@ from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, St
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
-from server.errors import RefusedError, ServiceError
+from server.errors import RefusedError, ServiceError, UnsuccessfulError
 from server.execution.monitors import state_message
 from server.execution.motions import plan_sequence
 from server.graph.node import Node
-from server.graph.services import Call, answer
+from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
 from server.moveit.requests.error_codes import deviation_note, failure_code, refused, required, success
+from server.moveit.requests.list_limits import PLANNING_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (
     OMPL,
     PILZ,
     PIPELINES,
-    check_link_count,
     check_pipeline,
     sequence_requests,
 )
@@ -80,22 +81,21 @@ async def compute_fk(context: PlanningContext, request: Message, caller: Node) -
     Raises:
         RefusedError: an unknown link or frame, or a state that cannot be used.
     """
-    check_link_count(request["fk_link_names"], "fk_link_names")
     positions_rad = context.positions_rad(request["robot_state"], caller)
     names = request["fk_link_names"] or list(context.robot.links)
     frame_id = request["header"]["frame_id"] or context.robot.root_link
     frame = context.frames.resolve(frame_id, positions_rad)
     transforms = context.forward.transforms(positions_rad)
     header = {"stamp": Stamp(0, 0).as_message(), "frame_id": frame_id}
-    poses = []
-    for name in names:
+    poses: dict[str, Message] = {}
+    for name in dict.fromkeys(names):
         if name not in transforms:
             known = ", ".join(context.robot.links)
             raise refused(
                 MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {name!r}; it has: {known}", link=name
             )
-        poses.append({"header": header, "pose": write_pose(seen_from(frame, pose_of(transforms[name])))})
-    return {"pose_stamped": poses, "fk_link_names": names, "error_code": success()}
+        poses[name] = {"header": header, "pose": write_pose(seen_from(frame, pose_of(transforms[name])))}
+    return {"pose_stamped": [poses[name] for name in names], "fk_link_names": names, "error_code": success()}
 
 
 def within_limits(robot: RobotModel, positions_rad: Mapping[str, float]) -> dict[str, float]:
@@ -109,6 +109,7 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
 
     Raises:
         RefusedError: a state, group or constraint that cannot be used.
+        UnsuccessfulError: the state is invalid.
     """
     group = context.problems.group(request["group_name"])
     positions_rad = context.positions_rad(request["robot_state"], caller)
@@ -117,19 +118,24 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
         request["constraints"], context.problems.context(group, positions_rad), "constraints"
     )
     state = required(await context.pool.ask(StateQuestion(group.name, positions_rad), scene))
-    results = [
-        _constraint_result(required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene)))
+    unmet = [
+        _unmet(required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene)))
         for single in _single_constraints(constraints)
     ]
-    for problem in state.problems:
-        log.info("/check_state_validity: %s", problem.message)
     pairs = [pair for problem in state.problems for pair in problem.details.get("pairs", ())]
     context.display.contacts(pairs)
-    return {
-        "valid": state.valid and all(result["result"] for result in results),
-        "contacts": [_contact(pair, context.robot, scene) for pair in pairs],
-        "constraint_result": results,
+    response = {
+        "valid": state.valid and not any(unmet),
+        "contacts": _contacts(pairs, context.robot, scene),
+        "cost_sources": [],
+        "constraint_result": [_constraint_result(problem) for problem in unmet],
     }
+    if response["valid"]:
+        return response
+    reasons = [problem.message for problem in (*state.problems, *filter(None, unmet))]
+    for reason in reasons:
+        log.info("/check_state_validity: %s", reason)
+    raise UnsuccessfulError(response, "; ".join(reasons), complete=True)
 
 
 def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
@@ -139,13 +145,15 @@ def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
     yield from (Constraints(orientations=(one,)) for one in constraints.orientations)
 
 
-def _constraint_result(answer: StateAnswer) -> dict[str, Any]:
+def _unmet(answer: StateAnswer) -> PlanningFailure | None:
+    """Return the failure of a constraint; None if it holds."""
+    violated = MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED
+    return next((problem for problem in answer.problems if problem.code is violated), None)
+
+
+def _constraint_result(unmet: PlanningFailure | None) -> dict[str, Any]:
     """Write a moveit_msgs/ConstraintEvalResult; its distance is the one beyond the tolerance, 0 if it holds."""
-    for problem in answer.problems:
-        if problem.code is MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED:
-            log.info("/check_state_validity: %s", problem.message)
-            return {"result": False, "distance": _distance(problem.details)}
-    return {"result": True, "distance": 0.0}
+    return {"result": unmet is None, "distance": 0.0 if unmet is None else _distance(unmet.details)}
 
 
 def _distance(details: Mapping[str, Any]) -> float:
@@ -156,8 +164,8 @@ def _distance(details: Mapping[str, Any]) -> float:
     return float(max(details["lower_rad"] - position, position - details["upper_rad"], 0.0))
 
 
-def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[str, Any]:
-    """Write a moveit_msgs/ContactInformation."""
+def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scene) -> list[dict[str, Any]]:
+    """Write the moveit_msgs/ContactInformation of each pair."""
     attached = {each.object.name for each in scene.attached}
 
     def body_type(name: str) -> int:
@@ -165,16 +173,20 @@ def _contact(pair: Mapping[str, Any], robot: RobotModel, scene: Scene) -> dict[s
             return ROBOT_LINK
         return ROBOT_ATTACHED if name in attached else WORLD_OBJECT
 
-    return {
-        "header": {"frame_id": robot.root_link},
-        "position": dict(zip("xyz", pair["point_m"], strict=True)),
-        "normal": dict(zip("xyz", pair["normal"], strict=True)),
-        "depth": pair["depth_m"],
-        "contact_body_1": pair["first"],
-        "body_type_1": body_type(pair["first"]),
-        "contact_body_2": pair["second"],
-        "body_type_2": body_type(pair["second"]),
-    }
+    header = {"stamp": Stamp(0, 0).as_message(), "frame_id": robot.root_link}
+    return [
+        {
+            "header": header,
+            "position": dict(zip("xyz", pair["point_m"], strict=True)),
+            "normal": dict(zip("xyz", pair["normal"], strict=True)),
+            "depth": pair["depth_m"],
+            "contact_body_1": pair["first"],
+            "body_type_1": body_type(pair["first"]),
+            "contact_body_2": pair["second"],
+            "body_type_2": body_type(pair["second"]),
+        }
+        for pair in pairs
+    ]
 
 
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
@@ -191,12 +203,13 @@ async def plan_kinematic_path(context: PlanningContext, request: Message, caller
         raise RefusedError(plan)
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
         raise RefusedError(plan.stopped_by)
-    context.display.planned((plan.trajectory,), start.start_rad)
     root = context.robot.root_link
+    start_state, trajectory = state_message(dict(start.start_rad), root, 0.0), to_message(plan.trajectory, root)
+    context.display.trajectories([trajectory], start_state)
     response = {
-        "trajectory_start": state_message(dict(start.start_rad), root, 0.0),
+        "trajectory_start": start_state,
         "group_name": built.problem.group,
-        "trajectory": to_message(plan.trajectory, root),
+        "trajectory": trajectory,
         "planning_time": plan.planning_time_s,
         "error_code": success(*start.warnings, *built.warnings, deviation_note(plan.deviation)),
     }
@@ -217,12 +230,17 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     start = context.start(requests[0]["start_state"], caller)
     planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool.ask)
     root, performed, failure = context.robot.root_link, planned.performed, planned.failure
-    context.display.planned(performed.planned, start.start_rad)
+    start_state, trajectories = state_message(dict(start.start_rad), root, 0.0), []
+    for motion in performed.planned:
+        # A long sequence has thousands of points; others have their turn in between.
+        await asyncio.sleep(0)
+        trajectories.append(to_message(motion, root))
+    context.display.trajectories(trajectories, start_state)
     return {
         "response": {
             "error_code": success(*start.warnings, *planned.notes) if failure is None else failure_code(failure),
-            "sequence_start": state_message(dict(start.start_rad), root, 0.0),
-            "planned_trajectories": [to_message(motion, root) for motion in performed.planned],
+            "sequence_start": start_state,
+            "planned_trajectories": trajectories,
             "planning_time": performed.planning_time_s,
         }
     }
@@ -280,7 +298,12 @@ def get_urdf(context: PlanningContext, request: Message, caller: Node) -> dict[s
         RefusedError: there is no such group.
     """
     group = context.problems.group(request["group_name"])
-    return {"error_code": success(), "urdf_string": group_urdf(context.robot, group)}
+    # The same message every time, so that it is also encoded only once.
+    response = context.urdf_responses.get(group.name)
+    if response is None:
+        response = {"error_code": success(), "urdf_string": group_urdf(context.robot, group)}
+        context.urdf_responses[group.name] = response
+    return response
 
 
 def group_urdf(robot: RobotModel, group: Group) -> str:
@@ -319,6 +342,15 @@ def fail_call(failure: PlanningFailure) -> dict[str, Any]:
     raise ServiceError(failure.message)
 
 
+def invalid_state(failure: PlanningFailure) -> dict[str, Any]:
+    """Answer that a state is invalid; the response has no field for the reason.
+
+    Raises:
+        UnsuccessfulError: always.
+    """
+    raise UnsuccessfulError({"valid": False}, failure.message)
+
+
 @dataclass(frozen=True)
 class MoveGroupService:
     """Service of move_group.
@@ -327,11 +359,13 @@ class MoveGroupService:
         type_name: its type.
         handler: computes the response; raises RefusedError.
         rejection: writes the response to a request that was rejected.
+        complete: True if the handler writes every field of a response that may be large.
     """
 
     type_name: str
     handler: Handler
     rejection: Callable[[PlanningFailure], dict[str, Any]] = error_response
+    complete: bool = False
 
 
 SERVICES: Mapping[str, MoveGroupService] = {
@@ -339,23 +373,28 @@ SERVICES: Mapping[str, MoveGroupService] = {
         "moveit_msgs/srv/GetMotionPlan",
         plan_kinematic_path,
         lambda failure: {"motion_plan_response": error_response(failure)},
+        complete=True,
     ),
     "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
-    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk),
-    "/compute_cartesian_path": MoveGroupService("moveit_msgs/srv/GetCartesianPath", compute_cartesian_path),
-    # The response has no error code; the log has the reason.
+    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk, complete=True),
+    "/compute_cartesian_path": MoveGroupService(
+        "moveit_msgs/srv/GetCartesianPath", compute_cartesian_path, complete=True
+    ),
     "/check_state_validity": MoveGroupService(
-        "moveit_msgs/srv/GetStateValidity", check_state_validity, lambda _failure: {"valid": False}
+        "moveit_msgs/srv/GetStateValidity", check_state_validity, invalid_state, complete=True
     ),
     "/plan_sequence_path": MoveGroupService(
-        "moveit_msgs/srv/GetMotionSequence", plan_sequence_path, lambda failure: {"response": error_response(failure)}
+        "moveit_msgs/srv/GetMotionSequence",
+        plan_sequence_path,
+        lambda failure: {"response": error_response(failure)},
+        complete=True,
     ),
     "/query_planner_interface": MoveGroupService(
         "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call
     ),
     "/get_planner_params": MoveGroupService("moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call),
     "/set_planner_params": MoveGroupService("moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call),
-    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf),
+    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True),
 }
 
 
@@ -368,14 +407,20 @@ def offer_services(graph: Graph, context: PlanningContext) -> None:
     """
     node = Node("moveit services")
     for name, service in SERVICES.items():
-        graph.services.offer_calls(node, name, service.type_name, _start_call(service, context), TIMEOUT_S)
+        start = _start_call(service, context)
+        graph.services.offer_calls(node, name, service.type_name, start, TIMEOUT_S, PLANNING_LIMITS)
 
 
 def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:
     return lambda call: answer(call, lambda request: _respond(service, context, call, request))
 
 
-async def _respond(service: MoveGroupService, context: PlanningContext, call: Call, request: Message) -> dict[str, Any]:
+async def _respond(service: MoveGroupService, context: PlanningContext, call: Call, request: Message) -> Answered:
+    # Requests are read one by one, and the event loop has its turns in between.
+    async with context.turn:
+        await asyncio.sleep(0)
+    # As if the changes of the scene that have been sent before were quick.
+    await context.scene_state.settled()
     try:
         handled = service.handler(context, request, call.caller)
         response = await handled if inspect.isawaitable(handled) else handled
@@ -385,7 +430,7 @@ async def _respond(service: MoveGroupService, context: PlanningContext, call: Ca
         context.display.contacts_of(failure.details)
         return service.rejection(failure)
     _log_error_message(call.service, response)
-    return response
+    return CompleteResponse(response) if service.complete else response
 
 
 def _log_error_message(service: str, response: Mapping[str, Any]) -> None:

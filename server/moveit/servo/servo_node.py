@@ -16,7 +16,7 @@ from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.arm import Arm
 from robot.description.model import RobotModel
-from server.errors import RefusedError
+from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import check_ready
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -311,10 +311,12 @@ class ServoNode:
         gate, session = self._gate, self._session
 
         def switch(request: Message) -> dict[str, Any]:
-            known = request["command_type"] in set(CommandType)
-            if known:
-                gate.select(CommandType(request["command_type"]))
-            return {"success": known}
+            wanted = request["command_type"]
+            if wanted not in set(CommandType):
+                known = ", ".join(f"{kind.value} ({kind.name})" for kind in CommandType)
+                raise UnsuccessfulError({"success": False}, f"command_type must be one of {known}, not {wanted}")
+            gate.select(CommandType(wanted))
+            return {"success": True}
 
         def pause(*, paused: bool) -> dict[str, Any]:
             gate.paused = paused

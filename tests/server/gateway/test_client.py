@@ -9,6 +9,7 @@ from protocol.codecs import png
 from protocol.limits import Limits
 from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
+from server.errors import UnsuccessfulError
 from server.graph.node import Node
 from server.graph.topics import Subscriber
 from tests.conformance.cases import cases, play
@@ -63,6 +64,24 @@ async def test_messages_that_were_dropped_are_told_when_the_client_leaves(caplog
     await world.close("slow")
     assert f"slow: {slow.session.dropped} messages were dropped" in caplog.text
     assert slow.session.dropped > 0
+
+
+def test_a_service_without_a_field_for_the_reason_of_its_failure_tells_it_by_a_status() -> None:
+    def serve(_request: dict[str, Any]) -> dict[str, Any]:
+        raise UnsuccessfulError({"success": False}, "the disk is full")
+
+    world = InProcess()
+    world.graph.services.offer(Node("server"), "/save", "moveit_msgs/srv/SaveGeometryToFile", serve)
+    world.say("ui", op="set_level", level="error")
+    world.say("ui", op="call_service", service="/save", id="s1")
+    status, response = world.heard("ui")
+    assert status == {
+        "op": "status",
+        "level": "error",
+        "msg": "call_service: service /save: the disk is full",
+        "id": "s1",
+    }
+    assert (response["values"], response["result"]) == ({"success": False}, True)
 
 
 class TestRefused:

@@ -248,5 +248,5 @@ async def test_more_than_there_are_loggers_are_refused_at_once(
     graph.services.call(CALLER, service, {field: [entry] * (MAX_REQUESTED + 1)}, responses.append)
     assert (responses[0].ok, responses[0].values) == (
         False,
-        f"{field}: {MAX_REQUESTED + 1} loggers, the limit is {MAX_REQUESTED}",
+        f"Service {service}: field {field}: wanted at most {MAX_REQUESTED} elements in all, got {MAX_REQUESTED + 1}",
     )

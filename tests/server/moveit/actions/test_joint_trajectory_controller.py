@@ -288,6 +288,11 @@ REFUSED = {
     "no points": ({"points": []}, FollowCode.INVALID_GOAL, "points is empty"),
     "unknown joint": ({"joint_names": ["knee"]}, FollowCode.INVALID_JOINTS, "'knee'"),
     "joint of another controller": ({"joint_names": ["gripper"]}, FollowCode.INVALID_JOINTS, "'gripper'"),
+    "stamp with a second of nanoseconds": (
+        {"header": {"stamp": {"sec": 1000, "nanosec": 1_000_000_000}}},
+        FollowCode.INVALID_GOAL,
+        "trajectory.header.stamp.nanosec",
+    ),
     "stamp in the past": ({"header": {"stamp": {"sec": 990}}}, FollowCode.OLD_HEADER_TIMESTAMP, "8.0 s ago"),
     "no positions": ({"points": [{**POINT, "positions": []}]}, FollowCode.INVALID_GOAL, "positions"),
     "wrong length": ({"points": [{**POINT, "positions": [0.1, 0.2]}]}, FollowCode.INVALID_GOAL, "2 values for 1"),

@@ -31,7 +31,7 @@ from server.moveit.actions.move_group import (
     read_planning_options,
 )
 from tests.helpers.fake_arm import HOME, settle
-from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, joint, message, outcome
+from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, assert_refused, joint, message, outcome
 
 OFFERED = {
     "/move_action": "moveit_msgs/action/MoveGroup",
@@ -252,11 +252,15 @@ def test_default_options_are_one_attempt_in_the_present_scene() -> None:
     assert options() == PlanningOptions(plan_only=False, attempts=1, delay_s=0.0, scene_diff=None, warnings=())
 
 
-@pytest.mark.parametrize(
-    ("asked", "attempts"), [(0, DEFAULT_ATTEMPTS), (-1, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)]
-)
+@pytest.mark.parametrize(("asked", "attempts"), [(0, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)])
 def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int) -> None:
     assert options(replan=True, replan_attempts=asked).attempts == attempts
+
+
+@pytest.mark.parametrize("field", ["look_around_attempts", "replan_attempts"])
+def test_a_negative_number_of_attempts_is_rejected_by_name(field: str) -> None:
+    read = outcome(read_planning_options, message("moveit_msgs/msg/PlanningOptions", **{field: -1}))
+    assert_refused(read, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
 
 
 @pytest.mark.parametrize("delay_s", [-1.0, 11.0, math.nan, math.inf])

@@ -91,9 +91,25 @@ def test_a_scaling_above_one_is_full_speed_with_a_warning() -> None:
     assert "max_velocity_scaling_factor 1.5" in read.warnings[0]
 
 
-@pytest.mark.parametrize(("field", "value"), [("allowed_planning_time", -1.0), ("num_planning_attempts", -1)])
-def test_time_and_attempts_below_zero_are_the_defaults(field: str, value: float) -> None:
-    assert problem(**{field: value}) == problem()
+@pytest.mark.parametrize("field", ["allowed_planning_time", "num_planning_attempts"])
+def test_a_time_and_attempts_of_zero_are_the_defaults(field: str) -> None:
+    assert problem(**{field: 0}) == problem()
+
+
+NO_VALUES = {
+    "time": ({"allowed_planning_time": -1.0}, "allowed_planning_time must be 0 s or more"),
+    "attempts": ({"num_planning_attempts": -1}, "num_planning_attempts must be 0 or more"),
+    "workspace": (
+        {"workspace_parameters": {"max_corner": {"y": math.nan}}},
+        "workspace_parameters.max_corner.y must be a finite number, not nan",
+    ),
+    "speed": ({"max_cartesian_speed": math.nan}, "max_cartesian_speed must be a number, not nan"),
+}
+
+
+@pytest.mark.parametrize(("fields", "words"), NO_VALUES.values(), ids=NO_VALUES)
+def test_values_that_mean_nothing_are_refused_by_name(fields, words: str) -> None:
+    assert_refused(asked(**fields), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, words)
 
 
 def test_time_and_attempts_are_bounded_with_a_warning() -> None:
@@ -133,7 +149,7 @@ def test_planners_are_known_in_moveits_spellings(spelled: str) -> None:
 
 
 def test_the_workspace_is_ignored() -> None:
-    box = {"min_corner": {"x": math.nan, "y": 0.0, "z": 0.0}, "header": {"frame_id": "moon"}}
+    box = {"min_corner": {"x": 9.0, "y": 0.0, "z": 0.0}, "header": {"frame_id": "moon"}}
     assert asked(workspace_parameters=box) == asked()
 
 

@@ -125,6 +125,11 @@ BAD = {
     "too few": ({}, [at(1.0, 0.1)], ("points[0].positions has 1 values for 2 joints",)),
     "velocities": ({}, [at(1.0, 0.1, 0.1, velocities=[0.0])], ("points[0].velocities has 1 values",)),
     "no number": ({}, [at(0.0, 0.0, 0.0), at(1.0, math.nan, 0.1)], ("points[1].positions",)),
+    "a second of nanoseconds": (
+        {},
+        [at(0.0, 0.0, 0.0), {"positions": [0.1, 0.1], "time_from_start": {"sec": 1, "nanosec": 1_000_000_000}}],
+        ("points[1].time_from_start.nanosec", "1000000000"),
+    ),
     "before": ({}, [at(-1.0, 0.1, 0.1)], ("points[0].time_from_start", "-1")),
 }
 

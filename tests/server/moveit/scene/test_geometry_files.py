@@ -36,7 +36,7 @@ class Files:
             return (await answered).values["success"]
 
     def empty(self):
-        self.state.apply_world(message("PlanningSceneWorld"), BENT)
+        self.state.apply(self.state.world(message("PlanningSceneWorld")), BENT)
 
 
 async def test_a_saved_scene_is_loaded(tmp_path):

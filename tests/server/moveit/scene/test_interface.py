@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 from copy import copy
@@ -212,6 +213,44 @@ def test_a_refusal_is_no_success_and_its_sentence_is_in_the_log(caplog):
     assert "no object 'ghost'" in caplog.text
 
 
+def test_a_refusal_tells_its_reason_beside_the_response():
+    client, answers = Client(), []
+    scene = {"is_diff": True, "world": {"collision_objects": [{"id": "ghost", "operation": 1}]}}
+    client.graph.services.call(client.node, APPLY, {"scene": scene}, answers.append)
+    assert answers[0].values == {"success": False}
+    assert answers[0].reason.startswith("refused, nothing is changed: world.collision_objects[0]: there is no object")
+
+
+async def test_a_call_for_the_scene_waits_for_a_large_change_that_came_before():
+    client = Client()
+    answers = []
+    boxes = [box(str(number), at=pose(2.0)) for number in range(100)]
+    scene = {"is_diff": True, "world": {"collision_objects": boxes}}
+    client.graph.services.call(client.node, APPLY, {"scene": scene}, answers.append)
+    client.graph.services.call(client.node, GET, {}, answers.append)
+    assert not answers
+    async with asyncio.timeout(30.0):
+        while len(answers) < 2:
+            await asyncio.sleep(0.001)
+    assert answers[0].values == {"success": True}
+    assert len(answers[1].values["scene"]["world"]["collision_objects"]) == 100
+
+
+@pytest.mark.parametrize("topic", TOPICS.keys() - {MONITORED_TOPIC})
+def test_more_objects_or_shapes_than_a_scene_has_are_refused_before_they_are_completed(topic, caplog):
+    graph, _state = opened()
+    objects = [{"primitives": [{}] * 1001}]
+    message = {
+        "/planning_scene": {"world": {"collision_objects": objects}},
+        "/planning_scene_world": {"collision_objects": objects},
+        "/collision_object": objects[0],
+        "/attached_collision_object": {"object": objects[0]},
+    }[topic]
+    with pytest.raises(MessageError, match="primitives: wanted at most 1000 elements in all, got 1001"):
+        graph.publish(Node("client", remote=True), topic, message)
+    assert topic in caplog.text
+
+
 def test_an_assumed_state_is_given_back_to_the_client_that_set_it():
     client = Client()
     assert client.joints() == pytest.approx(BENT)
@@ -290,7 +329,7 @@ class Watched:
         return [published.msg for published in self.graph.subscribe(Node("client"), MONITORED_TOPIC, None, subscriber)]
 
     def add(self, name):
-        self.state.apply_collision_object(collision_object(**box(name)), BENT)
+        self.state.apply(self.state.collision_object(collision_object(**box(name))), BENT)
 
 
 def ids(message):
@@ -333,7 +372,7 @@ def test_a_change_that_is_reverted_in_time_is_not_published():
     watched.add("cup")
     watched.clock.advance(0.0)
     watched.add("pen")
-    watched.state.apply_collision_object(collision_object(id="pen", operation=1), BENT)
+    watched.state.apply(watched.state.collision_object(collision_object(id="pen", operation=1)), BENT)
     watched.clock.advance(PERIOD_S)
     assert len(watched.heard) == 1
 
@@ -476,5 +515,4 @@ def test_a_diff_turns_one_scene_into_another(first, then):
 @pytest.mark.parametrize(("one", "other"), [(SceneState(ROBOT), FULL), (FULL, SceneState(ROBOT))])
 def test_a_difference_is_a_complete_message(one, other):
     sent = scene_diff(one.contents, other.contents, ROBOT)
-    completed = message("PlanningScene", **sent)
-    assert {**completed, "robot_state": {}} == {**sent, "robot_state": {}}
+    assert message("PlanningScene", **sent) == sent

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import logging
 import math
@@ -15,7 +16,8 @@ from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_checks import MAX_SHAPES
 from server.errors import RefusedError
 from server.graph.node import Node
-from server.moveit.scene.scene_state import AssumedStates, SceneState
+from server.moveit.scene.allowed_collision_matrix import MAX_EXCEPTIONS
+from server.moveit.scene.scene_state import MAX_WAITING_ELEMENTS, AssumedStates, SceneChange, SceneState
 from tests.helpers.moveit import (
     BENT,
     ROBOT,
@@ -65,6 +67,61 @@ def test_a_repeated_message_changes_nothing():
     assert calls == []
 
 
+MANY = diff(world={"collision_objects": [box(str(number), at=pose(2.0)) for number in range(100)]})
+
+
+async def test_a_large_change_is_read_by_a_thread_and_later_ones_wait_for_it():
+    state, ends = scene_state(), []
+    removal = diff(world={"collision_objects": [{"id": "7", "operation": 1}]})
+    state.submit(state.diff(MANY), BENT, lambda refusal: ends.append(("many", refusal)))
+    state.submit(state.diff(removal), BENT, lambda refusal: ends.append(("removal", refusal)))
+    assert (state.pending, ends, len(state.contents.objects)) == (True, [], 0)
+    await asyncio.wait_for(state.settled(), 30.0)
+    assert ends == [("many", None), ("removal", None)]
+    assert len(state.contents.objects) == 99
+
+
+async def test_a_large_change_is_applied_to_the_scene_as_it_is_then():
+    state, ends = scene_state(), []
+    state.submit(state.diff(MANY), BENT, ends.append)
+    state.apply_diff(ADDED, BENT)
+    await asyncio.wait_for(state.settled(), 30.0)
+    assert ends == [None]
+    assert {"cup", "pen", "0", "99"} < state.contents.objects.keys()
+
+
+async def test_a_large_change_that_is_refused_changes_nothing():
+    state = scene_state(box("cup"))
+    contents = state.contents
+    bad = diff(world={"collision_objects": [*MANY["world"]["collision_objects"], {"id": "ghost", "operation": 1}]})
+    with pytest.raises(RefusedError, match="no object 'ghost'"):
+        await asyncio.wait_for(state.change(state.diff(bad), BENT), 30.0)
+    assert state.contents is contents
+    await asyncio.wait_for(state.change(state.diff(ADDED), BENT), 30.0)
+    assert "pen" in state.contents.objects
+
+
+async def test_changes_that_wait_are_bounded():
+    state, ends = scene_state(), []
+    most = SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS)
+    for _ in range(2):
+        state.submit(most, BENT, ends.append)
+    assert [str(end) for end in ends] == [
+        f"changes of the scene with {2 * MAX_WAITING_ELEMENTS} elements would wait; the limit is {MAX_WAITING_ELEMENTS}"
+    ]
+    await asyncio.wait_for(state.settled(), 30.0)
+    assert ends[1:] == [None]
+
+
+def test_a_scene_with_too_many_pairs_of_a_matrix_is_refused_before_they_are_made():
+    names = [str(number) for number in range(200)]
+    matrix = {"default_entry_names": names, "default_entry_values": [True] * 200}
+    boxes = [box(str(number), at=pose(2.0)) for number in range(200)]
+    change = diff(allowed_collision_matrix=matrix, world={"collision_objects": boxes})
+    failure = rejection(scene_state().apply_diff, change, BENT)
+    assert f"the limit is {MAX_EXCEPTIONS}" in failure.message
+
+
 def test_a_colour_changes_the_contents_and_not_the_planners_scene():
     state = scene_state(box("cup"))
     scene = state.scene
@@ -99,14 +156,14 @@ def test_with_diff_does_not_change_the_scene():
 
 def test_a_world_replaces_the_one_before_and_keeps_attached_objects():
     state = scene_state(box("cup"), box("pen"))
-    state.apply_attached_object(held("cup"), BENT)
-    state.apply_world(message("PlanningSceneWorld", collision_objects=[box("new")]), BENT)
+    state.apply(state.attached_object(held("cup")), BENT)
+    state.apply(state.world(message("PlanningSceneWorld", collision_objects=[box("new")])), BENT)
     assert (list(state.contents.objects), list(state.contents.attached)) == (["new"], ["cup"])
 
 
 def test_single_objects_are_taken():
     state = SceneState(ROBOT)
-    state.apply_collision_object(collision_object(**box("cup")), None)
+    state.apply(state.collision_object(collision_object(**box("cup"))), None)
     assert [thing.name for thing in state.scene.objects] == ["cup"]
 
 
@@ -120,19 +177,22 @@ def test_single_objects_are_taken():
 )
 def test_names_that_are_taken_or_empty_are_refused(objects, code):
     state = scene_state()
-    state.apply_attached_object(held("held", **box("held")), BENT)
+    state.apply(state.attached_object(held("held", **box("held"))), BENT)
     assert rejection(state.apply_diff, diff(world={"collision_objects": objects}), BENT).code is code
 
 
 def test_an_unknown_touch_link_is_refused():
     state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
-    assert rejection(state.apply_attached_object, touching, BENT).code is MoveItErrorCode.INVALID_LINK_NAME
+    assert rejection(state.apply, state.attached_object(touching), BENT).code is MoveItErrorCode.INVALID_LINK_NAME
 
 
 def test_more_shapes_than_a_scene_holds_are_refused_bit_by_bit_as_well():
     half = [{"type": 2, "dimensions": [0.1]}] * (MAX_SHAPES // 2)
     state = scene_state({"id": "a", "primitives": half}, {"id": "b", "primitives": half})
-    assert rejection(state.apply_collision_object, collision_object(**box("c")), BENT).details["limit"] == MAX_SHAPES
+    assert (
+        rejection(state.apply, state.collision_object(collision_object(**box("c"))), BENT).details["limit"]
+        == MAX_SHAPES
+    )
 
 
 def test_a_scene_for_another_robot_is_taken_with_a_warning(caplog):

@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Sphere
 from planners.scene_checks import MAX_TRIANGLES
 from server.errors import RefusedError
+from server.moveit.scene import shapes
 from server.moveit.scene.shapes import (
     BOX,
     CONE,
     CYLINDER,
+    MAX_PRISM_CORNERS,
     PRISM,
     SPHERE,
     prism_mesh,
@@ -119,6 +121,21 @@ def volume_m3(mesh):
 @pytest.mark.parametrize(("polygon", "area_m2"), [(SQUARE, 4.0), (HOOK, 5.0), (HOOK[::-1], 5.0)])
 def test_the_surface_encloses_the_polygon_times_the_height(polygon, area_m2):
     assert volume_m3(prism_mesh(polygon, 0.5)) == pytest.approx(0.5 * area_m2)
+
+
+def spiral(corners):
+    """A polygon between two spirals, of whose corners few are ears."""
+    inner = [((1.0 + 0.1 * k) * math.cos(0.3 * k), (1.0 + 0.1 * k) * math.sin(0.3 * k)) for k in range(corners // 2)]
+    outer = [((1.3 + 0.1 * k) * math.cos(0.3 * k), (1.3 + 0.1 * k) * math.sin(0.3 * k)) for k in range(corners // 2)]
+    return [*inner, *reversed(outer)]
+
+
+def test_the_most_corners_of_a_prism_take_few_searches_for_ears(monkeypatch):
+    searches = []
+    is_ear = shapes._is_ear
+    monkeypatch.setattr(shapes, "_is_ear", lambda *arguments: searches.append(1) or is_ear(*arguments))
+    assert prism_mesh(spiral(MAX_PRISM_CORNERS), 1.0) is not None
+    assert len(searches) < 4 * MAX_PRISM_CORNERS
 
 
 def test_the_middle_is_at_half_the_height():

@@ -120,6 +120,11 @@ async def test_a_solution_in_contact_counts_unless_contacts_are_to_be_avoided(ri
 TIMES = {(0, 0): 0.5, (0, 250_000_000): 0.25, (2, 500_000_000): 2.5, (100, 0): 10.0}
 
 
+async def test_a_timeout_with_a_second_of_nanoseconds_is_refused_by_name(rig: ServiceRig) -> None:
+    refused = await ik(rig, timeout={"sec": 0, "nanosec": 1_000_000_000})
+    assert "ik_request.timeout.nanosec must be below 1000000000, not 1000000000" in refused["error_code"]["message"]
+
+
 @pytest.mark.parametrize(("stamp", "allowed_s"), TIMES.items())
 async def test_parts_of_seconds_count_in_a_timeout(rig: ServiceRig, stamp, allowed_s) -> None:
     await ik(rig, timeout={"sec": stamp[0], "nanosec": stamp[1]})
@@ -169,11 +174,11 @@ async def test_a_state_beyond_the_limits_has_poses_all_the_same(rig: ServiceRig)
 
 async def test_more_links_than_any_robot_has_are_refused_before_they_cost_anything(rig: ServiceRig) -> None:
     names = [TIP] * (MAX_LINKS + 1)
-    asked = await rig.call("/compute_fk", fk_link_names=names)
-    sought = await ik(rig, ik_link_names=names, pose_stamped_vector=[{}] * len(names))
-    for answer, field in ((asked, "fk_link_names"), (sought, "ik_link_names")):
-        assert answer["error_code"]["val"] != MoveItErrorCode.SUCCESS
-        assert f"{field} has {MAX_LINKS + 1} entries, the limit is {MAX_LINKS}" in answer["error_code"]["message"]
+    asked = await rig.outcome("/compute_fk", fk_link_names=names)
+    sought = await rig.outcome("/compute_ik", ik_request={"ik_link_names": names})
+    for (ok, sentence), field in ((asked, "fk_link_names"), (sought, "ik_request.ik_link_names")):
+        assert not ok
+        assert f"field {field}: wanted at most {MAX_LINKS} elements in all, got {MAX_LINKS + 1}" in sentence
 
 
 FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.6, "wrist_flex": 1.6}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -308,3 +309,43 @@ async def test_an_empty_name_is_the_configured_group() -> None:
     answer = await ServiceRig().call("/get_urdf")
     assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
     assert "gripper_frame_link" in answer["urdf_string"]
+
+
+async def test_the_urdf_of_a_group_is_the_same_message_every_time() -> None:
+    rig = ServiceRig()
+    assert await rig.call("/get_urdf", group_name="arm") is await rig.call("/get_urdf", group_name="arm")
+
+
+async def test_large_responses_are_complete_messages() -> None:
+    rig = ServiceRig()
+    goal = {"goal_constraints": [{"joint_constraints": [joint("elbow_flex", 0.3)]}]}
+    touching = {"joint_state": {"name": ["shoulder_lift", "elbow_flex", "wrist_flex"], "position": [-1.7, 1.6, 1.6]}}
+    requests: dict[str, dict[str, Any]] = {
+        "/plan_kinematic_path": {"motion_plan_request": goal},
+        "/plan_sequence_path": {"request": {"items": [{"req": goal}]}},
+        "/compute_cartesian_path": {"waypoints": [{}], "max_step": 0.01},
+        "/compute_fk": {},
+        "/check_state_validity": {"robot_state": touching},
+        "/get_urdf": {},
+    }
+    for service, request in requests.items():
+        response = await rig.call(service, **request)
+        type_name = f"{rig.graph.services.type_of(service)}_Response"
+        assert rig.graph.message_types.complete(type_name, response) == response
+
+
+async def test_planned_motions_are_shown_as_complete_messages() -> None:
+    rig = ServiceRig()
+    heard = rig.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
+    goal = {"goal_constraints": [{"joint_constraints": [joint("elbow_flex", 0.3)]}]}
+    await rig.call("/plan_kinematic_path", motion_plan_request=goal)
+    assert rig.graph.message_types.complete("moveit_msgs/msg/DisplayTrajectory", heard[0]) == heard[0]
+
+
+async def test_an_invalid_state_has_its_reason_beside_the_response() -> None:
+    rig, answers = ServiceRig(), asyncio.get_running_loop().create_future()
+    state = {"joint_state": {"name": ["elbow_flex"], "position": [9.0]}}
+    rig.graph.services.call(rig.client, "/check_state_validity", {"robot_state": state}, answers.set_result)
+    answer = await asyncio.wait_for(answers, 60.0)
+    assert answer.values["valid"] is False
+    assert "elbow_flex" in answer.reason

@@ -13,6 +13,7 @@ from planners.pool import PlannerPool
 from planners.scene import EMPTY_SCENE, Pose, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from server.graph.node import Node
+from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.scene_state import SceneState
@@ -140,6 +141,12 @@ async def test_a_selected_command_type_excludes_the_others(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, NORTH)
     assert "JOINT_JOG was selected" in rig.heard[-1]["message"]
     assert rig.call(SWITCH_SERVICE, command_type=9) == {"success": False}
+
+
+async def test_an_unknown_command_type_is_named(rig: Rig) -> None:
+    answers: list[Response] = []
+    rig.graph.services.call(Node("client", remote=True), SWITCH_SERVICE, {"command_type": 9}, answers.append)
+    assert answers[0].reason == "command_type must be one of 0 (JOINT_JOG), 1 (TWIST), 2 (POSE), not 9"
 
 
 @pytest.mark.parametrize(

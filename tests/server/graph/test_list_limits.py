@@ -1,0 +1,149 @@
+"""Limits of the lists in requests, goals and messages to the server."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from protocol.errors import MessageError
+from protocol.registry import Registry
+from server.errors import UnsuccessfulError
+from server.graph.actions import Result
+from server.graph.list_limits import MAX_VALUES, ListLimits
+from server.graph.message_types import MessageTypes, ReceivedMessage
+from server.graph.node import Node
+from server.graph.services import Response
+from server.graph.topics import Graph, Subscriber
+
+REGISTRY = Registry.load()
+SEQUENCE = "moveit_msgs/srv/GetMotionSequence"
+ITEMS = "moveit_msgs/msg/MotionSequenceRequest.items"
+SERVER, CLIENT = Node("server"), Node("client", remote=True)
+
+
+class CountingTypes(MessageTypes):
+    """Counts the messages that are completed."""
+
+    completed = 0
+
+    def complete(self, *arguments: Any, **keywords: Any) -> dict[str, Any]:
+        self.completed += 1
+        return super().complete(*arguments, **keywords)
+
+
+def refusal(limits: ListLimits, message: object, type_name: str = f"{SEQUENCE}_Request") -> str:
+    """The sentence that refuses a message; empty for none."""
+    try:
+        limits.check(REGISTRY, type_name)(message)
+    except MessageError as error:
+        return str(error)
+    return ""
+
+
+def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value() -> None:
+    limits = ListLimits({ITEMS: 2})
+    assert refusal(limits, {"request": {"items": [{}] * 2}}) == ""
+    refused = refusal(limits, {"request": {"items": [{}] * 3}})
+    assert refused == "field request.items: wanted at most 2 elements in all, got 3"
+
+
+def test_a_limit_is_for_all_lists_of_the_field_together() -> None:
+    limits = ListLimits({"moveit_msgs/msg/Constraints.joint_constraints": 3})
+    item = {"req": {"path_constraints": {"joint_constraints": [{}] * 2}}}
+    assert refusal(limits, {"request": {"items": [item]}}) == ""
+    refused = refusal(limits, {"request": {"items": [item] * 2}})
+    field = "request.items[].req.path_constraints.joint_constraints"
+    assert refused == f"field {field}: wanted at most 3 elements in all, got 4"
+
+
+def test_other_lists_are_limited_by_the_values_that_they_stand_for() -> None:
+    item_values = 43
+    limits = ListLimits(max_values=10 * item_values)
+    assert refusal(limits, {"request": {"items": [{}] * 10}}) == ""
+    assert "request.items: wanted at most 430 values" in refusal(limits, {"request": {"items": [{}] * 11}})
+
+
+@pytest.mark.parametrize("count", [MAX_VALUES, MAX_VALUES + 1])
+def test_numbers_and_texts_count_as_values(count: int) -> None:
+    refused = refusal(ListLimits(), {"fk_link_names": ["a"] * count}, "moveit_msgs/srv/GetPositionFK_Request")
+    assert bool(refused) == (count > MAX_VALUES)
+
+
+def test_fields_in_order_of_declaration_are_counted_as_well() -> None:
+    assert "request.items" in refusal(ListLimits({ITEMS: 2}), [{"items": [{}] * 3}])
+
+
+@pytest.mark.parametrize(
+    "message", [None, 3, "a", {"request": 3}, {"request": {"items": {"a": 1}}}, {"other": [{}] * 9}]
+)
+def test_what_does_not_fit_its_type_is_left_to_the_completion(message: object) -> None:
+    assert refusal(ListLimits({ITEMS: 2}), message) == ""
+
+
+def test_a_message_of_a_client_is_counted_once() -> None:
+    check = ListLimits({ITEMS: 2}).check(REGISTRY, f"{SEQUENCE}_Request")
+    fits, exceeds = (ReceivedMessage({"request": {"items": [{}] * count}}, 100) for count in (2, 3))
+    check(fits)
+    fits.value = None
+    check(fits)
+    with pytest.raises(MessageError):
+        check(exceeds)
+
+
+@pytest.fixture
+def graph() -> Graph:
+    made = Graph(REGISTRY)
+    made.services._message_types = CountingTypes(REGISTRY)
+    made.actions._message_types = CountingTypes(REGISTRY)
+    made.message_types = CountingTypes(REGISTRY)
+    return made
+
+
+async def test_a_request_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
+    graph.services.offer(SERVER, "/plan", SEQUENCE, lambda _request: {}, limits=ListLimits({ITEMS: 2}))
+    responses: list[Response] = []
+    graph.services.call(CLIENT, "/plan", {"request": {"items": [{}] * 3}}, responses.append)
+    assert not responses[0].ok
+    assert responses[0].values.startswith("Service /plan: field request.items: wanted at most 2 elements")
+    assert graph.services._message_types.completed == 0
+
+
+async def test_services_of_the_server_have_a_limit_without_a_word_about_it(graph: Graph) -> None:
+    graph.services.offer(SERVER, "/plan", SEQUENCE, lambda _request: {})
+    responses: list[Response] = []
+    graph.services.call(CLIENT, "/plan", {"request": {"items": [{}] * 5000}}, responses.append)
+    assert not responses[0].ok
+    assert graph.services._message_types.completed == 0
+
+
+async def test_a_goal_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
+    type_name = "moveit_msgs/action/MoveGroupSequence"
+    graph.actions.offer(SERVER, "/move", type_name, lambda _goal: None, ListLimits({ITEMS: 2}))
+    results: list[Result] = []
+    goal = graph.actions.send_goal(CLIENT, "/move", type_name, {"request": {"items": [{}] * 3}}, results.append)
+    assert goal is None
+    assert "at most 2 elements in all, got 3" in results[0].values
+    assert graph.actions._message_types.completed == 0
+
+
+def test_a_message_with_too_long_a_list_is_refused_before_it_is_completed_and_its_subscriber_told(graph: Graph) -> None:
+    type_name = "geometry_msgs/msg/PoseArray"
+    refused: list[str] = []
+    check = ListLimits({f"{type_name}.poses": 2}).check(REGISTRY, type_name)
+    subscriber = Subscriber(lambda _published: None, lambda error: refused.append(str(error)), check_lists=check)
+    graph.subscribe(SERVER, "/poses", type_name, subscriber)
+    with pytest.raises(MessageError):
+        graph.publish(CLIENT, "/poses", {"poses": [{}] * 3})
+    assert refused == ["field poses: wanted at most 2 elements in all, got 3"]
+    assert graph.message_types.completed == 0
+
+
+async def test_the_reason_of_a_service_that_has_not_succeeded_comes_with_its_response(graph: Graph) -> None:
+    def serve(_request: dict[str, Any]) -> dict[str, Any]:
+        raise UnsuccessfulError({"success": False}, "the disk is full")
+
+    graph.services.offer(SERVER, "/save", "moveit_msgs/srv/SaveGeometryToFile", serve)
+    responses: list[Response] = []
+    graph.services.call(CLIENT, "/save", {}, responses.append)
+    assert responses == [Response(ok=True, values={"success": False}, reason="the disk is full")]

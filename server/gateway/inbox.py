@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from protocol import operations
 from protocol.operations import Operation
 from protocol.session import Packed, Refusal, Session
 from server.gateway.turns import Background, Turns
@@ -176,12 +177,12 @@ class Inbox:
         if self._closed:
             return
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
-        if len(frame) >= LONG_FRAME_BYTES or (until_s is None and not self._handler.identified):
-            self._add(_Waiting(frame, len(frame)))
-        elif until_s is None:
-            self._add_operations(frame)
-        else:
+        if until_s is not None and len(frame) < LONG_FRAME_BYTES:
             self._begin(frame, until_s)
+        elif len(frame) >= LONG_FRAME_BYTES or not self._handler.identified or self._has_unread_frames():
+            self._add_frame(frame)
+        else:
+            self._add_operations(frame)
 
     def work(self, until_s: float) -> bool:
         """Carry out what waits until a time; return True when there is more to do now."""
@@ -237,6 +238,21 @@ class Inbox:
             if isinstance(item, Operation) and self._handler.is_stop(item):
                 self._go_ahead(stop, item, waiting[:place])
 
+    def _has_unread_frames(self) -> bool:
+        """Return True when a frame waits or is being read: what comes behind it can only be read after it."""
+        return any(isinstance(each.item, str | bytes) for each in (*self._in_progress, *self._waiting))
+
+    def _add_frame(self, frame: str | bytes) -> None:
+        """Let a frame wait unread; a stop in a frame of its own is carried out now."""
+        waiting, before = _Waiting(frame, len(frame)), (*self._in_progress, *self._waiting)
+        stop = operations.peek(frame) if len(frame) < LONG_FRAME_BYTES and self._handler.identified else None
+        if stop is not None and self._handler.is_stop(stop):
+            waiting.item = stop
+            self._add(waiting)
+            self._go_ahead(waiting, stop, before)
+        else:
+            self._add(waiting)
+
     def _add_operations(self, frame: str | bytes) -> None:
         """Let the operations of a short frame wait; stops are carried out now."""
         for item in self._read(frame):
@@ -247,7 +263,7 @@ class Inbox:
 
     def _go_ahead(self, stop: _Waiting, operation: Operation, before: Sequence[_Waiting]) -> None:
         """Carry a stop out ahead of what waits before it; all of that but a few operations moves nothing any more."""
-        if len(before) <= FEW:
+        if len(before) <= FEW and not any(isinstance(each.item, str | bytes) for each in before):
             while stop in self._waiting and not self._in_progress:
                 self._take_step()
         if stop in self._waiting:

@@ -12,7 +12,7 @@ import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 from planners.goals import Constraints
 from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, StateAnswer, StateQuestion
@@ -73,7 +73,7 @@ async def compute_ik(context: PlanningContext, request: Message, caller: Node) -
     return {"solution": solution, "error_code": success(*built.warnings, deviation_note(answer.deviations[0]))}
 
 
-async def compute_fk(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+def compute_fk(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
     """Compute poses of links, in the frame of the request's header; returns the response of moveit_msgs/GetPositionFK.
 
     Without names it computes the poses of all links.
@@ -412,10 +412,25 @@ def offer_services(graph: Graph, context: PlanningContext) -> None:
 
 
 def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:
-    return lambda call: answer(call, lambda request: _respond(service, context, call, request))
+    plans = inspect.iscoroutinefunction(service.handler)
+
+    def start(call: Call) -> None:
+        respond = _respond_later if plans or context.scene_state.pending else _respond
+        answer(call, lambda request: respond(service, context, call, request))
+
+    return start
 
 
-async def _respond(service: MoveGroupService, context: PlanningContext, call: Call, request: Message) -> Answered:
+def _respond(service: MoveGroupService, context: PlanningContext, call: Call, request: Message) -> Answered:
+    """Answer a call of a service that plans nothing at once, so that no more answers wait than the caller reads."""
+    try:
+        response = service.handler(context, request, call.caller)
+    except RefusedError as error:
+        return _rejection(service, context, call, error.failure)
+    return _response(service, call, cast(Message, response))
+
+
+async def _respond_later(service: MoveGroupService, context: PlanningContext, call: Call, request: Message) -> Answered:
     # Requests are read one by one, and the event loop has its turns in between.
     async with context.turn:
         await asyncio.sleep(0)
@@ -425,10 +440,19 @@ async def _respond(service: MoveGroupService, context: PlanningContext, call: Ca
         handled = service.handler(context, request, call.caller)
         response = await handled if inspect.isawaitable(handled) else handled
     except RefusedError as error:
-        failure = error.failure
-        log.warning("%s: %s: %s", call.service, failure.code.name, failure.message)
-        context.display.contacts_of(failure.details)
-        return service.rejection(failure)
+        return _rejection(service, context, call, error.failure)
+    return _response(service, call, response)
+
+
+def _rejection(
+    service: MoveGroupService, context: PlanningContext, call: Call, failure: PlanningFailure
+) -> Mapping[str, Any]:
+    log.warning("%s: %s: %s", call.service, failure.code.name, failure.message)
+    context.display.contacts_of(failure.details)
+    return service.rejection(failure)
+
+
+def _response(service: MoveGroupService, call: Call, response: Message) -> Answered:
     _log_error_message(call.service, response)
     return CompleteResponse(response) if service.complete else response
 

@@ -198,6 +198,28 @@ def test_a_stop_overtakes_what_a_thread_works_on(world: World) -> None:
     assert world.done == ["/stop", "/large"] + ["no /goal"] * 5
 
 
+def test_what_comes_behind_a_frame_that_a_thread_reads_is_read_after_it(world: World) -> None:
+    client = world.client()
+    client.publish("/1", length=LONG_FRAME_BYTES)
+    world.turn()
+    client.inbox.receive_frame('{"op":"publish",')
+    client.inbox.receive_frame('"topic":"/2"}')
+    client.publish("/3")
+    assert world.done == []
+    world.run()
+    assert world.done == ["/1", "/2", "/3"]
+
+
+def test_a_stop_overtakes_frames_that_are_not_read_yet(world: World) -> None:
+    client = world.client()
+    client.publish("/goal", length=LONG_FRAME_BYTES)
+    client.publish("/goal")
+    client.publish("/stop")
+    assert world.done == ["/stop"]
+    world.run()
+    assert world.done == ["/stop", "no /goal", "no /goal"]
+
+
 def test_what_is_behind_a_message_completed_in_the_background_waits_for_it(world: World) -> None:
     client = world.client()
     client.publish("/large")

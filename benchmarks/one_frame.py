@@ -276,12 +276,11 @@ def search(role: str, worst: int, only: str = "", results: Path | None = None) -
     tries += [Try(recipe.name, partial(recipe.make, shape)) for recipe in recipes for shape in recipe.shapes]
     found = [*_tried(role, tries, HASTY, results)]
     resizable = {recipe.name: recipe for recipe in recipes if recipe.shapes == FIRST_SHAPES}
-    slow = [name for name in _names(found) if name in resizable][:TRIED_LARGER]
     for shape in LARGER_SHAPES:
         # Those that hold the server up for seconds need not be larger.
         known = {tried.name for tried, measured in found if measured.pause_ms > SLOW_ENOUGH_MS}
-        larger = [Try(name, partial(resizable[name].make, shape)) for name in slow if name not in known]
-        found += _tried(role, larger, HASTY, results)
+        slow = [name for name in _names(found) if name in resizable and name not in known][:TRIED_LARGER]
+        found += _tried(role, [Try(name, partial(resizable[name].make, shape)) for name in slow], HASTY, results)
     of_name = {tried.name: tried for tried, _ in sorted(found, key=_pause_ms)}
     again = [of_name[name] for name in _names(found)[:worst]]
     repeated = [measured for tried in again for _, measured in _tried(role, [tried], REPEATED, results)]

@@ -31,7 +31,7 @@ _QUOTE, _OPEN = b'"{'
 
 # How much of something else may stand in front of an object: what clients send there is a few bytes, and to look
 # through ten megabytes of braces takes a third of a second.
-MAX_LEADING_BYTES = 16_384
+MAX_LEADING_BYTES = 1_024
 
 # A frame that holds more of them than this is not worth reading on, nor its refusals logging.
 MAX_REFUSALS_PER_FRAME = 8

@@ -32,6 +32,9 @@ MAX_WAITING_BYTES = 262_144
 # Operations before a stop that are still carried out before it, as a client expects that sends a goal and a stop.
 FEW = 4
 
+# Least time between two stops of one client that go ahead [s]: stops are not to hold up the others either.
+STOP_PERIOD_S = 0.02
+
 # Messages of different types for which one message is completed in the background, before it is given up.
 MAX_COMPLETIONS = 3
 
@@ -153,6 +156,7 @@ class Inbox:
         self._holds_reader = False
         # A client has the threads for half of the time at most.
         self._next_job_s = 0.0
+        self._next_stop_s = 0.0
         self._closed = False
 
     @property
@@ -228,15 +232,22 @@ class Inbox:
             self._turns.add(self)
 
     def _put_first(self, waiting: Sequence[_Waiting]) -> None:
-        """Let operations of one frame wait before all others; stops among them are carried out now."""
+        """Let operations of one frame wait before all others; the first stop among them is carried out now."""
         self._waiting.extendleft(reversed(waiting))
         self._waiting_bytes += sum(each.size_bytes for each in waiting)
         if not self._handler.identified:
             return
-        for place, stop in enumerate(waiting):
-            item = stop.item
-            if isinstance(item, Operation) and self._handler.is_stop(item):
-                self._go_ahead(stop, item, waiting[:place])
+        stops = [
+            (place, each.item)
+            for place, each in enumerate(waiting)
+            if isinstance(each.item, Operation) and self._handler.is_stop(each.item)
+        ]
+        if stops:
+            (first, operation), (last, _) = stops[0], stops[-1]
+            self._go_ahead(waiting[first], operation, waiting[:first])
+            # The others have nothing left to stop, and wait.
+            for each in waiting[first + 1 : last]:
+                each.stopped = True
 
     def _has_unread_frames(self) -> bool:
         """Return True when a frame waits or is being read: what comes behind it can only be read after it."""
@@ -262,7 +273,15 @@ class Inbox:
                 self._go_ahead(waiting, item, before)
 
     def _go_ahead(self, stop: _Waiting, operation: Operation, before: Sequence[_Waiting]) -> None:
-        """Carry a stop out ahead of what waits before it; all of that but a few operations moves nothing any more."""
+        """Carry a stop out ahead of what waits before it; all of that but a few operations moves nothing any more.
+
+        The next stops of a client that sends one after the other wait like all else: nothing can move before them.
+        """
+        if self._clock() < self._next_stop_s:
+            for each in before if len(before) > FEW else ():
+                each.stopped = True
+            return
+        self._next_stop_s = self._clock() + STOP_PERIOD_S
         if len(before) <= FEW and not any(isinstance(each.item, str | bytes) for each in before):
             while stop in self._waiting and not self._in_progress:
                 self._take_step()

@@ -187,6 +187,19 @@ def test_a_stop_at_the_end_of_a_long_frame_goes_ahead_of_it(world: World) -> Non
     assert world.done == ["/stop"] + ["no /goal"] * 999
 
 
+def test_of_many_stops_one_goes_ahead_and_what_was_before_any_of_them_moves_nothing(world: World) -> None:
+    client = world.client(step_s=ROUND_S)
+    client.publish(*["/goal", "/stop"] * 100)
+    before_s = world.clock()
+    assert world.done.count("/stop") == 1
+    client.publish("/goal")
+    client.publish("/stop")
+    assert world.clock() - before_s <= 2 * ROUND_S
+    world.run()
+    assert world.done.count("/stop") == 101
+    assert "/goal" not in world.done[world.done.index("/stop") :]
+
+
 def test_a_stop_overtakes_what_a_thread_works_on(world: World) -> None:
     client = world.client()
     client.publish("/large")

@@ -59,6 +59,11 @@ class MessageBudget(threading.local):
         self._max_values = self._left = max_values
         self._at_once_left = max_values_at_once
 
+    @property
+    def taken(self) -> int:
+        """Values that the message has taken."""
+        return self._max_values - self._left
+
     def take(self, count: int) -> None:
         """Take so many values.
 

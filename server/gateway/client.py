@@ -63,6 +63,11 @@ LIFESPAN_S = 1.0
 
 NO_LATCH = "field latch: has no effect, it needs the role operate"
 
+# Values in the lists of messages of a client's calls that wait, and as many of its goals: 75 MB. The last one may go
+# beyond.
+MAX_VALUES_IN_FLIGHT = 500_000
+_VALUES_LIMIT = f"the limit is {MAX_VALUES_IN_FLIGHT}"
+
 # Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,
 # each for up to seconds.
 MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.OPERATE: 64, Role.ADMIN: 64}
@@ -186,6 +191,7 @@ class ClientServices:
         self._numbers = itertools.count(1)
         self._calls_in_flight = 0
         self._planning_calls = 0
+        self._values_in_flight = 0
 
     # As a provider.
 
@@ -268,15 +274,24 @@ class ClientServices:
             }
             self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Response" if response.ok else "")
 
+        values, ended = 0, False
+
         def end(response: Response) -> None:
+            nonlocal ended
+            ended = True
             self._calls_in_flight -= 1
             self._planning_calls -= plans
+            self._values_in_flight -= values
             if response.reason:
                 self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
             answer(response)
 
         if self._calls_in_flight >= self._limits.max_calls_in_flight:
             answer(Response(ok=False, values=f"{self._calls_in_flight} calls of this client wait, which is the limit"))
+            return
+        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
+            problem = f"calls of this client with {self._values_in_flight} values wait, {_VALUES_LIMIT}"
+            answer(Response(ok=False, values=problem))
             return
         if plans and self._planning_calls >= (limit := self._max_planning_calls()):
             problem = f"{self._planning_calls} calls of this client that plan wait, the limit of its role is {limit}"
@@ -291,6 +306,9 @@ class ClientServices:
             self._calls_in_flight -= 1
             self._planning_calls -= plans
             raise
+        if not ended:
+            values = message.values
+            self._values_in_flight += values
 
     def _max_planning_calls(self) -> int:
         identity = self._node.identity
@@ -325,6 +343,7 @@ class ClientActions:
         self._numbers = itertools.count(1)
         # Goals that the client has sent: action and the client's id.
         self._sent: dict[Goal, tuple[str, str | int | None]] = {}
+        self._values_in_flight = 0
 
     # As a provider.
 
@@ -420,12 +439,21 @@ class ClientActions:
             problem = f"{len(self._sent)} goals of this client are on their way, which is the limit"
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
             return
+        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
+            problem = f"goals of this client with {self._values_in_flight} values are on their way, {_VALUES_LIMIT}"
+            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
+            return
         arguments = self._client.translator.from_client(message)
         listener = on_feedback if operation.feedback else None
         goal = self._actions.send_goal(self._node, name, operation.action_type, arguments, on_result, listener)
         if goal is not None and not goal.ended:
             self._sent[goal] = name, operation.id
-            goal.when_ended(lambda _result: self._sent.pop(goal))
+            self._values_in_flight += message.values
+            goal.when_ended(lambda _result: self._forget(goal, message.values))
+
+    def _forget(self, goal: Goal, values: int) -> None:
+        del self._sent[goal]
+        self._values_in_flight -= values
 
     def reject(self, operation: SendActionGoal, problem: str) -> None:
         """Answer a goal that the client may not send."""

@@ -39,9 +39,10 @@ class ReceivedMessage:
         dialect: as given.
         are_arguments: True for a request or a goal, whose fields may come in order of declaration.
         checked: True once its lists have been found to be within their limits.
+        values: values in its lists of messages, once it is completed.
     """
 
-    __slots__ = ("_completed", "_type_name", "are_arguments", "checked", "dialect", "size_bytes", "value")
+    __slots__ = ("_completed", "_type_name", "are_arguments", "checked", "dialect", "size_bytes", "value", "values")
 
     def __init__(self, value: object, size_bytes: int, dialect: Dialect = "ros2") -> None:
         self.value = value
@@ -49,6 +50,7 @@ class ReceivedMessage:
         self.dialect = dialect
         self.are_arguments = False
         self.checked = False
+        self.values = 0
         self._type_name: str | None = None
         self._completed: dict[str, Any] | MessageError | None = None
 
@@ -196,7 +198,9 @@ class MessageTypes:
         if message.are_arguments:
             value = self._by_name(type_name, value)
         max_values = min(MAX_VALUES, FREE_VALUES + message.size_bytes)
-        return self._complete(type_name, value, received, max_values, max_values_at_once)
+        completed = self._complete(type_name, value, received, max_values, max_values_at_once)
+        message.values = messages.BUDGET.taken
+        return completed
 
     def _complete(
         self, type_name: str, value: object, received: Stamp, max_values: int, max_values_at_once: int

@@ -4,6 +4,7 @@ import pytest
 
 from protocol.limits import Limits
 from server.access.permissions import Identity, Role
+from server.gateway import client as client_module
 from server.graph.node import Node
 from server.graph.services import Call
 from tests.helpers.gateway import InProcess
@@ -161,3 +162,19 @@ def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
     started[0].fail("busy")
     world.say("c", op="call_service", service="/check_goals", args={})
     assert len(started) == 2
+
+
+def test_values_in_calls_that_wait_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_module, "MAX_VALUES_IN_FLIGHT", 2500)
+    world = InProcess()
+    started: list[Call] = []
+    world.graph.services.offer_calls(Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append)
+    for number in range(3):
+        world.say("c", op="call_service", service="/check_goals", args={"poses": [{}] * 200}, id=number)
+    assert len(started) == 2
+    (refused,) = world.heard("c")
+    assert (refused["id"], refused["result"]) == (2, False)
+    assert "values wait, the limit is" in refused["values"]
+    started[0].fail("busy")
+    world.say("c", op="call_service", service="/check_goals", args={})
+    assert len(started) == 3

@@ -15,7 +15,7 @@ from protocol.codecs import png
 from protocol.operations import Auth, CallService, Operation, Publish
 from protocol.registry import Registry
 from protocol.session import Packed, Refusal, Session
-from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, Inbox, Scheduling
+from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, Inbox, Scheduling
 from server.gateway.turns import ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
@@ -342,6 +342,7 @@ def test_whatever_one_client_sends_anothers_stop_is_carried_out_when_it_comes(
             world.threads.work()
         elif topics:
             attacker.publish(*topics, length=LONG_FRAME_BYTES if kind == "long" else 0)
+        world.clock.advance(STOP_PERIOD_S)
         before_s = world.clock()
         other.publish("/stop")
         assert world.done[-1] == "other /stop"

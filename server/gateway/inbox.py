@@ -255,22 +255,24 @@ class Inbox:
 
     def _add_frame(self, frame: str | bytes) -> None:
         """Let a frame wait unread; a stop in a frame of its own is carried out now."""
-        waiting, before = _Waiting(frame, len(frame)), (*self._in_progress, *self._waiting)
         stop = operations.peek(frame) if len(frame) < LONG_FRAME_BYTES and self._handler.identified else None
         if stop is not None and self._handler.is_stop(stop):
-            waiting.item = stop
-            self._add(waiting)
-            self._go_ahead(waiting, stop, before)
+            self._add_stop(stop, len(frame))
         else:
-            self._add(waiting)
+            self._add(_Waiting(frame, len(frame)))
 
     def _add_operations(self, frame: str | bytes) -> None:
         """Let the operations of a short frame wait; stops are carried out now."""
         for item in self._read(frame):
-            waiting, before = _Waiting(item, len(frame)), (*self._in_progress, *self._waiting)
-            self._add(waiting)
             if isinstance(item, Operation) and self._handler.is_stop(item):
-                self._go_ahead(waiting, item, before)
+                self._add_stop(item, len(frame))
+            else:
+                self._add(_Waiting(item, len(frame)))
+
+    def _add_stop(self, operation: Operation, size_bytes: int) -> None:
+        stop, before = _Waiting(operation, size_bytes), (*self._in_progress, *self._waiting)
+        self._add(stop)
+        self._go_ahead(stop, operation, before)
 
     def _go_ahead(self, stop: _Waiting, operation: Operation, before: Sequence[_Waiting]) -> None:
         """Carry a stop out ahead of what waits before it; all of that but a few operations moves nothing any more.
@@ -290,7 +292,8 @@ class Inbox:
                 each.stopped = True
             self._waiting.remove(stop)
             self._waiting_bytes -= stop.size_bytes
-            self._carry_out(stop, operation)
+            # The frame may be long; the message of a stop is not, and is completed at once.
+            self._carry_out(_Waiting(operation, 0), operation)
 
     def _read(self, frame: str | bytes) -> Sequence[Operation | Refusal | Packed]:
         if not self._handler.admit_frame(frame):

@@ -16,6 +16,7 @@ from planners.budget import Budget
 from planners.cartesian.planning import plan_cartesian
 from planners.geometry.certificate import Contact, certify
 from planners.geometry.collision import CollidingPair, CollisionModel
+from planners.geometry.concurrent_motions import encounter
 from planners.geometry.joint_space import JointSpace
 from planners.ik.goal_refusals import start_violates
 from planners.ik.goal_states import GoalQuery, GoalState, GoalStates
@@ -23,6 +24,7 @@ from planners.motions.motion import MotionTask, find_motion
 from planners.problem import (
     Answer,
     CartesianProblem,
+    ConcurrencyQuestion,
     IkAnswer,
     IkQuestion,
     MoveItErrorCode,
@@ -105,6 +107,8 @@ class Planner:
                 return answer_state(request, robot, self._states, collision)
             case RecheckQuestion():
                 return recheck(request, robot, collision)
+            case ConcurrencyQuestion():
+                return check_concurrency(request, robot, collision)
             case ServoQuestion():
                 return answer_servo(request, robot, collision, self._states.forward)
 
@@ -284,6 +288,34 @@ def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionMo
     if found is None:
         return RecheckAnswer(None)
     return RecheckAnswer(_contact(found.pairs, question.from_s + found.time_s), question.from_s + found.time_s)
+
+
+def check_concurrency(
+    question: ConcurrencyQuestion, robot: RobotModel, collision: CollisionModel
+) -> RecheckAnswer | PlanningFailure:
+    """Check if two motions may touch each other, wherever each is on its way.
+
+    Args:
+        question: the motions.
+        robot: the arm.
+        collision: its collisions with itself and the scene.
+    """
+    first, second = question.first, question.second
+    shared = set(first.joint_names) & set(second.joint_names)
+    if shared:
+        return _invalid(f"both motions are of joint {min(shared)}")
+    ends = {name: float(q) for one in (first, second) for name, q in zip(one.joint_names, one.positions_rad[-1])}
+    refusal = checks.check_start(robot, {**question.others_rad, **ends})
+    if refusal is not None:
+        return refusal
+    found = encounter(collision, first, second, question.others_rad)
+    if found is None:
+        return RecheckAnswer(None)
+    touching = checks.describe_pairs(found.pairs) or "they come too near to tell them apart"
+    text = f"the motions of {first.joint_names[0]} and of {second.joint_names[0]} may touch: {touching}"
+    details = {"pairs": checks.pairs_as_data(found.pairs), "contact_s": found.first_s}
+    failure = PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, text, details)
+    return RecheckAnswer(failure, found.first_s)
 
 
 def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:

@@ -30,6 +30,7 @@ from planners.problem import (
     Answer,
     CartesianPlan,
     CartesianProblem,
+    ConcurrencyQuestion,
     IkAnswer,
     IkQuestion,
     MoveItErrorCode,
@@ -83,6 +84,7 @@ ANSWER_TO: Mapping[type[Request], type[Answer]] = {
     IkQuestion: IkAnswer,
     StateQuestion: StateAnswer,
     RecheckQuestion: RecheckAnswer,
+    ConcurrencyQuestion: RecheckAnswer,
     ServoQuestion: ServoAnswer,
 }
 
@@ -284,7 +286,7 @@ def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]
 def allowed_time_s(request: Request) -> float:
     """Return the time that a request allows its planner, bounded [s]; the planner itself refuses what is no time."""
     match request:
-        case StateQuestion() | RecheckQuestion() | ServoQuestion():
+        case StateQuestion() | RecheckQuestion() | ConcurrencyQuestion() | ServoQuestion():
             return CHECK_TIME_S
         case _ if 0.0 <= request.allowed_time_s <= MAX_ALLOWED_TIME_S:
             return request.allowed_time_s
@@ -368,7 +370,9 @@ class PlannerPool:
     @overload
     async def ask(self, request: StateQuestion, scene: Scene = ...) -> StateAnswer | PlanningFailure: ...
     @overload
-    async def ask(self, request: RecheckQuestion, scene: Scene = ...) -> RecheckAnswer | PlanningFailure: ...
+    async def ask(
+        self, request: RecheckQuestion | ConcurrencyQuestion, scene: Scene = ...
+    ) -> RecheckAnswer | PlanningFailure: ...
     @overload
     async def ask(self, request: ServoQuestion, scene: Scene = ...) -> ServoAnswer | PlanningFailure: ...
 
@@ -417,7 +421,7 @@ class PlannerPool:
         allowed_s = allowed_time_s(request)
         limit_s = allowed_s + OVERTIME_S
         # An arm moves meanwhile, and stops if there is no answer: a busy machine extends no deadline here.
-        while_moving = isinstance(request, RecheckQuestion | ServoQuestion)
+        while_moving = isinstance(request, RecheckQuestion | ConcurrencyQuestion | ServoQuestion)
         try:
             async with asyncio.timeout(limit_s) if while_moving else timeout_at(Deadline(limit_s, worker.run_delay_s)):
                 answer = await worker.ask(request, scene)

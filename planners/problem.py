@@ -228,7 +228,32 @@ class RecheckQuestion:
     from_s: float
 
 
-Request = PlanningProblem | CartesianProblem | IkQuestion | StateQuestion | RecheckQuestion | ServoQuestion
+@dataclass(frozen=True)
+class ConcurrencyQuestion:
+    """Question if two motions of different joints may touch each other; answered by :class:`RecheckAnswer`.
+
+    Each may be anywhere on its way while the other is anywhere on its own: motions are slowed, paused and stopped.
+
+    Attributes:
+        first: a motion; the answer's ``contact_s`` is a time on it.
+        second: a motion of other joints.
+        others_rad: position of every joint that is in neither [rad].
+    """
+
+    first: Trajectory
+    second: Trajectory
+    others_rad: Mapping[str, float]
+
+
+Request = (
+    PlanningProblem
+    | CartesianProblem
+    | IkQuestion
+    | StateQuestion
+    | RecheckQuestion
+    | ConcurrencyQuestion
+    | ServoQuestion
+)
 
 
 @dataclass(frozen=True)

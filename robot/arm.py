@@ -32,6 +32,7 @@ from robot.messages import (
     Heartbeat,
     Mode,
     MotionEnded,
+    MotionProgress,
     Order,
     Outcome,
     Setpoint,
@@ -228,6 +229,11 @@ class Arm:
         motion_id = next(self._ids)
         continuation = None if continues is None else Continuation(self._number(continues[0]), continues[1])
         return self._begin(Execute(motion_id, trajectory, gripping, torque_share, continuation))
+
+    def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
+        """Return the progress of a motion by the latest state; None before the arm has begun it, and after its end."""
+        number = self._number(motion)
+        return next((one for one in self.state.motions if one.motion_id == number), None)
 
     def stream(self, joint_names: tuple[str, ...]) -> ArmStream:
         """Begin a stream of velocity setpoints; the joints stay at rest until the first."""

@@ -301,6 +301,15 @@ class Commanded(Frequent):
 
 
 @dataclass(frozen=True)
+class MotionProgress:
+    """Progress of one motion: ``fraction`` that is done, 0..1, and the time left to its end [s]."""
+
+    motion_id: int
+    fraction: float
+    remaining_s: float
+
+
+@dataclass(frozen=True)
 class ArmState(Frequent):
     """State of the arm at one moment.
 
@@ -320,6 +329,7 @@ class ArmState(Frequent):
         motion_id: motion in progress, of several the one with most joints; None at rest.
         fraction: share of the motion that is done, 0..1.
         remaining_s: time left to the end of the motion [s].
+        motions: every motion in progress.
         pace: speed and direction of motions.
         lateness_s: start of the latest ticks after their deadlines, one value each [s].
         clock_s: time of the control loop, which on a simulated arm passes no faster than the loop runs [s].
@@ -339,6 +349,7 @@ class ArmState(Frequent):
     motion_id: int | None = None
     fraction: float = 0.0
     remaining_s: float = 0.0
+    motions: tuple[MotionProgress, ...] = ()
     pace: Pace = Pace()
     lateness_s: tuple[float, ...] = field(default=())
     fault: Fault | None = None

@@ -20,7 +20,19 @@ from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import MAX_TICK_S
 from robot.hardware.interface import Flags, Measured
-from robot.messages import ChangePace, Commanded, Course, Execute, Mode, MotionEnded, Outcome, Pace, Setpoint, Stream
+from robot.messages import (
+    ChangePace,
+    Commanded,
+    Course,
+    Execute,
+    Mode,
+    MotionEnded,
+    MotionProgress,
+    Outcome,
+    Pace,
+    Setpoint,
+    Stream,
+)
 from robot.trajectory import Vector
 
 # Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
@@ -132,6 +144,11 @@ class ArmController:
     def motion(self) -> Motion | Streaming | None:
         """Motion in progress; of several the one with most joints."""
         return max(self._motions, key=lambda motion: len(motion.columns), default=None)
+
+    @property
+    def progress(self) -> tuple[MotionProgress, ...]:
+        """Progress of every motion."""
+        return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s) for one in self._motions)
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
         """Begin to hold at the goals that the servos have, or at their positions where those are far away.

@@ -83,6 +83,7 @@ def arm_state(
         motion_id=motion.motion_id if motion is not None else None,
         fraction=motion.fraction if motion is not None else 0.0,
         remaining_s=motion.remaining_s if motion is not None else 0.0,
+        motions=controller.progress if controller is not None else (),
         pace=controller.pace if controller is not None else Pace(),
         lateness_s=lateness_s,
         fault=fault,

@@ -1,17 +1,21 @@
-"""Queue of goals before the arm: one runs at a time, and each gets exactly one answer."""
+"""Queue of goals before the arm: each gets exactly one answer.
+
+Goals that have a joint in common run one after the other, in the order of their arrival; others run at the same time.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import itertools
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.trajectory import Trajectory
@@ -23,6 +27,9 @@ Request = TypeVar("Request")
 Request_contra = TypeVar("Request_contra", contravariant=True)
 
 _NO_MESSAGE: Mapping[str, Any] = MappingProxyType({})
+
+# Names of joints.
+Joints: TypeAlias = frozenset[str]
 
 
 class GoalPolicy(StrEnum):
@@ -105,6 +112,7 @@ class QueuedGoal(Generic[Request]):
         message: the message of its client; empty when there is none, or none that can be read.
         only_for: the one client that is informed; None for all.
         client: name of its client; empty when it is not known.
+        joints: the joints that it moves.
     """
 
     goal_id: str
@@ -115,6 +123,7 @@ class QueuedGoal(Generic[Request]):
     message: Mapping[str, Any] = field(default_factory=dict)
     only_for: Node | None = None
     client: str = ""
+    joints: Joints = frozenset()
 
     @property
     def title(self) -> str:
@@ -129,7 +138,7 @@ class RunningGoal:
     Attributes:
         title: its number, its client and its way in.
         remaining_s: time left of its motion [s]; None before it moves.
-        waiting: number of goals that wait behind it.
+        waiting: number of goals that wait.
     """
 
     title: str
@@ -141,7 +150,7 @@ class GoalRunner(Protocol[Request_contra]):
     """Runner of one goal at a time."""
 
     async def run(self, request: Request_contra, report: Callable[[Progress], None]) -> Answer:
-        """Execute the goal; end with an answer, also after :meth:`cancel`, :meth:`preempt` and :meth:`stop`."""
+        """Execute the goal; end with an answer, also after :meth:`cancel` and :meth:`preempt`."""
 
     def cancel(self, reason: str) -> None:
         """Cancel the active goal: stop planning, and brake its motion along its path."""
@@ -149,16 +158,54 @@ class GoalRunner(Protocol[Request_contra]):
     def preempt(self, reason: str) -> None:
         """End the active goal for another that follows at once and may replace its motion without a stop."""
 
+
+class GoalRunners(Protocol[Request_contra]):
+    """Runners of the arm's goals: one for each set of joints."""
+
+    def joints_of(self, request: Request_contra) -> Joints:
+        """Return the joints that a goal moves."""
+
+    def runner(self, joints: Joints) -> GoalRunner[Request_contra]:
+        """Return the runner of goals that move these joints; it is the same each time."""
+
     def stop(self, reason: str) -> None:
-        """End the active goal and every motion of the arm, also those of other parts."""
+        """End every motion of the arm, also those of other parts; active goals are cancelled besides."""
+
+
+class ActiveGoal(Generic[Request]):
+    """Goal that is being worked on.
+
+    Args:
+        goal: the goal.
+        runner: works on it.
+
+    Attributes:
+        goal: as given.
+        runner: as given.
+        progress: the latest; None before the first.
+        task: its work.
+    """
+
+    def __init__(self, goal: QueuedGoal[Request], runner: GoalRunner[Request]) -> None:
+        self.goal = goal
+        self.runner = runner
+        self.progress: Progress | None = None
+        self.task: asyncio.Task[None] | None = None
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Time left of its motion [s]; None before it moves."""
+        executing = self.progress is not None and self.progress.state is GoalState.EXECUTING
+        return self.progress.remaining_s if self.progress and executing else None
 
 
 class GoalQueue(Generic[Request]):
-    """Bounded queue before one runner.
+    """Bounded queue before the runners.
 
     Args:
-        runner: executes goals.
-        policy: treatment of a goal that arrives while another one is active, unless it comes with its own policy.
+        runners: execute goals.
+        policy: treatment of a goal that arrives while another one of its joints is active, unless it comes with its
+            own policy.
         capacity: limit of waiting goals.
         on_progress: called with the progress of every goal.
         on_answer: called once a goal.
@@ -166,68 +213,70 @@ class GoalQueue(Generic[Request]):
 
     def __init__(
         self,
-        runner: GoalRunner[Request],
+        runners: GoalRunners[Request],
         policy: GoalPolicy,
         capacity: int,
         on_progress: Callable[[QueuedGoal[Request], Progress], None],
         on_answer: Callable[[QueuedGoal[Request], Answer], None],
     ) -> None:
-        self._runner = runner
+        self._runners = runners
         self._policy = policy
         self._capacity = capacity
         self._on_progress = on_progress
         self._on_answer = on_answer
         self._waiting: deque[QueuedGoal[Request]] = deque()
-        self._active: QueuedGoal[Request] | None = None
-        self._progress: Progress | None = None
-        self._arrived = asyncio.Event()
+        # In the order of their start.
+        self._active: dict[str, ActiveGoal[Request]] = {}
         self._idle = asyncio.Event()
         self._idle.set()
         self._ids = itertools.count(1)
-        self._task: asyncio.Task[None] | None = None
+        self._started = False
 
     def start(self) -> None:
         """Start to execute goals."""
-        self._task = asyncio.create_task(self._work(), name="goal queue")
+        self._started = True
+        self._begin_soon()
 
     async def close(self, timeout_s: float) -> None:
-        """Stop the active goal, answer every goal and end, at the latest after ``timeout_s``."""
+        """Stop the active goals, answer every goal and end, at the latest after ``timeout_s``."""
         self.stop("the server is shutting down")
+        self._started = False
         try:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._idle.wait(), timeout_s)
         finally:
             self._abandon()
-        if self._task is not None:
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
 
     def _abandon(self) -> None:
-        """End the work; a goal that is still active is answered all the same."""
-        if self._task is not None:
-            self._task.cancel()
-        goal, self._active = self._active, None
-        if goal is not None:
+        """End the work; goals that are still active are answered all the same."""
+        abandoned, self._active = list(self._active.values()), {}
+        for active in abandoned:
+            if active.task is not None:
+                active.task.cancel()
             reason = "the server is shutting down, and the arm did not come to rest in time"
-            self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, reason))
+            self._finish(active.goal, Answer(MoveItErrorCode.PREEMPTED, reason))
 
     @property
     def busy(self) -> str:
-        """Sentence that names the active goal; empty when there is none."""
-        return (
-            f"goal {self._active.goal_id} from {self._active.source} is worked on" if self._active is not None else ""
-        )
+        """Sentence that names the first active goal; empty when there is none."""
+        return next(map(_worked_on, self._active.values()), "")
+
+    def busy_with(self, joints: Iterable[str]) -> str:
+        """Return the sentence that names the active goal that moves any of some joints; empty when there is none."""
+        return next(map(_worked_on, self._moving(frozenset(joints))), "")
 
     @property
     def running(self) -> RunningGoal | None:
-        """The active goal, for those who wait for its end; None when there is none."""
-        if self._active is None:
+        """The active goal that ends last, for those who wait for its end; None when there is none."""
+        if not self._active:
             return None
-        progress = self._progress
-        executing = progress is not None and progress.state is GoalState.EXECUTING
-        return RunningGoal(
-            self._active.title, progress.remaining_s if progress and executing else None, len(self._waiting)
-        )
+        last = max(self._active.values(), key=_ends_in_s)
+        return RunningGoal(last.goal.title, last.remaining_s, len(self._waiting))
+
+    @property
+    def active_count(self) -> int:
+        """Number of goals that are worked on."""
+        return len(self._active)
 
     @property
     def waiting_count(self) -> int:
@@ -250,22 +299,27 @@ class GoalQueue(Generic[Request]):
         Args:
             source: topic or action of its client.
             request: the motion.
-            policy: its treatment while another goal is active; None for the queue's own policy.
+            policy: its treatment while another goal of its joints is active; None for the queue's own policy.
             on_progress: called with its progress, besides the queue's own.
             on_answer: called once, likewise, perhaps before this returns.
             message: the message of its client.
             client: its client, who is named to those who wait for the goal's end; None when it is not known.
         """
         name = "" if client is None else str(client)
-        goal = QueuedGoal(self._next_id(), source, request, on_progress, on_answer, message, client=name)
+        joints = self._runners.joints_of(request)
+        goal = QueuedGoal(
+            self._next_id(), source, request, on_progress, on_answer, message, client=name, joints=joints
+        )
         policy = policy or self._policy
-        if policy is GoalPolicy.REJECT and self._active is not None:
-            self._finish(goal, Answer(MoveItErrorCode.FAILURE, f"goal {self._active.goal_id} is still being worked on"))
+        in_the_way = self._moving(joints)
+        if policy is GoalPolicy.REJECT and in_the_way:
+            text = f"goal {in_the_way[0].goal.goal_id} is still being worked on"
+            self._finish(goal, Answer(MoveItErrorCode.FAILURE, text))
         elif policy is GoalPolicy.PREEMPT:
             reason = f"preempted by goal {goal.goal_id} from {source}"
-            self._clear(reason)
-            if self._active is not None:
-                self._runner.preempt(reason)
+            self._clear(reason, joints)
+            for active in in_the_way:
+                active.runner.preempt(reason)
             self._enqueue(goal)
         elif len(self._waiting) >= self._capacity:
             limit = f"{self._capacity} goals are waiting already, the limit"
@@ -295,65 +349,94 @@ class GoalQueue(Generic[Request]):
 
     def cancel(self, goal_id: str, reason: str) -> None:
         """Cancel one goal, active or waiting; do nothing when it has been answered."""
-        if self._active is not None and self._active.goal_id == goal_id:
-            self._runner.cancel(reason)
+        if goal_id in self._active:
+            self._active[goal_id].runner.cancel(reason)
         for goal in [goal for goal in self._waiting if goal.goal_id == goal_id]:
             self._waiting.remove(goal)
             self._finish(goal, _before_its_turn(reason))
+        self._begin_soon()
 
-    def cancel_all(self, reason: str) -> None:
-        """Cancel the active goal and all that wait; each is answered PREEMPTED."""
-        self._clear(reason)
-        if self._active is not None:
-            self._runner.cancel(reason)
+    def cancel_all(self, reason: str, joints: Iterable[str] | None = None) -> None:
+        """Cancel the active goals and all that wait; each is answered PREEMPTED.
+
+        Args:
+            reason: in the answers.
+            joints: only goals that move any of these; None for all goals.
+        """
+        wanted = None if joints is None else frozenset(joints)
+        self._clear(reason, wanted)
+        for active in list(self._active.values()) if wanted is None else self._moving(wanted):
+            active.runner.cancel(reason)
 
     def stop(self, reason: str) -> None:
-        """End the active goal and all that wait, each answered PREEMPTED, and every motion of the arm."""
-        self._clear(reason)
-        self._runner.stop(reason)
+        """End the active goals and all that wait, each answered PREEMPTED, and every motion of the arm."""
+        self.cancel_all(reason)
+        self._runners.stop(reason)
 
-    def _clear(self, reason: str) -> None:
-        waiting = list(self._waiting)
-        self._waiting.clear()
-        for goal in waiting:
+    def _moving(self, joints: Joints) -> list[ActiveGoal[Request]]:
+        """Return the active goals that move any of some joints."""
+        return [active for active in self._active.values() if active.goal.joints & joints]
+
+    def _clear(self, reason: str, joints: Joints | None = None) -> None:
+        """Answer the waiting goals that move any of some joints; None for all."""
+        cleared = [goal for goal in self._waiting if joints is None or goal.joints & joints]
+        self._waiting = deque(goal for goal in self._waiting if goal not in cleared)
+        for goal in cleared:
             self._finish(goal, _before_its_turn(reason))
 
     def _next_id(self) -> str:
         return str(next(self._ids))
 
     def _enqueue(self, goal: QueuedGoal[Request]) -> None:
-        ahead = len(self._waiting) + (self._active is not None)
+        others = (*(active.goal for active in self._active.values()), *self._waiting)
+        ahead = sum(1 for other in others if other.joints & goal.joints)
         self._waiting.append(goal)
         self._report(goal, Progress(GoalState.QUEUED, f"{ahead} goals ahead" if ahead else "next"))
-        self._arrived.set()
+        self._begin_soon()
 
-    async def _work(self) -> None:
-        while True:
-            while not self._waiting:
-                self._arrived.clear()
-                await self._arrived.wait()
-            goal = self._waiting.popleft()
-            self._active, self._progress = goal, None
-            self._idle.clear()
-            answer = await self._run(goal)
-            if self._active is not goal:
-                return
-            self._active = None
-            self._finish(goal, answer)
+    def _begin_soon(self) -> None:
+        """Begin the goals whose turn has come, once the callers of this have done their part."""
+        if self._started and self._waiting:
+            asyncio.get_running_loop().call_soon(self._begin)
+
+    def _begin(self) -> None:
+        if not self._started:
+            return
+        taken: Joints = frozenset().union(*(active.goal.joints for active in self._active.values()))
+        for goal in list(self._waiting):
+            # A goal that waits keeps its joints for itself: none overtakes it.
+            if not goal.joints & taken:
+                self._waiting.remove(goal)
+                self._activate(goal)
+            taken |= goal.joints
+
+    def _activate(self, goal: QueuedGoal[Request]) -> None:
+        active = self._active[goal.goal_id] = ActiveGoal(goal, self._runners.runner(goal.joints))
+        self._idle.clear()
+        active.task = asyncio.create_task(self._work(active), name=f"goal {goal.goal_id}")
+
+    async def _work(self, active: ActiveGoal[Request]) -> None:
+        answer = await self._run(active)
+        if self._active.pop(active.goal.goal_id, None) is None:
+            return
+        self._finish(active.goal, answer)
+        if not self._active:
             self._idle.set()
+        self._begin_soon()
 
-    async def _run(self, goal: QueuedGoal[Request]) -> Answer:
+    async def _run(self, active: ActiveGoal[Request]) -> Answer:
+        goal = active.goal
         if goal.request is None:
             raise AssertionError("a rejected goal was queued")
         try:
-            return await self._runner.run(goal.request, lambda progress: self._report(goal, progress))
+            return await active.runner.run(goal.request, functools.partial(self._report, goal))
         except Exception as error:  # a bug must cost this goal only, and never its answer
             log.exception("goal %s from %s failed", goal.goal_id, goal.source)
             return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
 
     def _report(self, goal: QueuedGoal[Request], progress: Progress) -> None:
-        if goal is self._active:
-            self._progress = progress
+        if goal.goal_id in self._active:
+            self._active[goal.goal_id].progress = progress
         with _contained(goal):
             self._on_progress(goal, progress)
         with _contained(goal):
@@ -373,6 +456,15 @@ def _contained(goal: QueuedGoal[Any]) -> Iterator[None]:
         yield
     except Exception:
         log.exception("goal %s from %s could not be reported", goal.goal_id, goal.source)
+
+
+def _worked_on(active: ActiveGoal[Any]) -> str:
+    return f"goal {active.goal.goal_id} from {active.goal.source} is worked on"
+
+
+def _ends_in_s(active: ActiveGoal[Any]) -> float:
+    """Return the time to the end of a goal's motion, infinite before it moves [s]."""
+    return float("inf") if active.remaining_s is None else active.remaining_s
 
 
 def _before_its_turn(reason: str) -> Answer:

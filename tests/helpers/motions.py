@@ -12,6 +12,7 @@ from planners.problem import (
     Answer,
     CartesianPlan,
     CartesianProblem,
+    ConcurrencyQuestion,
     IkAnswer,
     IkQuestion,
     Line,
@@ -53,6 +54,7 @@ LONG = PlanningProblem(
     attempts=1000,
 )
 STILL = Trajectory(NAMES, np.zeros(1), np.zeros((1, 5)), np.zeros((1, 5)), np.zeros((1, 5)))
+FINGER = Trajectory(("gripper",), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
 # Each kind of request, and the kind of its answer.
 REQUESTS: list[tuple[Request, type[Answer]]] = [
     (EASY, Plan),
@@ -60,6 +62,7 @@ REQUESTS: list[tuple[Request, type[Answer]]] = [
     (IkQuestion("arm", START, JointGoal({"shoulder_pan": 0.5})), IkAnswer),
     (STATE, StateAnswer),
     (RecheckQuestion("arm", STILL, START, 0.0), RecheckAnswer),
+    (ConcurrencyQuestion(STILL, FINGER, START), RecheckAnswer),
 ]
 
 

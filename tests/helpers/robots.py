@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 
 from robot.description import model
@@ -78,3 +80,103 @@ def small_stl() -> bytes:
     """A mesh of one triangle, in STL's binary form."""
     numbers = [number for corner in TRIANGLE for number in corner]
     return bytes(80) + struct.pack("<I12fH", 1, *numbers, 0)
+
+
+def _named(text: str, prefix: str) -> str:
+    """The links and joints of the seven-joint arm, without the robot around them, their names with a prefix."""
+    inner = text.strip().removeprefix('<robot name="seven">').removesuffix("</robot>")
+    return re.sub(r'\b(name|link)="', rf'\1="{prefix}', inner)
+
+
+def _chain(names: Iterable[str]) -> str:
+    """Pairs of links that are next to each other, or next but one: they touch always or never."""
+    links = list(names)
+    pairs = [(a, b) for i, a in enumerate(links) for b in links[i + 1 : i + 3]]
+    return "".join(f'<disable_collisions link1="{a}" link2="{b}"/>' for a, b in pairs)
+
+
+_LIFTED_LINKS = ("mast", "pedestal", "turret", "upper", "upper_roll", "fore", "fore_roll", "wrist", "hand")
+
+# A mobile manipulator in small: the seven-joint arm on a column that rises, with two fingers that slide.
+LIFTED_URDF = f"""
+<robot name="lifted">
+  <link name="base"/>
+  <link name="mast"><collision>
+    <origin xyz="0 0 -0.1"/><geometry><box size="0.1 0.1 0.2"/></geometry></collision></link>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="mast"/>
+    <origin xyz="0 0 0.3"/><axis xyz="0 0 1"/><limit lower="0" upper="0.3" velocity="0.2" effort="9"/></joint>
+  <joint name="shoulders" type="fixed"><parent link="mast"/><child link="pedestal"/></joint>
+  {_named(SEVEN_JOINT_URDF, "")}
+  <link name="left_finger"><collision><geometry><box size="0.01 0.01 0.04"/></geometry></collision></link>
+  <link name="right_finger"><collision><geometry><box size="0.01 0.01 0.04"/></geometry></collision></link>
+  <joint name="left_finger_joint" type="prismatic"><parent link="hand"/><child link="left_finger"/>
+    <origin xyz="0 0.007 0.12"/><axis xyz="0 1 0"/><limit lower="0" upper="0.05" velocity="0.1" effort="9"/></joint>
+  <joint name="right_finger_joint" type="prismatic"><parent link="hand"/><child link="right_finger"/>
+    <origin xyz="0 -0.007 0.12"/><axis xyz="0 -1 0"/><limit lower="0" upper="0.05" velocity="0.1" effort="9"/></joint>
+</robot>
+"""
+
+LIFTED_SRDF = f"""
+<robot name="lifted">
+  <group name="arm"><chain base_link="pedestal" tip_link="tool"/></group>
+  <group name="arm_with_torso"><chain base_link="base" tip_link="tool"/></group>
+  <group name="gripper"><joint name="left_finger_joint"/><joint name="right_finger_joint"/></group>
+  <group_state name="bent" group="arm">
+    <joint name="a1" value="0"/><joint name="a2" value="0.5"/><joint name="a3" value="0"/>
+    <joint name="a4" value="1.2"/><joint name="a5" value="0"/><joint name="a6" value="0.8"/><joint name="a7" value="0"/>
+  </group_state>
+  <group_state name="raised" group="arm_with_torso">
+    <joint name="lift" value="0.2"/><joint name="a1" value="0"/><joint name="a2" value="0.5"/>
+    <joint name="a3" value="0"/><joint name="a4" value="1.2"/><joint name="a5" value="0"/>
+    <joint name="a6" value="0.8"/><joint name="a7" value="0"/>
+  </group_state>
+  <group_state name="open" group="gripper">
+    <joint name="left_finger_joint" value="0.05"/><joint name="right_finger_joint" value="0.05"/>
+  </group_state>
+  {_chain(_LIFTED_LINKS)}
+  {_chain(("left_finger", "right_finger", "hand"))}
+  <disable_collisions link1="wrist" link2="left_finger"/><disable_collisions link1="wrist" link2="right_finger"/>
+</robot>
+"""
+
+# Two of the seven-joint arms, 0.9 m apart: they reach each other in the middle.
+PAIR_URDF = f"""
+<robot name="pair">
+  <link name="table"/>
+  {_named(SEVEN_JOINT_URDF, "left_")}
+  {_named(SEVEN_JOINT_URDF, "right_")}
+  <joint name="left_mount_base" type="fixed"><parent link="table"/><child link="left_pedestal"/>
+    <origin xyz="0 0.45 0"/></joint>
+  <joint name="right_mount_base" type="fixed"><parent link="table"/><child link="right_pedestal"/>
+    <origin xyz="0 -0.45 0"/></joint>
+</robot>
+"""
+
+
+def _arm_states(side: str) -> str:
+    joints = {"a1": 0.0, "a2": 0.5, "a3": 0.0, "a4": 1.2, "a5": 0.0, "a6": 0.8, "a7": 0.0}
+    bent = "".join(f'<joint name="{side}_{name}" value="{value}"/>' for name, value in joints.items())
+    return f'<group_state name="bent" group="{side}_arm">{bent}</group_state>'
+
+
+_SEVEN_LINKS = ("pedestal", "turret", "upper", "upper_roll", "fore", "fore_roll", "wrist", "hand")
+
+PAIR_SRDF = f"""
+<robot name="pair">
+  <group name="left_arm"><chain base_link="left_pedestal" tip_link="left_tool"/></group>
+  <group name="right_arm"><chain base_link="right_pedestal" tip_link="right_tool"/></group>
+  <group name="both_arms">
+    {"".join(f'<joint name="{side}_a{number}"/>' for side in ("left", "right") for number in range(1, 8))}
+  </group>
+  {_arm_states("left")}{_arm_states("right")}
+  {_chain(f"left_{link}" for link in _SEVEN_LINKS)}
+  {_chain(f"right_{link}" for link in _SEVEN_LINKS)}
+</robot>
+"""
+
+
+def description_arguments(folder: Path, urdf: str, srdf: str) -> str:
+    """Write a description; returns the arguments of a server with its ideal arm."""
+    (folder / "arm.urdf").write_text(urdf)
+    (folder / "arm.srdf").write_text(srdf)
+    return f"--urdf {folder / 'arm.urdf'} --srdf {folder / 'arm.srdf'}"

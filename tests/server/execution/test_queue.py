@@ -20,6 +20,12 @@ class ScriptedRunner:
         self.report: Callable[[Progress], None] = lambda _progress: None
         self._end: asyncio.Future[Answer] | None = None
 
+    def joints_of(self, _request: object) -> frozenset[str]:
+        return frozenset(("joint",))
+
+    def runner(self, _joints: frozenset[str]) -> ScriptedRunner:
+        return self
+
     async def run(self, request: object, report: Callable[[Progress], None]) -> Answer:
         self.started.append(request)
         self.report = report
@@ -194,7 +200,7 @@ async def test_closing_answers_every_goal() -> None:
 class DeafRunner(ScriptedRunner):
     """Ends nothing, whatever it is told."""
 
-    def stop(self, reason: str) -> None:
+    def cancel(self, reason: str) -> None:
         self.stopped.append(reason)
 
 
@@ -277,3 +283,123 @@ async def test_a_bug_in_a_listener_costs_no_other_goal(desk: Desk, caplog: pytes
     assert desk.runner.started == ["a", "b"]
     assert desk.codes() == [("1", MoveItErrorCode.SUCCESS)]
     assert "broken listener" in caplog.text
+
+
+class TwoArms:
+    """Runners of goals that name their joints in a word: ``left``, ``right`` or ``left right``."""
+
+    def __init__(self) -> None:
+        self.runners: dict[frozenset[str], ScriptedRunner] = {}
+        self.stopped: list[str] = []
+
+    def joints_of(self, request: object) -> frozenset[str]:
+        return frozenset(str(request).split())
+
+    def runner(self, joints: frozenset[str]) -> ScriptedRunner:
+        return self.runners.setdefault(joints, ScriptedRunner())
+
+    def stop(self, reason: str) -> None:
+        self.stopped.append(reason)
+
+    def of(self, name: str) -> ScriptedRunner:
+        return self.runners[frozenset(name.split())]
+
+    @property
+    def started(self) -> set[str]:
+        """The goals that were begun."""
+        return {str(request) for runner in self.runners.values() for request in runner.started}
+
+
+class ArmsDesk(Desk):
+    """A queue of two arms, and all that it told."""
+
+    def __init__(self, policy: GoalPolicy = GoalPolicy.QUEUE) -> None:
+        super().__init__()
+        self.arms = TwoArms()
+        self.queue = GoalQueue(self.arms, policy, 3, self._progress, self._answer)
+        self.queue.start()
+
+    async def submit(self, *requests: str) -> None:
+        for request in requests:
+            self.queue.submit("/goal", request)
+        await settle()
+
+
+async def test_goals_without_common_joints_run_at_the_same_time() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right")
+    assert desk.arms.started == {"left", "right"}
+    assert desk.queue.active_count == 2
+    desk.arms.of("right").finish()
+    await settle()
+    assert desk.codes() == [("2", MoveItErrorCode.SUCCESS)]
+    assert desk.queue.busy_with(["left"])
+    assert not desk.queue.busy_with(["right"])
+
+
+async def test_a_goal_of_both_arms_waits_for_each() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right", "left right")
+    desk.arms.of("left").finish()
+    await settle()
+    assert desk.arms.started == {"left", "right"}
+    desk.arms.of("right").finish()
+    await settle()
+    assert desk.arms.started == {"left", "right", "left right"}
+
+
+async def test_no_goal_overtakes_one_that_waits_for_the_same_joints() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "left right", "right")
+    assert desk.arms.started == {"left"}
+    desk.arms.of("left").finish()
+    await settle()
+    assert desk.arms.started == {"left", "left right"}
+
+
+async def test_a_goal_preempts_only_goals_of_its_joints() -> None:
+    desk = ArmsDesk(GoalPolicy.PREEMPT)
+    await desk.submit("left", "right", "left")
+    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
+    assert desk.queue.active_count == 2
+
+
+async def test_a_goal_is_rejected_only_for_a_goal_of_its_joints() -> None:
+    desk = ArmsDesk(GoalPolicy.REJECT)
+    await desk.submit("left", "right", "right")
+    assert desk.codes() == [("3", MoveItErrorCode.FAILURE)]
+    assert "goal 2" in desk.answers[0][1].message
+
+
+async def test_a_stop_ends_the_goals_of_all_joints() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right", "left right")
+    desk.queue.stop("stopped by a test")
+    await settle()
+    assert sorted(desk.codes()) == [(str(number), MoveItErrorCode.PREEMPTED) for number in (1, 2, 3)]
+    assert desk.arms.stopped == ["stopped by a test"]
+
+
+async def test_the_goals_of_some_joints_are_cancelled_alone() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right", "left")
+    desk.queue.cancel_all("enough", ["left"])
+    await settle()
+    assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
+    assert desk.queue.active_count == 1
+
+
+async def test_a_cancelled_goal_makes_way_for_those_behind_it() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "left right", "right")
+    desk.queue.cancel("2", "cancelled")
+    await settle()
+    assert desk.arms.started == {"left", "right"}
+
+
+async def test_the_goal_that_ends_last_is_told() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right")
+    desk.arms.of("left").report(Progress(GoalState.EXECUTING, "", 0.5, 4.0))
+    desk.arms.of("right").report(Progress(GoalState.EXECUTING, "", 0.5, 1.0))
+    assert desk.queue.running == RunningGoal("goal 1 from /goal", 4.0, 0)

@@ -304,7 +304,11 @@ def check_concurrency(
     shared = set(first.joint_names) & set(second.joint_names)
     if shared:
         return _invalid(f"both motions are of joint {min(shared)}")
-    ends = {name: float(q) for one in (first, second) for name, q in zip(one.joint_names, one.positions_rad[-1])}
+    ends = {
+        name: float(q)
+        for one in (first, second)
+        for name, q in zip(one.joint_names, one.positions_rad[-1], strict=True)
+    }
     refusal = checks.check_start(robot, {**question.others_rad, **ends})
     if refusal is not None:
         return refusal

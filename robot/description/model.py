@@ -51,6 +51,21 @@ class Group:
 
 
 @dataclass(frozen=True)
+class Gripper:
+    """Gripper of an arm.
+
+    Attributes:
+        joints: its joints, one or two that mirror each other.
+        open: position of each joint when it is open [rad or m].
+        closed: position of each joint when it is closed [rad or m].
+    """
+
+    joints: tuple[str, ...]
+    open: float
+    closed: float
+
+
+@dataclass(frozen=True)
 class Hull:
     """Convex hull that encloses a link.
 
@@ -79,6 +94,11 @@ class RobotModel:
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
         parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
             the link's frame; for the cases in which a hull is too wide.
+        gripper: the gripper; None for an arm without one.
+        default_group: group of goals that name none.
+        tip_link: link that pose goals of this group move.
+        held_joints: joint -> position at which it stays, for joints that are not driven [rad or m].
+        package_directories: folders of packages that ``package://`` names.
     """
 
     name: str
@@ -92,6 +112,11 @@ class RobotModel:
     mesh_directory: Path | None = None
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    gripper: Gripper | None = None
+    default_group: str = ""
+    tip_link: str = ""
+    held_joints: Mapping[str, float] = field(default_factory=dict)
+    package_directories: tuple[Path, ...] = ()
 
     @property
     def root_link(self) -> str:
@@ -102,6 +127,11 @@ class RobotModel:
     def movable_joints(self) -> tuple[Joint, ...]:
         """Joints with a position, in the order of the URDF."""
         return tuple(joint for joint in self.joints.values() if joint.movable)
+
+    @property
+    def driven_joints(self) -> tuple[Joint, ...]:
+        """Movable joints that are driven, in the order of the URDF."""
+        return tuple(joint for joint in self.movable_joints if joint.name not in self.held_joints)
 
 
 def builtin() -> RobotModel:
@@ -150,13 +180,15 @@ def parse(
         *others, last = MOVABLE_TYPES
         raise DescriptionError("URDF", f"has no movable joint: no <joint> has the type {', '.join(others)} or {last}")
     links = _links_from_root(robot, joints)
+    groups = _groups(semantics, joints)
+    default_group = "arm" if "arm" in groups else next(iter(groups))
     return RobotModel(
         name=robot.get("name", "robot"),
         urdf=urdf,
         srdf=srdf,
         links=links,
         joints=joints,
-        groups=_groups(semantics, joints),
+        groups=groups,
         named_states=_named_states(semantics, joints),
         disabled_pairs=frozenset(
             frozenset((_attribute(pair, "link1", "SRDF"), _attribute(pair, "link2", "SRDF")))
@@ -165,6 +197,9 @@ def parse(
         mesh_directory=mesh_directory,
         hulls=hulls or {},
         parts=parts or {},
+        default_group=default_group,
+        tip_link=groups[default_group].tip_link,
+        gripper=Gripper(("gripper",), 1.74533, -0.174533) if "gripper" in joints else None,
     )
 
 

@@ -159,7 +159,7 @@ def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:
         parameters.end_effector_link,
         parameters.planning_frame.lstrip("/"),
     )
-    if group not in robot.groups:
+    if group and group not in robot.groups:
         raise ConfigurationError(
             f"moveit.group_name: there is no group {group!r}; the SRDF has {', '.join(robot.groups)}"
         )

@@ -1,260 +1,52 @@
-"""Player of one motion on the arm: reports its progress, and ends it when it overruns or the scene gets in its way.
+"""Executor of goals: plans from where the arm holds, plays the plan, reports its progress.
 
-Time limits are counted on the arm's clock: a simulated arm that a busy machine slows down has all its time. A process
-that falls silent is ended by :class:`robot.arm.Arm`, and with it the motion.
-
-Executor of goals: plans from where the arm holds, plays the plan, reports its progress.
+Goals of groups without a common joint are executed at the same time. A motion begins when it can touch no motion of
+another group, wherever each of both is on its way; else it waits for the other's end.
 """
 
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from planners.pool import PlannerPool
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckQuestion
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm import Arm
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Course, Mode, MotionEnded, Outcome
+from robot.messages import ArmState, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.failures import Alternatives, FailedGoals
-from server.execution.monitors import ARM_START_TIMEOUT_S, CurrentState, SceneMonitor, SceneSource, check_ready
+from server.execution.monitors import (
+    ARM_START_TIMEOUT_S,
+    CurrentState,
+    Questions,
+    SceneMonitor,
+    SceneSource,
+    check_ready,
+)
 from server.execution.motions import (
-    HORIZON_S,
-    SENDING_S,
     START_TOLERANCE_RAD,
-    STATE_AGE_S,
     ExternalTrajectory,
     Motion,
     PlannedMotion,
     PlannedSequence,
     Positions,
-    SplicePoint,
     plan_sequence,
-    splice_point_of,
     with_lead_in,
 )
-from server.execution.queue import Answer, GoalState, Performed, Progress
-from server.execution.time_limits import ArmClock, ExecutionDeadline, TimeLimits
-
-# A motion that overran is braked; no arm needs longer for that, by its own clock.
-BRAKING_TIMEOUT_S = 2.0
-
-PROGRESS_PERIOD_S = 0.2
-
-CODE_OF_OUTCOME = {
-    Outcome.REACHED: MoveItErrorCode.SUCCESS,
-    Outcome.STOPPED: MoveItErrorCode.PREEMPTED,
-    Outcome.REFUSED: MoveItErrorCode.CONTROL_FAILED,
-    Outcome.TRACKING_LOST: MoveItErrorCode.CONTROL_FAILED,
-    Outcome.NOT_SETTLED: MoveItErrorCode.CONTROL_FAILED,
-    Outcome.BUS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
-    Outcome.PROCESS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
-    Outcome.FAULT: MoveItErrorCode.CONTROL_FAILED,
-}
-
-
-@dataclass(frozen=True)
-class CheckedMotion:
-    """Motion that was found free of collisions.
-
-    Attributes:
-        group: of its joints, which are all joints of the group.
-        trajectory: the motion.
-        others_rad: position of every other joint [rad].
-        scene_version: of the scene in which it was found free.
-        summary: its name in progress reports.
-    """
-
-    group: str
-    trajectory: Trajectory
-    others_rad: Mapping[str, float]
-    scene_version: int
-    summary: str
-
-    def question(self, from_s: float) -> RecheckQuestion:
-        """Return the question to planners if the motion is free from a time of it on [s]."""
-        return RecheckQuestion(self.group, self.trajectory, self.others_rad, from_s)
-
-
-@dataclass(frozen=True)
-class OutgoingMotion:
-    """Motion that goes on for a moment after its goal was preempted, so that another can replace it.
-
-    Attributes:
-        motion: the motion.
-        ended: its one end.
-        splice_point: the point at which another can replace it; None if there is none.
-        until_s: monotonic time by which the other has to be sent [s].
-    """
-
-    motion: CheckedMotion
-    ended: asyncio.Future[MotionEnded]
-    splice_point: SplicePoint | None
-    until_s: float
-
-
-class Player:
-    """Player of one motion at a time.
-
-    Args:
-        arm: the arm.
-        scene_monitor: monitors the motion.
-        time_limits: of motions.
-        clock: monotonic time of this machine [s].
-
-    Attributes:
-        outgoing: the motion of a preempted goal; None if there is none.
-    """
-
-    def __init__(
-        self,
-        arm: Arm,
-        scene_monitor: SceneMonitor,
-        time_limits: TimeLimits,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._arm = arm
-        self._scene_monitor = scene_monitor
-        self._time_limits = time_limits
-        self._clock = clock
-        self._motion: asyncio.Future[MotionEnded] | None = None
-        self._began_s = self._began_by_arm_s = 0.0
-        self._end: Answer | None = None
-        self._preempted: asyncio.Future[None] | None = None
-        self.outgoing: OutgoingMotion | None = None
-
-    async def play(
-        self, motion: CheckedMotion, report: Callable[[Progress], None], from_s: float | None = None
-    ) -> Answer:
-        """Play a motion to its end; every wait is bounded.
-
-        Args:
-            motion: the motion.
-            report: called with its progress.
-            from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
-        """
-        self._end = None
-        self._preempted = asyncio.get_running_loop().create_future()
-        self._began_s, self._began_by_arm_s = self._clock(), self._arm.clock_s
-        if self.outgoing is None or from_s is None:
-            self._motion = self._arm.execute(motion.trajectory)
-        else:
-            self._motion = self._arm.execute(motion.trajectory, continues=(self.outgoing.ended, from_s))
-        self._scene_monitor.start(
-            motion.scene_version, lambda: motion.question(self._played_s(motion)), self._on_contact
-        )
-        try:
-            return await self._until_ended(self._motion, self._preempted, motion, report)
-        finally:
-            self._scene_monitor.stop()
-            # The goal is over, and so is its motion, also after an error here; one that is handed over has its own end.
-            if not self._motion.done() and not self._handed_over:
-                self._arm.stop(self._motion)
-            self._motion = None
-
-    def stop(self, reason: str) -> None:
-        """Brake the motion along its path; do nothing when there is none."""
-        self._brake(Answer(MoveItErrorCode.PREEMPTED, reason))
-        if self.outgoing is not None:
-            self._arm.stop(self.outgoing.ended)
-
-    def preempt(self, reason: str) -> None:
-        """End :meth:`play` but not the motion, which is braked unless another soon replaces it."""
-        if self._preempted is not None and not self._preempted.done() and self._end is None:
-            self._end = Answer(MoveItErrorCode.PREEMPTED, reason)
-            self._preempted.set_result(None)
-
-    async def stop_outgoing(self) -> None:
-        """Brake the outgoing motion, and wait for its end."""
-        outgoing, self.outgoing = self.outgoing, None
-        if outgoing is not None and not outgoing.ended.done():
-            self._arm.stop(outgoing.ended)
-            await self._arm.wait((outgoing.ended,), BRAKING_TIMEOUT_S)
-
-    def _on_contact(self, contact: PlanningFailure) -> None:
-        self._brake(Answer.of(contact))
-
-    def _brake(self, end: Answer) -> None:
-        if self._motion is not None:
-            self._end = self._end or end
-            self._arm.stop(self._motion)
-
-    def _played_s(self, motion: CheckedMotion) -> float:
-        """Return the part of the motion that is played for good [s]; on the way back all of it may be played again."""
-        state = self._arm.state
-        back = state.pace.course is Course.BACK or state.mode is not Mode.MOVING
-        return 0.0 if back or self._just_begun else state.fraction * motion.trajectory.duration_s
-
-    @property
-    def _just_begun(self) -> bool:
-        """True while the arm's state may still be of the motion before: it is late where arm or server are starved."""
-        passed_s = min(self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s)
-        return passed_s < STATE_AGE_S
-
-    @property
-    def _handed_over(self) -> bool:
-        """True when the present motion is the outgoing one."""
-        return self.outgoing is not None and self.outgoing.ended is self._motion
-
-    async def _until_ended(
-        self,
-        ended: asyncio.Future[MotionEnded],
-        preempted: asyncio.Future[None],
-        motion: CheckedMotion,
-        report: Callable[[Progress], None],
-    ) -> Answer:
-        deadline = ExecutionDeadline(motion.trajectory.duration_s, self._time_limits)
-        arm_clock = ArmClock(self._arm, self._clock)
-        ends: tuple[asyncio.Future[Any], ...] = (ended, preempted)
-        while not ended.done() and deadline.exceeded is None:
-            await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
-            if preempted.done() and not ended.done():
-                return self._hand_over(motion, ended)
-            state = self._arm.state
-            deadline.pass_time(arm_clock.elapsed_s(), state.pace)
-            if not ended.done() and state.mode is Mode.MOVING:
-                report(Progress(GoalState.EXECUTING, motion.summary, state.fraction, state.remaining_s))
-        if not ended.done():
-            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{deadline.exceeded}; {_greatest_lag(self._arm.state)}"))
-            await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
-        if not ended.done():
-            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{deadline.exceeded}, and does not brake either")
-        return self._answer(ended.result())
-
-    def _hand_over(self, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
-        if self._end is None:
-            raise AssertionError("a motion is preempted without a reason")
-        point = None if self._just_begun else splice_point_of(motion.trajectory, self._arm.state, self._arm.state_age_s)
-        self.outgoing = OutgoingMotion(motion, ended, point, self._clock() + HORIZON_S - SENDING_S)
-        # Braked then, whatever becomes of the other motion; one that has been replaced by then is not concerned.
-        asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
-        return self._end
-
-    def _answer(self, ended: MotionEnded) -> Answer:
-        if ended.outcome is not Outcome.STOPPED:
-            return Answer(CODE_OF_OUTCOME[ended.outcome], ended.message, {"outcome": ended.outcome.value})
-        if self._end is None:
-            return Answer(MoveItErrorCode.PREEMPTED, ended.message)
-        return Answer(self._end.code, f"{self._end.message}: {ended.message}", self._end.details)
-
-
-def _greatest_lag(state: ArmState) -> str:
-    """Return a sentence that names the joint that is farthest from its goal."""
-    if state.goal_rad is None or state.position_rad is None:
-        return "where its joints are is not known"
-    error_rad = np.abs(state.goal_rad - state.position_rad)
-    worst = int(np.argmax(error_rad))
-    return f"joint {state.joint_names[worst]} is {error_rad[worst]:.3f} rad behind"
-
+from server.execution.motions_in_progress import MotionInProgress, MotionsInProgress, meeting_question
+from server.execution.player import BRAKING_TIMEOUT_S, CheckedMotion, Player
+from server.execution.queue import Answer, GoalState, Joints, Performed, Progress
+from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")
 
@@ -330,6 +122,7 @@ class GoalExecutor:
         show: called with every plan before it is executed.
         confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
         time_limits: of motions.
+        in_progress: motions of all goals; None for an executor that is alone.
 
     Attributes:
         recorder: records the arm's states for the answers.
@@ -345,9 +138,11 @@ class GoalExecutor:
         show: Callable[[Performed], None] = lambda _performed: None,
         confirm: Confirm | None = None,
         time_limits: TimeLimits | None = None,
+        in_progress: MotionsInProgress | None = None,
     ) -> None:
         self._arm = arm
         self._robot = robot
+        self._in_progress = in_progress or MotionsInProgress()
         self._pool = pool
         self._scene = scene
         self._failed_goals = failed_goals
@@ -358,7 +153,7 @@ class GoalExecutor:
         self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._time_limits = time_limits or TimeLimits()
-        self._player = Player(arm, self._scene_monitor, self._time_limits)
+        self._player = Player(arm, self._scene_monitor, self._time_limits, self._in_progress)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
 
@@ -382,11 +177,6 @@ class GoalExecutor:
         """End the active goal for one that follows at once, which may replace its motion without a stop."""
         self._cancel_work(reason)
         self._player.preempt(reason)
-
-    def stop(self, reason: str) -> None:
-        """Cancel the active goal; the arm is stopped even when no goal is known, so that nothing keeps it moving."""
-        self.cancel(reason)
-        self._arm.stop()
 
     def _cancel_work(self, reason: str) -> None:
         self._cancel_reason = reason
@@ -412,6 +202,9 @@ class GoalExecutor:
             return None
         if len(request.steps) != 1 or request.scene is not None or request.confirm:
             return None
+        # Whether a motion may touch another in progress cannot be told in time.
+        if self._in_progress.beside(request.joints):
+            return None
         point, scene = outgoing.splice_point, self._scene.scene
         try:
             problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
@@ -432,15 +225,15 @@ class GoalExecutor:
         self.recorder.start()
         # A scene that has changed since the lead was found free is checked on the way.
         version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
-        checked = CheckedMotion(problem.group, whole.trajectory, outgoing.motion.others_rad, version, planned.summary)
-        answer = await self._player.play(checked, report, point.from_s)
+        checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
+        answer = await self._player.play(checked, report, self._questions(checked), point.from_s)
         executed = self.recorder.finish(whole.trajectory.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
         return replace(answer, performed=replace(planned.performed, executed=executed))
 
     async def _attempt(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
-        await self._until_ready()
+        await self._until_ready(request.joints)
         report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
         version = self._scene.scene.version
         planned = await self._plan(request)
@@ -452,7 +245,7 @@ class GoalExecutor:
         return discarded or await self._play(planned, version, report)
 
     async def _play_external(self, request: ExternalTrajectory, report: Callable[[Progress], None]) -> Answer:
-        await self._until_ready()
+        await self._until_ready(request.joints)
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad)
         self._time_limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
@@ -462,13 +255,17 @@ class GoalExecutor:
 
     # Steps of an attempt.
 
-    async def _until_ready(self) -> None:
+    async def _until_ready(self, joints: Joints) -> None:
         """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal.
+
+        Args:
+            joints: of the motion.
 
         Raises:
             RefusedError: none can begin, or the goal was cancelled.
         """
         await self._player.stop_outgoing()
+        await self._stop_preempted(joints)
         # A goal that comes while the server starts waits for the arm.
         await self._unless_cancelled(self._arm.until_started(ARM_START_TIMEOUT_S))
         self._check_not_cancelled("before the motion began")
@@ -477,23 +274,32 @@ class GoalExecutor:
             message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
             raise RefusedError(PlanningFailure(MoveItErrorCode.CONTROL_FAILED, message))
 
+    async def _stop_preempted(self, joints: Joints) -> None:
+        """Brake the motions of preempted goals of other groups with some of the same joints, and wait for their end."""
+        preempted = [motion.ended for motion in self._in_progress.of(joints)]
+        for ended in preempted:
+            self._arm.stop(ended)
+        await self._arm.wait(preempted, BRAKING_TIMEOUT_S)
+
     async def _plan(self, request: PlannedMotion) -> PlannedSequence:
         """Plan from where the arm holds, and anew when it was moved meanwhile.
+
+        Other groups may be moving: they are planned for at the end of their motions.
 
         Raises:
             RefusedError: there is no such scene, or the goal was cancelled.
         """
         planned = None
         for _ in range(MAX_STARTS):
-            held_rad = self._held_rad()
-            scene = self._scene.scene if request.scene is None else request.scene(held_rad)
-            planned = await self._unless_cancelled(plan_sequence(request.steps, held_rad, scene, self._pool.ask))
+            start_rad = self._expected_rad()
+            scene = self._scene.scene if request.scene is None else request.scene(start_rad)
+            planned = await self._unless_cancelled(plan_sequence(request.steps, start_rad, scene, self._pool.ask))
             if planned is None:
                 break
             if planned.failure is not None:
                 await self._save(planned, scene)
                 return await self._with_alternative(planned, planned.failure, scene)
-            if not self._moved_since(held_rad):
+            if not self._moved_since(start_rad):
                 break
         if planned is None:
             raise _preempted(f"{self._cancel_reason} while planning")
@@ -540,25 +346,62 @@ class GoalExecutor:
         for motion in motions:
             to_come_s -= motion.duration_s
             if motion.duration_s > 0.0 and answer.code is MoveItErrorCode.SUCCESS:
-                playing = self._play_one(motion, version, planned.summary, _with_more_to_come(report, to_come_s))
+                playing = self._play_one(motion, planned, version, _with_more_to_come(report, to_come_s))
                 answer = await _answered(playing)
         executed = self.recorder.finish(motions[0].joint_names if motions else ())
         message = "; ".join((answer.message, *planned.notes))
         return replace(answer, message=message, performed=replace(planned.performed, executed=executed))
 
     async def _play_one(
-        self, motion: Trajectory, version: int, summary: str, report: Callable[[Progress], None]
+        self, motion: Trajectory, planned: PlannedSequence, version: int, report: Callable[[Progress], None]
     ) -> Answer:
-        held_rad = self._held_rad()
-        whole = with_lead_in(motion, held_rad, self._robot)
-        group = _group_of(self._robot, whole)
-        others_rad = {name: value for name, value in held_rad.items() if name not in whole.joint_names}
-        present_version = self._scene.scene.version
-        checked = CheckedMotion(group, whole, others_rad, present_version, summary)
-        if whole is not motion or present_version != version:
-            await self._unless_cancelled(self._scene_monitor.check(lambda: checked.question(0.0)))
-        self._check_not_cancelled("before the motion began")
-        return await self._player.play(checked, report)
+        """Play one of the motions, as soon as it can touch no motion of another group."""
+        joints = frozenset(motion.joint_names)
+        # Where the other joints were to be while it was planned.
+        assumed_rad = {name: q for name, q in planned.performed.start_rad.items() if name not in joints}
+        while True:
+            whole = with_lead_in(motion, self._held_rad(), self._robot)
+            present_version, beside = self._scene.scene.version, self._in_progress.beside(joints)
+            checked = CheckedMotion(_group_of(self._robot, whole), whole, present_version, planned.summary)
+            if whole is not motion or present_version != version or self._moved_since(assumed_rad):
+                question = checked.question(0.0, self._expected_rad())
+                await self._unless_cancelled(self._scene_monitor.check(functools.partial(tuple, (question,))))
+            in_the_way = await self._unless_cancelled(self._first_meeting(whole, beside))
+            self._check_not_cancelled("before the motion began")
+            if in_the_way is not None:
+                report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
+                await self._unless_cancelled(_until_done(in_the_way.ended))
+            elif all(one in beside for one in self._in_progress.beside(joints)):
+                return await self._player.play(checked, report, self._questions(checked))
+
+    async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
+        """Return the first of some motions in progress that a motion may touch; None if there is none.
+
+        Raises:
+            RefusedError: the planners cannot tell.
+        """
+        for other in beside:
+            question = meeting_question(motion, other, self._expected_rad())
+            answer = await self._pool.ask(question, self._scene.scene)
+            if isinstance(answer, PlanningFailure):
+                message = f"whether the motion is free of {other.title} cannot be told: {answer.message}"
+                failure = PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details)
+                raise RefusedError(failure)
+            if answer.contact is not None:
+                log.info("waits for %s: %s", other.title, answer.contact.message)
+                return other
+        return None
+
+    def _questions(self, motion: CheckedMotion) -> Callable[[float], Questions]:
+        """Return the function that asks if a motion is free from a time of it on, also of motions beside it."""
+
+        def questions(from_s: float) -> Questions:
+            expected_rad = self._expected_rad()
+            beside = self._in_progress.beside(frozenset(motion.trajectory.joint_names))
+            meetings = (meeting_question(motion.trajectory, other, expected_rad) for other in beside)
+            return motion.question(from_s, expected_rad), *meetings
+
+        return questions
 
     # Positions, and the end of the active goal.
 
@@ -569,8 +412,14 @@ class GoalExecutor:
             raise AssertionError("planning without a connected arm")
         return held_rad
 
+    def _expected_rad(self) -> dict[str, float]:
+        """Return the positions that the arm will hold when every motion in progress has ended [rad]."""
+        return self._in_progress.expected_rad(self._held_rad())
+
     def _moved_since(self, before_rad: Positions) -> bool:
-        return any(abs(value - before_rad[name]) > START_TOLERANCE_RAD for name, value in self._held_rad().items())
+        """Return true if a joint is expected elsewhere than before, shape as for `Positions`."""
+        now_rad = self._expected_rad()
+        return any(abs(value - now_rad[name]) > START_TOLERANCE_RAD for name, value in before_rad.items())
 
     def _check_not_cancelled(self, phase: str) -> None:
         if self._cancel_reason:
@@ -598,6 +447,10 @@ async def _answered(attempt: Awaitable[Answer]) -> Answer:
         return Answer.of(error.failure)
 
 
+async def _until_done(ended: asyncio.Future[MotionEnded]) -> None:
+    await asyncio.wait([ended])
+
+
 def _with_more_to_come(report: Callable[[Progress], None], to_come_s: float) -> Callable[[Progress], None]:
     """Return the report of one motion of a sequence, whose time left is that of the sequence.
 
@@ -623,3 +476,37 @@ def _preempted(message: str) -> RefusedError:
 def _group_of(robot: RobotModel, motion: Trajectory) -> str:
     """Return the group that has just these joints; empty when there is none, and planners then reject it."""
     return next((name for name, group in robot.groups.items() if group.joints == motion.joint_names), "")
+
+
+class GoalExecutors:
+    """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before.
+
+    Args:
+        arm: the arm.
+        make: makes an executor that shares the motions in progress with the others.
+    """
+
+    def __init__(self, arm: Arm, make: Callable[[MotionsInProgress], GoalExecutor]) -> None:
+        self._arm = arm
+        self._make = make
+        self._in_progress = MotionsInProgress()
+        self._executors: dict[Joints, GoalExecutor] = {}
+
+    def joints_of(self, request: Motion) -> Joints:
+        """Return the joints that a motion moves."""
+        return request.joints
+
+    def runner(self, joints: Joints) -> GoalExecutor:
+        """Return the executor of motions of some joints."""
+        if joints not in self._executors:
+            self._executors[joints] = self._make(self._in_progress)
+        return self._executors[joints]
+
+    def stop(self, _reason: str) -> None:
+        """Stop the arm, even when no goal is known, so that nothing keeps it moving."""
+        self._arm.stop()
+
+    def take_state(self, state: ArmState) -> None:
+        """Record a state of the arm for the goals in progress."""
+        for executor in self._executors.values():
+            executor.recorder.take_state(state)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from planners.files import problem_file
-from planners.goals import JointGoal, PositionGoal
+from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.pool import PlannerPool
 from planners.problem import (
     CartesianProblem,
@@ -117,7 +117,7 @@ class Alternatives:
         found: dict[str, Any] = {}
         if isinstance(problem.goal, JointGoal):
             found = await self._joints(problem, problem.goal, scene)
-        elif isinstance(problem.goal, PositionGoal):
+        elif isinstance(problem.goal, PositionGoal | PoseGoal):
             found = await self._point(problem, problem.goal, scene)
         return replace(failure, details={**failure.details, **found})
 
@@ -133,12 +133,20 @@ class Alternatives:
                 return {"free_rad": {name: round(value, 4) for name, value in free_rad.items()}}
         return {}
 
-    async def _point(self, problem: PlanningProblem, goal: PositionGoal, scene: Scene) -> dict[str, Any]:
+    async def _point(self, problem: PlanningProblem, goal: PositionGoal | PoseGoal, scene: Scene) -> dict[str, Any]:
+        goal_m = goal.position_m if isinstance(goal, PositionGoal) else goal.pose.position_m
         tip_m = self._forward.transforms(problem.start_rad)[goal.link][:3, 3].tolist()
         for share in SHARES:
-            x, y, z = (tip + share * (end - tip) for tip, end in zip(tip_m, goal.position_m, strict=True))
-            nearer = replace(goal, position_m=(x, y, z))
+            x, y, z = (tip + share * (end - tip) for tip, end in zip(tip_m, goal_m, strict=True))
+            nearer = _at(goal, (x, y, z))
             question = IkQuestion(problem.group, problem.start_rad, nearer, allowed_time_s=CHECK_TIMEOUT_S)
             if isinstance(await self._pool.ask(question, scene), IkAnswer):
                 return {"free_m": [round(x, 4), round(y, 4), round(z, 4)]}
         return {}
+
+
+def _at(goal: PositionGoal | PoseGoal, position_m: tuple[float, float, float]) -> PositionGoal | PoseGoal:
+    """Return a goal at another point [m]."""
+    if isinstance(goal, PositionGoal):
+        return replace(goal, position_m=position_m)
+    return replace(goal, pose=replace(goal.pose, position_m=position_m))

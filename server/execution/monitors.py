@@ -5,11 +5,17 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeAlias
 
 from planners.pool import PlannerPool
-from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
+from planners.problem import (
+    ConcurrencyQuestion,
+    MoveItErrorCode,
+    PlanningFailure,
+    RecheckAnswer,
+    RecheckQuestion,
+)
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import RobotModel
@@ -141,6 +147,10 @@ class SceneSource(Protocol):
         """Have this called after every change."""
 
 
+# Asked together about one motion: it is free if all answers are.
+Questions: TypeAlias = Sequence[RecheckQuestion | ConcurrencyQuestion]
+
+
 class SceneMonitor:
     """Monitor of one motion at a time.
 
@@ -164,16 +174,16 @@ class SceneMonitor:
         self._retry_for_s = retry_for_s
         self._clock = clock
         self._checked_version = 0
-        self._question: Callable[[], RecheckQuestion] | None = None
+        self._questions: Callable[[], Questions] | None = None
         self._on_contact: Callable[[PlanningFailure], None] = lambda _contact: None
         self._task: asyncio.Task[None] | None = None
         source.on_change(self._on_change)
 
-    async def check(self, question: Callable[[], RecheckQuestion]) -> None:
+    async def check(self, questions: Callable[[], Questions]) -> None:
         """Check a motion in the present scene.
 
         Args:
-            question: asks about the rest of the motion.
+            questions: asks about the rest of the motion.
 
         Raises:
             RefusedError: the motion would touch something, or the planners cannot check it.
@@ -181,7 +191,7 @@ class SceneMonitor:
         until_s = self._clock() + self._retry_for_s
         while True:
             scene = self._source.scene
-            answer = await self._pool.ask(question(), scene)
+            answer = await self._ask(questions(), scene)
             if not _is_late(answer) or self._clock() >= until_s:
                 break
         self._checked_version = scene.version
@@ -191,38 +201,47 @@ class SceneMonitor:
         if answer.contact is not None:
             raise RefusedError(answer.contact)
 
+    async def _ask(self, questions: Questions, scene: Scene) -> RecheckAnswer | PlanningFailure:
+        """Return the first answer that is not "free", else the last."""
+        answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
+        for question in questions:
+            answer = await self._pool.ask(question, scene)
+            if isinstance(answer, PlanningFailure) or answer.contact is not None:
+                break
+        return answer
+
     def start(
-        self, version: int, question: Callable[[], RecheckQuestion], on_contact: Callable[[PlanningFailure], None]
+        self, version: int, questions: Callable[[], Questions], on_contact: Callable[[PlanningFailure], None]
     ) -> None:
         """Monitor a motion until :meth:`stop`.
 
         Args:
             version: of the scene in which the motion was found free.
-            question: asks about the rest of it.
+            questions: asks about the rest of it.
             on_contact: called once, when the motion is no longer free; the monitor then stops.
         """
-        self._checked_version, self._question, self._on_contact = version, question, on_contact
+        self._checked_version, self._questions, self._on_contact = version, questions, on_contact
         self._on_change()
 
     def stop(self) -> None:
         """Stop the monitor."""
-        self._question = None
+        self._questions = None
         if self._task is not None:
             self._task.cancel()
             self._task = None
 
     def _on_change(self) -> None:
-        if self._question is not None and self._task is None:
+        if self._questions is not None and self._task is None:
             self._task = asyncio.create_task(self._check_changes(), name="check the rest of the motion")
 
     async def _check_changes(self) -> None:
         """Check until the scene no longer changes meanwhile."""
         try:
-            while self._question is not None and self._source.scene.version != self._checked_version:
-                await self.check(self._question)
+            while self._questions is not None and self._source.scene.version != self._checked_version:
+                await self.check(self._questions)
         except RefusedError as error:
-            if self._question is not None:
-                self._question = None
+            if self._questions is not None:
+                self._questions = None
                 log.warning("the scene has changed: %s", error)
                 self._on_contact(error.failure)
         self._task = None

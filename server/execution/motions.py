@@ -15,10 +15,10 @@ import numpy as np
 from planners.problem import CartesianPlan, CartesianProblem, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Course, Mode
+from robot.messages import Course, MotionProgress, Pace
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.queue import Performed
+from server.execution.queue import Joints, Performed
 from server.moveit.requests.error_codes import deviation_note
 
 # Position of every movable joint [rad].
@@ -35,6 +35,7 @@ class PlannedMotion:
 
     Attributes:
         steps: each makes its problem from the end of the one before.
+        joints: every joint that one of them moves.
         scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
         delay_s: pause before another attempt [s].
@@ -43,6 +44,7 @@ class PlannedMotion:
     """
 
     steps: tuple[Step, ...]
+    joints: Joints
     scene: Callable[[Positions], Scene] | None = None
     attempts: int = 1
     delay_s: float = 0.0
@@ -56,9 +58,11 @@ class ExternalTrajectory:
 
     Attributes:
         trajectory: makes it for the positions that the arm holds, or raises RefusedError.
+        joints: the joints that it moves.
     """
 
     trajectory: Callable[[Positions], Trajectory]
+    joints: Joints
 
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
@@ -228,19 +232,22 @@ class SplicePoint:
         )
 
 
-def splice_point_of(motion: Trajectory, state: ArmState, age_s: float) -> SplicePoint | None:
-    """Return the point at which the present motion can be replaced; None if it is paused, reverses or ends soon.
+def splice_point_of(
+    motion: Trajectory, progress: MotionProgress | None, pace: Pace, age_s: float
+) -> SplicePoint | None:
+    """Return the point at which a motion can be replaced; None if it is paused, reverses or ends soon.
 
     Args:
-        motion: the present motion.
-        state: the arm's latest state.
+        motion: the motion.
+        progress: its progress by the arm's latest state; None for one that is not in progress.
+        pace: of the arm's motions.
         age_s: time since the state came [s].
     """
-    if state.mode is not Mode.MOVING or state.pace.course is not Course.FORWARD:
+    if progress is None or pace.course is not Course.FORWARD:
         return None
-    now_s = state.fraction * motion.duration_s + age_s * state.pace.speed_factor
-    leave_s = now_s + HORIZON_S * state.pace.speed_factor
-    if state.pace.speed_factor == 0.0 or leave_s >= motion.duration_s:
+    now_s = progress.fraction * motion.duration_s + age_s * pace.speed_factor
+    leave_s = now_s + HORIZON_S * pace.speed_factor
+    if pace.speed_factor == 0.0 or leave_s >= motion.duration_s:
         return None
     from_s = max(now_s - STATE_AGE_S, 0.0)
     return SplicePoint(_between(motion, from_s, leave_s), from_s)

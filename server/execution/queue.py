@@ -307,9 +307,7 @@ class GoalQueue(Generic[Request]):
         """
         name = "" if client is None else str(client)
         joints = self._runners.joints_of(request)
-        goal = QueuedGoal(
-            self._next_id(), source, request, on_progress, on_answer, message, client=name, joints=joints
-        )
+        goal = QueuedGoal(self._next_id(), source, request, on_progress, on_answer, message, client=name, joints=joints)
         policy = policy or self._policy
         in_the_way = self._moving(joints)
         if policy is GoalPolicy.REJECT and in_the_way:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from planners.goals import Goal, JointGoal, PositionGoal
+from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.scene import Pose
-from robot.description.model import RobotModel
+from robot.description.model import Group, RobotModel
 from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, composed, read_pose
+from server.moveit.requests.context import chooses_orientation, planning_group, tip_link
 from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
@@ -22,6 +23,10 @@ from server.moveit.scene.frames import Frames
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
 POSE_TOPIC, POSE_TYPE = "/moveit_goal_pose", "geometry_msgs/PoseStamped"
+GROUP_TOPIC, GROUP_TYPE = "/moveit_goal_group", "std_msgs/String"
+
+# A quaternion's length may differ from 1 by the rounding of clients that write a few digits.
+UNIT_TOLERANCE = 0.01
 
 
 class GoalTranslator:
@@ -29,14 +34,14 @@ class GoalTranslator:
 
     Args:
         robot: the arm.
-        parameters: of planning; also group, link, frame and tolerances of the goals.
+        parameters: of planning; also the first group, its link, frame and tolerances of the goals.
         states: the named states.
         frames: look-up of frames.
         current: the positions of the arm.
         problems: builds the goals' planning problems.
 
     Attributes:
-        tip: the link that pose goals are for.
+        group: planning group of the goals, until :meth:`select_group` chooses another.
     """
 
     def __init__(
@@ -48,13 +53,27 @@ class GoalTranslator:
         current: CurrentState,
         problems: ProblemBuilder,
     ) -> None:
+        self._robot = robot
         self._parameters = parameters
         self._states = states
         self._frames = frames
         self._current = current
         self._problems = problems
-        self._group = robot.groups[parameters.group_name]
-        self.tip = parameters.end_effector_link or self._group.tip_link
+        self.group = planning_group(robot, "", parameters)
+
+    @property
+    def tip(self) -> str:
+        """The link that pose goals are for."""
+        return tip_link(self._robot, self.group, self._parameters)
+
+    def select_group(self, name: str) -> None:
+        """Choose the planning group of goals to come; an empty name means the default.
+
+        Raises:
+            RefusedError: there is no such group.
+        """
+        self.group = planning_group(self._robot, name, self._parameters)
+        self._states.select_group(self.group.name)
 
     def named(self, message: Message) -> PlannedMotion:
         """Translate a std_msgs/String with the name of a state; case and blanks do not matter.
@@ -69,13 +88,15 @@ class GoalTranslator:
             nearest = self._states.nearest_name(message["data"])
             raise invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))
         name, positions_rad = found
-        goal_rad = {joint: value for joint, value in positions_rad.items() if joint in self._group.joints}
+        goal_rad = {joint: value for joint, value in positions_rad.items() if joint in self.group.joints}
         if not goal_rad:
-            raise invalid(f"the named target {name!r} has no joint of group {self._group.name}", name=name)
-        return self._motion(lambda _start_rad: JointGoal(goal_rad, self._parameters.joint_tolerance))
+            raise invalid(f"the named target {name!r} has no joint of group {self.group.name}", name=name)
+        return self._motion(self.group, lambda _start_rad: JointGoal(goal_rad, self._parameters.joint_tolerance))
 
     def joints(self, message: Message) -> PlannedMotion:
         """Translate a sensor_msgs/JointState; joints that are not named keep their position.
+
+        The goal is one of the smallest group that has all the named joints, whatever group is selected.
 
         Raises:
             RefusedError: names and positions do not fit, or a position is not finite.
@@ -86,44 +107,51 @@ class GoalTranslator:
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise invalid(f"the joint {repeated[0]} is named more than once")
-        known = {name: value for name, value in zip(names, positions, strict=True) if name in self._group.joints}
+        group = self._group_of(names)
+        known = {name: value for name, value in zip(names, positions, strict=True) if name in group.joints}
         if not known:
             raise invalid(
-                f"no joint of group {self._group.name} is named; it has {', '.join(self._group.joints)}",
-                known=list(self._group.joints),
+                f"no joint of group {group.name} is named; it has {', '.join(group.joints)}", known=list(group.joints)
             )
         for name, value in known.items():
             if not math.isfinite(value):
                 raise invalid(f"joint {name}: position must be a finite number, not {value}", joint=name)
         ignored = [name for name in names if name not in known]
-        warning = f"ignored joints that are not in group {self._group.name}: {', '.join(ignored)}"
+        warning = f"ignored joints that are not in group {group.name}: {', '.join(ignored)}"
         goal = JointGoal(known, self._parameters.joint_tolerance)
-        return self._motion(lambda _start_rad: goal, (warning,) if ignored else ())
+        return self._motion(group, lambda _start_rad: goal, (warning,) if ignored else ())
+
+    def _group_of(self, names: Sequence[str]) -> Group:
+        """Return the group of a joint goal: the smallest that has all of its joints, or else the selected one."""
+        named = {name for name in names if name in self._robot.joints and self._robot.joints[name].movable}
+        fitting = [group for group in self._robot.groups.values() if named and named <= set(group.joints)]
+        return min(fitting, key=lambda group: (len(group.joints), group is not self.group), default=self.group)
 
     def pose(self, message: Message) -> PlannedMotion:
-        """Translate the position of a geometry_msgs/PoseStamped; five joints cannot choose an orientation as well.
+        """Translate a geometry_msgs/PoseStamped: a whole pose for six joints or more, a position for fewer.
 
         A frame that moves with the arm is resolved when the goal's turn comes.
 
         Raises:
-            RefusedError: a number is not finite, or there is no such frame.
+            RefusedError: a number is not finite, the orientation is none although it counts, or there is no such
+                frame.
         """
-        frame = self._frame(message)
-        point = message["pose"]["position"]
-        for axis in "xyz":
-            if not math.isfinite(point[axis]):
-                raise invalid(f"pose.position.{axis} must be a finite number, not {point[axis]}")
-        pose = Pose((float(point["x"]), float(point["y"]), float(point["z"])))
+        frame, group, tip = self._frame(message), self.group, self.tip
+        whole = chooses_orientation(group)
+        pose = _whole_pose(message["pose"], group) if whole else Pose(_position_m(message["pose"]))
+        radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
 
         def goal(start_rad: Positions) -> Goal:
             place = composed(self._frames.resolve(frame, start_rad), pose)
-            return PositionGoal(self.tip, place.position_m, self._parameters.position_tolerance)
+            if whole:
+                return PoseGoal(tip, place, radius_m, (turn_rad,) * 3, strict=True)
+            return PositionGoal(tip, place.position_m, radius_m)
 
         # An unknown frame is rejected at once, not when the goal's turn comes.
         present_rad = self._current.positions_rad()
         if present_rad is not None:
             self._frames.resolve(frame, present_rad)
-        return self._motion(goal)
+        return self._motion(group, goal)
 
     def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose:
         """Return the whole pose of a geometry_msgs/PoseStamped in the root link.
@@ -142,8 +170,41 @@ class GoalTranslator:
         frame: str = message["header"]["frame_id"] or self._parameters.planning_frame
         return frame
 
-    def _motion(self, goal: Callable[[Positions], Goal], warnings: tuple[str, ...] = ()) -> PlannedMotion:
-        return PlannedMotion((lambda start_rad: self._problems.goal(goal(start_rad), start_rad),), warnings=warnings)
+    def _motion(self, group: Group, goal: Callable[[Positions], Goal], warnings: tuple[str, ...] = ()) -> PlannedMotion:
+        return PlannedMotion(
+            (lambda start_rad: self._problems.goal(group, goal(start_rad), start_rad),),
+            frozenset(group.joints),
+            warnings=warnings,
+        )
+
+
+def _position_m(message: Message) -> tuple[float, float, float]:
+    """Read the position of a geometry_msgs/Pose [m].
+
+    Raises:
+        RefusedError: a number is not finite.
+    """
+    point = message["position"]
+    for axis in "xyz":
+        if not math.isfinite(point[axis]):
+            raise invalid(f"pose.position.{axis} must be a finite number, not {point[axis]}")
+    return float(point["x"]), float(point["y"]), float(point["z"])
+
+
+def _whole_pose(message: Message, group: Group) -> Pose:
+    """Read a geometry_msgs/Pose whose orientation counts.
+
+    Raises:
+        RefusedError: a number is not finite, or the orientation is no unit quaternion.
+    """
+    pose = read_pose(message, "pose")
+    length = math.hypot(*(message["orientation"][axis] for axis in "xyzw"))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        raise invalid(
+            f"pose.orientation must be a unit quaternion, not one of length {length:.3g}: group {group.name} has"
+            f" {len(group.joints)} joints and is brought to the whole pose; for no rotation send w = 1"
+        )
+    return pose
 
 
 @dataclass(frozen=True)
@@ -181,18 +242,23 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
     if "free_rad" in details:
         return _joints(details["free_rad"], "the last free configuration on the way there")
     if "free_m" in details:
-        return _point(details["free_m"], robot.root_link, "the last free point on the way there")
+        return _point(details["free_m"], message, robot.root_link, "the last free point on the way there")
     if "nearest_m" in details:
-        return _point(details["nearest_m"], robot.root_link, "the nearest point")
+        return _point(details["nearest_m"], message, robot.root_link, "the nearest point")
     if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in message.get("name", ()):
         return _within_limits(message, robot)
     return None
 
 
-def _point(position_m: list[float], frame: str, what: str) -> Suggestion:
+def _point(position_m: list[float], message: Message, root: str, what: str) -> Suggestion | None:
+    """Return the pose goal at another point, its orientation that of the message; None if that is in another frame."""
+    orientation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    if "pose" in message and message["pose"]["orientation"] != orientation:
+        if message["header"]["frame_id"].lstrip("/") not in ("", root):
+            return None
+        orientation = dict(message["pose"]["orientation"])
     x, y, z = position_m
-    pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-    msg = {"header": {"frame_id": frame}, "pose": pose}
+    msg = {"header": {"frame_id": root}, "pose": {"position": {"x": x, "y": y, "z": z}, "orientation": orientation}}
     return Suggestion(POSE_TOPIC, POSE_TYPE, msg, f"{what}, ({x:.3f}, {y:.3f}, {z:.3f}) m")
 
 

@@ -34,6 +34,8 @@ from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_messages import (
+    GROUP_TOPIC,
+    GROUP_TYPE,
     JOINTS_TOPIC,
     JOINTS_TYPE,
     NAMED_TOPIC,
@@ -105,6 +107,8 @@ class Confirmation:
         self._graph = graph
         self._node = Node("confirmation")
         self._decision: asyncio.Future[bool] | None = None
+        # Goals of several groups are confirmed one after the other.
+        self._turn = asyncio.Lock()
         self._timeout_s = timeout_s
         self.enabled = enabled
 
@@ -119,6 +123,10 @@ class Confirmation:
 
     async def wait(self) -> Answer | None:
         """Wait for the decision; return None to go on, else the goal's answer."""
+        async with self._turn:
+            return await self._decided()
+
+    async def _decided(self) -> Answer | None:
         self._decision = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -214,7 +222,7 @@ class GoalStatusTopics:
 
 
 class GoalTopics:
-    """Topics by which goals are sent, cancelled and stopped.
+    """Topics by which goals are sent, their group is chosen, and they are cancelled and stopped.
 
     Args:
         graph: where the topics are.
@@ -239,10 +247,13 @@ class GoalTopics:
         self._confirmation = confirmation
 
     def open(self) -> None:
-        """Subscribe to the topics."""
+        """Subscribe to the topics, and publish the group of goals."""
         self._take_goals(NAMED_TOPIC, NAMED_TYPE, self._translator.named)
         self._take_goals(JOINTS_TOPIC, JOINTS_TYPE, self._translator.joints)
         self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
+        self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
+        self._publish_group()
+        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group))
         self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel))
         self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop))
         self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event))
@@ -269,6 +280,19 @@ class GoalTopics:
 
         subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized)
         self._graph.subscribe(self._node, topic, type_name, subscriber)
+
+    def _select_group(self, published: PublishedMessage) -> None:
+        """Choose the group of goals to come; tell the present one after a name that is none."""
+        if published.publisher is self._node:
+            return
+        try:
+            self._translator.select_group(published.msg["data"])
+        except RefusedError as error:
+            self._queue.reject(GROUP_TOPIC, error.failure, published.msg)
+        self._publish_group()
+
+    def _publish_group(self) -> None:
+        self._graph.publish(self._node, GROUP_TOPIC, {"data": self._translator.group.name})
 
     def _cancel(self, published: PublishedMessage) -> None:
         self._queue.cancel(published.msg["data"], f"cancelled by {CANCEL_TOPIC}")
@@ -328,7 +352,7 @@ class GoalChecks:
         present_rad = self._current.positions_rad()
         if present_rad is None:
             raise ServiceError("where the arm is is not known: it is not connected")
-        problems, results = [], []
+        problems, results, tip = [], [], self._translator.tip
         # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
         async with self._turn:
             for translate, messages in ((self._translator.pose, poses), (self._translator.joints, joints)):
@@ -341,7 +365,7 @@ class GoalChecks:
             for answer, message in itertools.zip_longest(answers, poses):
                 await asyncio.sleep(0)
                 desired = None if message is None else self._desired_pose(message, present_rad)
-                results.append(self._reports.report(present_rad, answer, desired))
+                results.append(self._reports.report(present_rad, answer, tip, desired))
         return {"results": results}
 
     def _desired_pose(self, message: Message, present_rad: Positions) -> Pose | None:
@@ -411,21 +435,22 @@ class GoalReports:
     Args:
         robot: the arm.
         parameters: of planning.
-        tip: the link that pose goals are for.
     """
 
-    def __init__(self, robot: RobotModel, parameters: MoveItParameters, tip: str) -> None:
-        self._joints = [robot.joints[name] for name in robot.groups[parameters.group_name].joints]
+    def __init__(self, robot: RobotModel, parameters: MoveItParameters) -> None:
+        self._joints = robot.movable_joints
         self._parameters = parameters
-        self._tip = tip
         self._forward = ForwardPlacements(robot)
 
-    def report(self, start_rad: Positions, answer: IkAnswer | PlanningFailure, desired: Pose | None) -> dict[str, Any]:
+    def report(
+        self, start_rad: Positions, answer: IkAnswer | PlanningFailure, tip: str, desired: Pose | None
+    ) -> dict[str, Any]:
         """Return the message for one goal.
 
         Args:
             start_rad: positions of the joints [rad].
             answer: of the planners.
+            tip: the link that pose goals are for.
             desired: the goal pose in the root link; None for a joint goal.
         """
         if isinstance(answer, PlanningFailure):
@@ -437,15 +462,15 @@ class GoalReports:
             "free": True,
             "decided": True,
             "position_error_m": answer.deviations[0].position_m,
-            "orientation_error_rad": self._angle_rad(positions_rad, desired) if desired is not None else 0.0,
+            "orientation_error_rad": self._angle_rad(positions_rad, tip, desired) if desired is not None else 0.0,
             "duration_s": self._duration_s(start_rad, positions_rad),
             "solution": {"name": list(positions_rad), "position": list(positions_rad.values())},
         }
 
-    def _angle_rad(self, positions_rad: Positions, desired: Pose) -> float:
+    def _angle_rad(self, positions_rad: Positions, tip: str, desired: Pose) -> float:
         """Return the angle between the tip and the desired pose [rad]."""
-        tip = self._forward.transforms(positions_rad)[self._tip]
-        turn = tip[:3, :3].T @ matrix_of(desired)[:3, :3]
+        placed = self._forward.transforms(positions_rad)[tip]
+        turn = placed[:3, :3].T @ matrix_of(desired)[:3, :3]
         return math.acos(float(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
 
     def _duration_s(self, start_rad: Positions, end_rad: Positions) -> float:

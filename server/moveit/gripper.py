@@ -20,8 +20,8 @@ from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import rest_to_rest
 from server.errors import RefusedError
-from server.execution.executor import BRAKING_TIMEOUT_S
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
+from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import ArmClock, TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.list_limits import ListLimits

@@ -13,10 +13,11 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.config import Settings
-from server.execution.executor import GoalExecutor
+from server.execution.executor import GoalExecutor, GoalExecutors
 from server.execution.failures import FailedGoals
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion
+from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.queue import Answer, GoalQueue, QueuedGoal, RunningGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
@@ -30,6 +31,7 @@ from server.moveit.goal_topics import Confirmation, GoalChecks, GoalReports, Goa
 from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
 from server.moveit.named_states import NamedStates, NamedStatesFile, NamedStatesServices, default_path
 from server.moveit.parameters import PlannerParameters
+from server.moveit.requests.context import planning_group
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.interface import SceneInterface
@@ -92,23 +94,29 @@ class MoveItInterface:
         directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, max_files)
         self._confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
-        self._executor = GoalExecutor(
-            arm,
-            robot,
-            pool,
-            self._scene,
-            failed_goals,
-            self._display.performed,
-            self._confirmation.wait,
-            time_limits,
-        )
+
+        def make_executor(in_progress: MotionsInProgress) -> GoalExecutor:
+            return GoalExecutor(
+                arm,
+                robot,
+                pool,
+                self._scene,
+                failed_goals,
+                self._display.performed,
+                self._confirmation.wait,
+                time_limits,
+                in_progress,
+            )
+
+        self._executors = GoalExecutors(arm, make_executor)
         node = Node("moveit")
         self.goal_counters = GoalCounters()
         self._goal_status = GoalStatusTopics(graph, node, robot)
         self.queue: GoalQueue[Motion] = GoalQueue(
-            self._executor, goals.policy, goals.capacity, self._goal_status.publish_progress, self._on_answer
+            self._executors, goals.policy, goals.capacity, self._goal_status.publish_progress, self._on_answer
         )
 
+        group = planning_group(robot, "", moveit)
         self._context = PlanningContext(
             robot=robot,
             pool=pool,
@@ -117,17 +125,17 @@ class MoveItInterface:
             scene_state=self._scene,
             current=self._current,
             assumed=assumed,
-            parameters=PlannerParameters(moveit),
+            parameters=PlannerParameters(moveit.model_copy(update={"group_name": group.name})),
             display=self._display,
         )
 
         # Goals of clients that know only topics.
         states_file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
-        states = NamedStates(robot, moveit.group_name, states_file.load(), states_file.change)
+        states = NamedStates(robot, group.name, states_file.load(), states_file.change)
         self._named_states = NamedStatesServices(graph, robot, states, self._current)
         translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
         self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
-        reports = GoalReports(robot, moveit, translator.tip)
+        reports = GoalReports(robot, moveit)
         self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
 
         # Goals and commands of MoveIt's clients.
@@ -169,7 +177,7 @@ class MoveItInterface:
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on to the parts that publish or record it."""
         self._transforms.take_state(state)
-        self._executor.recorder.take_state(state)
+        self._executors.take_state(state)
         self._actions.take_state(state)
 
     @property

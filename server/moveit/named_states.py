@@ -61,7 +61,7 @@ class NamedStates:
 
     Args:
         robot: the arm; its SRDF's states cannot be changed.
-        group: planning group whose states of the SRDF count.
+        group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
         saved: those saved before, name -> positions.
         keep: changes the states that are kept, those that other servers have saved meanwhile among them; returns them
             all.
@@ -75,7 +75,8 @@ class NamedStates:
         keep: Callable[[Change], Awaitable[Mapping[str, Positions]]],
     ) -> None:
         self._joints = {joint.name: joint for joint in robot.movable_joints}
-        self._described: dict[str, Positions] = dict(robot.named_states.get(group, {}))
+        self._states_of_groups = robot.named_states
+        self._described: Mapping[str, Positions] = robot.named_states.get(group, {})
         self._keep = keep
         self._changing = asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
@@ -95,6 +96,11 @@ class NamedStates:
     def names(self) -> list[str]:
         """Names of all states, in alphabetical order."""
         return sorted((*self._described, *self._saved))
+
+    def select_group(self, group: str) -> None:
+        """Have the states of the SRDF be those of a planning group."""
+        self._described = self._states_of_groups.get(group, {})
+        self._changed()
 
     def find(self, name: str) -> tuple[str, Positions] | None:
         """Return the spelling of a name and its state; None when there is no such state."""
@@ -173,6 +179,9 @@ class NamedStates:
     async def _change(self, change: Change) -> None:
         async with self._changing:
             self._saved = self._usable(await self._keep(change))
+        self._changed()
+
+    def _changed(self) -> None:
         for listener in self._listeners:
             listener()
 

@@ -29,6 +29,7 @@ KNOWN_KEYS = (
     "joint_tolerance",
     "num_planning_attempts",
     "optimization_time",
+    "orientation_tolerance",
     "planner_id",
     "position_tolerance",
 )
@@ -37,10 +38,12 @@ KNOWN_KEYS = (
 class MoveItParameters(SettingsSection):
     """Parameters of goals that do not name their own."""
 
-    group_name: str = "arm"
-    """planning group of the SRDF."""
+    group_name: str = ""
+    """planning group of goals that name none; empty for the robot's default: its ``robot.toml`` names it, or it is the
+    group "arm", or the first one of the SRDF.
+    """
     end_effector_link: str = ""
-    """link that position goals move; empty for the tip of the group."""
+    """link that pose goals of this group move; empty for the tip of the group."""
     planning_frame: str = ""
     """frame of poses with an empty frame_id; empty for the robot's root link."""
     planner_id: str = ""
@@ -63,6 +66,8 @@ class MoveItParameters(SettingsSection):
     """share of the acceleration limits."""
     position_tolerance: float = Field(default=0.01, gt=0.0, le=0.1)
     """radius within which a position goal is reached [m]."""
+    orientation_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
+    """turn about each axis within which a pose goal of a group with six joints or more is reached [rad]."""
     joint_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
     """a joint goal that lies beyond a limit by no more than this goes to the limit [rad]."""
     # MoveIt's 0.05 s are all used up when there is no solution; here the answer comes as soon as it is known, and a

@@ -11,7 +11,7 @@ import numpy as np
 
 from robot.arm import Arm, ArmStream
 from robot.description import model
-from robot.messages import ArmState, ChangePace, Mode, MotionEnded, Outcome, Setpoint
+from robot.messages import ArmState, ChangePace, Mode, MotionEnded, MotionProgress, Outcome, Setpoint
 from robot.trajectory import Trajectory
 
 ROBOT = model.builtin()
@@ -81,6 +81,11 @@ class FakeArm:
         self._motion = asyncio.get_running_loop().create_future()
         self.state = replace(self.state, mode=Mode.MOVING)
         return self._motion
+
+    def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
+        if motion is not self._motion or motion.done() or self.state.mode is not Mode.MOVING:
+            return None
+        return MotionProgress(1, self.state.fraction, self.state.remaining_s)
 
     def stream(self, joint_names: tuple[str, ...]) -> ArmStream:
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()

@@ -186,14 +186,14 @@ def keep_in_memory(states: States | None = None) -> Callable[[Change], Awaitable
     return keep
 
 
-def translator(arm: FakeArm | None = None, **parameters: Any) -> GoalTranslator:
+def translator(arm: FakeArm | None = None, robot: RobotModel = ROBOT, **parameters: Any) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
     saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
-    states = NamedStates(ROBOT, "arm", saved, keep_in_memory(saved))
-    frames = Frames(ROBOT, SceneState(ROBOT))
+    states = NamedStates(robot, robot.default_group, saved, keep_in_memory(saved))
+    frames = Frames(robot, SceneState(robot))
     configured = MoveItParameters(**parameters)
-    problems = ProblemBuilder(ROBOT, frames, PlannerParameters(configured))
-    return GoalTranslator(ROBOT, configured, states, frames, CurrentState(arm or FakeArm(), ROBOT), problems)
+    problems = ProblemBuilder(robot, frames, PlannerParameters(configured))
+    return GoalTranslator(robot, configured, states, frames, CurrentState(arm or FakeArm(), robot), problems)
 
 
 TRANSLATOR = translator()
@@ -290,6 +290,12 @@ class ActionDesk(ServiceRig):
         self.queue.start()
         self.feedback: list[dict[str, Any]] = []
         self.results: list[Result] = []
+
+    def joints_of(self, _request: Motion) -> frozenset[str]:
+        return frozenset(JOINTS)
+
+    def runner(self, _joints: frozenset[str]) -> ActionDesk:
+        return self
 
     async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
         self.asked.append(request)

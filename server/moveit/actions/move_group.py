@@ -245,6 +245,7 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
         warnings += _check_requests(goal.requests, present_rad, context)
     return PlannedMotion(
         steps=tuple(context.problems.step(request) for request in goal.requests),
+        joints=context.problems.joints(goal.requests),
         scene=_scene_with(options.scene_diff, context),
         attempts=options.attempts,
         delay_s=options.delay_s,

@@ -40,7 +40,7 @@ class RequestContext:
     @property
     def chooses_orientation(self) -> bool:
         """True if the group has the joints to reach any orientation."""
-        return len(self.group.joints) >= FREE_POSE_JOINTS
+        return chooses_orientation(self.group)
 
     def link(self, name: str) -> str:
         """Return the name of a link; that of the tip for an empty name.
@@ -49,8 +49,7 @@ class RequestContext:
             RefusedError: there is no such link.
         """
         if not name:
-            configured = self.parameters.end_effector_link
-            return configured if configured and self.group.name == self.parameters.group_name else self.group.tip_link
+            return tip_link(self.robot, self.group, self.parameters)
         if name not in self.robot.links:
             known = ", ".join(self.robot.links)
             raise refused(
@@ -73,16 +72,32 @@ class RequestContext:
         return in_root(frame, read_pose(message, where))
 
 
+def chooses_orientation(group: Group) -> bool:
+    """Return true if a group has the joints to reach any orientation."""
+    return len(group.joints) >= FREE_POSE_JOINTS
+
+
+def tip_link(robot: RobotModel, group: Group, parameters: MoveItParameters) -> str:
+    """Return the link that goals of a group move when they name none."""
+    if group.name != (parameters.group_name or robot.default_group):
+        return group.tip_link
+    if parameters.end_effector_link:
+        return parameters.end_effector_link
+    return robot.tip_link if group.name == robot.default_group else group.tip_link
+
+
 def planning_group(robot: RobotModel, name: str, parameters: MoveItParameters) -> Group:
-    """Return a planning group; the configured one for an empty name.
+    """Return a planning group; for an empty name the configured one, or else the robot's default.
 
     Raises:
         RefusedError: there is no such group.
     """
-    wanted = name or parameters.group_name
+    wanted = name or parameters.group_name or robot.default_group
     if wanted not in robot.groups:
         known = ", ".join(sorted(robot.groups))
         raise refused(
-            MoveItErrorCode.INVALID_GROUP_NAME, f"there is no planning group {name!r}; there are: {known}", group=name
+            MoveItErrorCode.INVALID_GROUP_NAME,
+            f"there is no planning group {wanted!r}; there are: {known}",
+            group=wanted,
         )
     return robot.groups[wanted]

@@ -9,7 +9,7 @@ https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -40,6 +40,7 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.execution.motions import Positions, Step
+from server.execution.queue import Joints
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
     MAX_KINEMATICS_TIMEOUT_S,
@@ -107,7 +108,7 @@ class ProblemBuilder:
         Raises:
             RefusedError: there is no such group.
         """
-        return planning_group(self._robot, name, self._parameters.of())
+        return planning_group(self._robot, name, self._parameters.configured)
 
     def context(self, group: Group, start_rad: Positions) -> RequestContext:
         """Return the context in which the fields of a request for a group are read.
@@ -118,16 +119,17 @@ class ProblemBuilder:
         """
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
-    def goal(self, goal: Goal, start_rad: Positions) -> PlanningProblem:
+    def goal(self, group: Group, goal: Goal, start_rad: Positions) -> PlanningProblem:
         """Build the problem of a goal that comes with nothing else: all else is as configured.
 
         Args:
+            group: the planning group.
             goal: the goal.
             start_rad: position of every movable joint at the start [rad].
         """
         parameters = self._parameters.configured
         return PlanningProblem(
-            group=parameters.group_name,
+            group=group.name,
             start_rad=start_rad,
             goal=goal,
             velocity_scaling=parameters.max_velocity_scaling,
@@ -148,10 +150,10 @@ class ProblemBuilder:
         Raises:
             RefusedError: a field that cannot be used.
         """
-        parameters = self._parameters.of(request["group_name"], request["planner_id"])
         pipeline = check_pipeline(request["pipeline_id"])
         _check_unread(request)
-        group = planning_group(self._robot, request["group_name"], parameters)
+        group = self.group(request["group_name"])
+        parameters = self._parameters.of(group.name, request["planner_id"])
         context = RequestContext(self._robot, group, self._frames, start_rad, parameters)
         warnings = context.warnings
         arc = request["path_constraints"]
@@ -174,6 +176,14 @@ class ProblemBuilder:
             return BuiltProblem(problem, tuple(warnings))
         tip = tip_problem(planner, problem, arc, request["max_cartesian_speed"], context)
         return BuiltProblem(tip, tuple(warnings))
+
+    def joints(self, requests: Iterable[Message]) -> Joints:
+        """Return the joints of all groups of some moveit_msgs/MotionPlanRequest.
+
+        Raises:
+            RefusedError: there is no such group.
+        """
+        return frozenset().union(*(self.group(request["group_name"]).joints for request in requests))
 
     def step(self, request: Message) -> Step:
         """Return the function that builds the problem of a moveit_msgs/MotionPlanRequest once its start is known."""

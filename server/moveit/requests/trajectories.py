@@ -53,7 +53,10 @@ def external_motion(message: Message, robot: RobotModel) -> ExternalTrajectory:
         message: the trajectory.
         robot: the arm.
     """
-    return ExternalTrajectory(lambda held_rad: external_trajectory(message, robot, held_rad))
+    names = tuple(message["joint_names"])
+    group = smallest_group(robot, names)
+    joints = frozenset(names if group is None else group.joints)
+    return ExternalTrajectory(lambda held_rad: external_trajectory(message, robot, held_rad), joints)
 
 
 def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions) -> Trajectory:

@@ -22,6 +22,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message
+from server.moveit.requests.context import planning_group, tip_link
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.servo.servo_loop import (
     Resolve,
@@ -241,9 +242,9 @@ class ServoNode:
         pool: PlannerPool,
         busy: Callable[[], str],
     ) -> None:
-        group, servo = robot.groups[parameters.group_name], parameters.servo
+        group, servo = planning_group(robot, "", parameters), parameters.servo
         timeout_s = servo.incoming_command_timeout
-        link = parameters.end_effector_link or group.tip_link
+        link = tip_link(robot, group, parameters)
         setup = ServoSetup(group.name, group.joints, link, servo.limits, 1.0 / servo.rate_hz, timeout_s)
 
         def unavailable() -> str:

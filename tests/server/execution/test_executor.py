@@ -14,7 +14,15 @@ import pytest_asyncio
 
 from planners.goals import JointGoal
 from planners.pool import PlannerPool
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckAnswer, RecheckQuestion
+from planners.problem import (
+    ConcurrencyQuestion,
+    MoveItErrorCode,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckAnswer,
+    RecheckQuestion,
+)
 from planners.scene import Scene
 from robot.arm import Arm
 from robot.calibration import Calibration
@@ -22,11 +30,13 @@ from robot.description import model
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
-from robot.messages import ArmConfig, ArmState, Mode
+from robot.messages import ArmConfig, ArmState, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
-from server.execution.executor import MAX_SAMPLES, PROGRESS_PERIOD_S, GoalExecutor, MotionRecorder
+from server.execution.executor import MAX_SAMPLES, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
+from server.execution.motions_in_progress import MotionsInProgress
+from server.execution.player import PROGRESS_PERIOD_S
 from server.execution.queue import GoalState, Progress
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
@@ -34,6 +44,8 @@ from tests.helpers.fake_arm import JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
 
 TIMEOUT_S = 30.0
+
+ARM = model.builtin().groups["arm"].joints
 
 STATE = ArmState(5.0, Mode.MOVING, ("a", "b"), position_rad=np.array([0.1, 0.2]), velocity_rad_s=np.array([1.0, 2.0]))
 
@@ -44,7 +56,7 @@ def to(**positions_rad: float) -> PlannedMotion:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("arm", start_rad, JointGoal(positions_rad))
 
-    return PlannedMotion((problem,))
+    return PlannedMotion((problem,), frozenset(ARM))
 
 
 @dataclass
@@ -106,7 +118,7 @@ async def test_a_stop_ends_planning_that_hangs(rig: Rig) -> None:
         os.kill(pid, signal.SIGSTOP)
     running = asyncio.create_task(rig.run(shoulder_pan=0.8))
     await asyncio.sleep(0.05)
-    rig.executor.stop("stopped by a test")
+    rig.executor.cancel("stopped by a test")
     answer = await asyncio.wait_for(running, TIMEOUT_S)
     for pid in set(hanging) & set(rig.pool.pids):
         os.kill(pid, signal.SIGCONT)
@@ -120,7 +132,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
     await rig.run(shoulder_pan=0.01)
     running = asyncio.create_task(rig.run(shoulder_pan=1.5))
     await asyncio.sleep(delay_s)
-    rig.executor.stop("stopped by a test")
+    rig.executor.cancel("stopped by a test")
     answer = await asyncio.wait_for(running, TIMEOUT_S)
     assert answer.code is MoveItErrorCode.PREEMPTED
     await rig.until(lambda: rig.arm.state.mode is Mode.HOLDING)
@@ -153,7 +165,6 @@ def test_the_scene_monitor_waits_for_planners_as_long_as_for_the_arm(hardware: H
     assert executor._scene_monitor._retry_for_s == arm.state_max_age_s
 
 
-ARM = model.builtin().groups["arm"].joints
 WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")
 NO_WAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is no way")
 OUT_OF_REACH = PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "too far", {"distance_m": 0.2})
@@ -172,12 +183,17 @@ class Stage:
         self.problems: list[PlanningProblem] = []
         self.scenes: list[int] = []
         self.rechecked: list[RecheckQuestion] = []
+        self.meeting: PlanningFailure | None = None
+        self.meetings: list[ConcurrencyQuestion] = []
+        self.in_progress = MotionsInProgress()
         self.news: list[Progress] = []
         self.executor = self.executing()
         self.running: asyncio.Task[Any] | None = None
 
     def executing(self, failed_goals: FailedGoals | None = None) -> GoalExecutor:
-        return GoalExecutor(self.arm, model.builtin(), self, self, failed_goals)  # type: ignore[arg-type]
+        return GoalExecutor(  # type: ignore[arg-type]
+            self.arm, model.builtin(), self, self, failed_goals, in_progress=self.in_progress
+        )
 
     def on_change(self, callback: Callable[[], None]) -> None:
         self.changed = callback
@@ -186,6 +202,9 @@ class Stage:
         if isinstance(request, RecheckQuestion):
             self.rechecked.append(request)
             return RecheckAnswer(self.contact)
+        if isinstance(request, ConcurrencyQuestion):
+            self.meetings.append(request)
+            return RecheckAnswer(self.meeting)
         self.problems.append(request)
         self.scenes.append(scene.version)
         await self.planners_answer.wait()
@@ -218,7 +237,7 @@ async def stage() -> Stage:
 
 def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
     motion = smooth_move(dict.fromkeys(ARM, (start_rad, end_rad)), 2.0)
-    return ExternalTrajectory(lambda _held_rad: motion)
+    return ExternalTrajectory(lambda _held_rad: motion, frozenset(ARM))
 
 
 def limited(stage: Stage, trajectory_s: float) -> None:
@@ -242,7 +261,7 @@ async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_a
 async def test_the_motions_of_a_sequence_count_together(stage: Stage) -> None:
     limited(stage, 1.9)
     steps = (*to(shoulder_pan=0.4).steps, *to(shoulder_pan=0.0).steps)
-    await stage.begin(PlannedMotion(steps))
+    await stage.begin(PlannedMotion(steps, frozenset(ARM)))
     assert "is 2 s, longer than" in (await stage.answer()).message
     assert stage.arm.played == []
 
@@ -257,7 +276,7 @@ async def test_a_given_trajectory_that_takes_too_long_is_refused(stage: Stage) -
 
 
 async def test_the_time_left_of_a_sequence_is_that_of_all_its_motions(stage: Stage) -> None:
-    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(shoulder_pan=0.0).steps)))
+    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(shoulder_pan=0.0).steps), frozenset(ARM)))
     stage.arm.state = replace(stage.arm.state, fraction=0.75, remaining_s=0.25)
     await asyncio.sleep(1.5 * PROGRESS_PERIOD_S)
     assert (stage.news[-1].state, stage.news[-1].remaining_s) == (GoalState.EXECUTING, 1.25)
@@ -278,7 +297,7 @@ async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(sta
 async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothing(stage: Stage) -> None:
     stage.arm.started.clear()
     await stage.begin(given(0.0, 0.4))
-    stage.executor.stop("stopped by a test")
+    stage.executor.cancel("stopped by a test")
     answer = await stage.answer()
     assert (answer.code, answer.message) == (
         MoveItErrorCode.PREEMPTED,
@@ -300,7 +319,7 @@ async def test_the_answer_contains_the_plan_and_its_start(stage: Stage) -> None:
 
 async def test_several_steps_are_executed_in_order(stage: Stage) -> None:
     first, second = to(shoulder_pan=0.4), to(shoulder_pan=0.8)
-    await stage.begin(PlannedMotion((*first.steps, *second.steps)))
+    await stage.begin(PlannedMotion((*first.steps, *second.steps), frozenset(ARM)))
     stage.arm.end()
     await settle()
     stage.arm.end()
@@ -310,7 +329,7 @@ async def test_several_steps_are_executed_in_order(stage: Stage) -> None:
 
 async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
     stage.failures = [OUT_OF_REACH]
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=5))
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), attempts=5))
     answer = await stage.answer()
     assert (answer.code, answer.message, answer.details) == (OUT_OF_REACH.code, "too far", {"distance_m": 0.2})
     assert len(stage.problems) == 1
@@ -319,14 +338,14 @@ async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
 @pytest.mark.parametrize(("failures", "tried"), [(1, 2), (9, 3)], ids=["then there is a way", "never"])
 async def test_planning_is_repeated_up_to_the_limit_of_attempts(stage: Stage, failures: int, tried: int) -> None:
     stage.failures = [NO_WAY] * failures
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=3))
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), attempts=3))
     stage.arm.end()
     await stage.answer()
     assert len(stage.problems) == tried
 
 
 async def test_a_motion_that_the_scene_stops_is_planned_again_from_the_present_position(stage: Stage) -> None:
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, attempts=2))
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), attempts=2))
     stage.contact, stage.scene = WALL, Scene(2)
     stage.arm.put(shoulder_pan=0.2)
     stage.changed()
@@ -352,13 +371,13 @@ async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion
         stage.scene, stage.contact = Scene(2), WALL
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
 
-    await stage.begin(PlannedMotion((change,)))
+    await stage.begin(PlannedMotion((change,), frozenset(ARM)))
     assert (await stage.answer()).code is WALL.code
     assert stage.arm.played == []
 
 
 async def test_a_goal_may_be_planned_in_a_scene_of_its_own(stage: Stage) -> None:
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, scene=lambda _positions_rad: Scene(77)))
+    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), scene=lambda _positions_rad: Scene(77)))
     stage.arm.end()
     await stage.answer()
     assert stage.scenes == [77]
@@ -369,7 +388,7 @@ async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: S
         stage.arm.put(shoulder_pan=0.3)
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
 
-    await stage.begin(PlannedMotion((move,)))
+    await stage.begin(PlannedMotion((move,), frozenset(ARM)))
     stage.arm.end()
     assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
@@ -508,7 +527,7 @@ async def test_an_external_trajectory_begins_at_rest(stage: Stage) -> None:
     held = stage.arm.state.goal_rad
     assert held is not None
     motion = smooth_move({name: (held_rad, 0.5) for name, held_rad in zip(ARM, held.tolist(), strict=False)}, 2.0)
-    await stage.begin(ExternalTrajectory(lambda _held_rad: motion))
+    await stage.begin(ExternalTrajectory(lambda _held_rad: motion, frozenset(ARM)))
     assert len(stage.arm.stops) == 1
     stage.arm.end()
     assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
@@ -563,3 +582,83 @@ def test_a_recording_is_bounded() -> None:
     way = recorder.finish(("a",))
     assert way is not None
     assert way.duration_s == MAX_SAMPLES - 1
+
+
+FINGER = smooth_move({"gripper": (0.0, 0.7)}, 1.0)
+MIGHT_TOUCH = PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, "the finger may touch the arm")
+
+
+def beside(stage: Stage) -> asyncio.Future[MotionEnded]:
+    """Have the gripper move for another goal; returns the end of its motion."""
+    ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
+    stage.in_progress.add(FINGER, ended)
+    return ended
+
+
+async def test_a_motion_begins_beside_one_that_it_cannot_touch(stage: Stage) -> None:
+    beside(stage)
+    await stage.begin(to(shoulder_pan=0.4))
+    assert len(stage.arm.played) == 1
+    assert [question.second for question in stage.meetings] == [FINGER]
+
+
+async def test_a_motion_is_planned_for_the_end_of_one_beside_it(stage: Stage) -> None:
+    beside(stage)
+    await stage.begin(to(shoulder_pan=0.4))
+    assert stage.problems[0].start_rad["gripper"] == 0.7
+
+
+async def test_a_motion_waits_for_one_that_it_may_touch_and_says_so(stage: Stage) -> None:
+    ended, stage.meeting = beside(stage), MIGHT_TOUCH
+    await stage.begin(to(shoulder_pan=0.4))
+    assert stage.arm.played == []
+    assert stage.news[-1] == Progress(GoalState.PLANNED, "waits for the motion of gripper, which it might touch")
+    ended.set_result(MotionEnded(1, Outcome.REACHED, "there"))
+    await settle()
+    assert len(stage.arm.played) == 1
+
+
+async def test_a_goal_that_waits_for_a_motion_can_be_cancelled(stage: Stage) -> None:
+    beside(stage)
+    stage.meeting = MIGHT_TOUCH
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.executor.cancel("enough")
+    assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
+    assert stage.arm.played == []
+
+
+async def test_a_motion_that_begins_meanwhile_is_checked_before_this_one_begins(stage: Stage) -> None:
+    stage.planners_answer.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    beside(stage)
+    stage.meeting = MIGHT_TOUCH
+    stage.planners_answer.set()
+    await settle()
+    assert stage.arm.played == []
+
+
+async def test_a_motion_is_checked_anew_where_the_one_that_it_waited_for_stopped_elsewhere(stage: Stage) -> None:
+    ended, stage.meeting = beside(stage), MIGHT_TOUCH
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.put(gripper=0.3)
+    ended.set_result(MotionEnded(1, Outcome.STOPPED, "stopped"))
+    await settle()
+    assert [question.others_rad for question in stage.rechecked] == [{"gripper": 0.3}]
+
+
+async def test_the_monitor_asks_about_motions_beside_as_well(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    beside(stage)
+    stage.meeting = MIGHT_TOUCH
+    stage.scene = Scene(2)
+    stage.changed()
+    await settle()
+    assert (await stage.answer()).message.startswith("the finger may touch the arm")
+
+
+async def test_a_motion_of_a_preempted_goal_of_another_group_is_braked_first(stage: Stage) -> None:
+    outgoing = stage.arm.execute(smooth_move({"shoulder_pan": (0.0, 0.5)}, 1.0))
+    stage.in_progress.add(smooth_move({"shoulder_pan": (0.0, 0.5)}, 1.0), outgoing)
+    await stage.begin(to(shoulder_pan=0.4))
+    assert stage.arm.stops == [outgoing]
+    assert len(stage.arm.played) == 2

@@ -143,7 +143,7 @@ class Place:
 def watching(place: Place) -> SceneMonitor:
     pool: PlannerPool = place  # type: ignore[assignment]
     monitor = SceneMonitor(pool, place)
-    monitor.start(1, lambda: QUESTION, place.contacts.append)
+    monitor.start(1, lambda: (QUESTION,), place.contacts.append)
     return monitor
 
 
@@ -221,7 +221,7 @@ TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answe
 
 def watching_patiently(place: StarvedPlace) -> None:
     monitor = SceneMonitor(place, place, 5.0, place.clock)  # type: ignore[arg-type]
-    monitor.start(1, lambda: QUESTION, place.contacts.append)
+    monitor.start(1, lambda: (QUESTION,), place.contacts.append)
 
 
 async def test_starved_planners_are_asked_again() -> None:

@@ -22,7 +22,7 @@ from planners.scene import EMPTY_SCENE, Scene
 from robot.control.checks import refusal
 from robot.description import model
 from robot.description.limits import JointBounds
-from robot.messages import ArmState, Course, Mode, Pace
+from robot.messages import Course, MotionProgress, Pace
 from server.errors import RefusedError
 from server.execution.motions import (
     HORIZON_S,
@@ -117,7 +117,7 @@ async def test_half_a_cartesian_path_is_a_failure() -> None:
 
 
 UNDER_WAY = smooth_move({"a": (0.0, 1.0), "b": (0.5, -0.5)}, 2.0)
-MOVING = ArmState(0.0, Mode.MOVING, ("a", "b"), fraction=0.5)
+HALF_WAY = MotionProgress(1, 0.5, 1.0)
 
 ROBOT = model.builtin()
 JOINTS = ROBOT.groups["arm"].joints
@@ -134,7 +134,7 @@ NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
 def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
     fraction: float, share: float, speed: float
 ) -> None:
-    splice_point = splice_point_of(UNDER_WAY, replace(MOVING, fraction=fraction, pace=Pace(speed)), 0.0)
+    splice_point = splice_point_of(UNDER_WAY, MotionProgress(1, fraction, 1.0), Pace(speed), 0.0)
     assert splice_point is not None
     time_s = share * splice_point.lead.duration_s
     # Each derivative of a short piece has more of the rounding.
@@ -148,28 +148,28 @@ def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
 
 
 def test_the_age_of_the_state_counts() -> None:
-    fresh, old = splice_point_of(UNDER_WAY, MOVING, 0.0), splice_point_of(UNDER_WAY, MOVING, 0.05)
+    fresh, old = splice_point_of(UNDER_WAY, HALF_WAY, Pace(), 0.0), splice_point_of(UNDER_WAY, HALF_WAY, Pace(), 0.05)
     assert fresh is not None
     assert old is not None
     assert old.from_s - fresh.from_s == pytest.approx(0.05)
 
 
-STILL = {
-    "not moving": replace(MOVING, mode=Mode.HOLDING),
-    "paused": replace(MOVING, pace=Pace(course=Course.PAUSED)),
-    "going back": replace(MOVING, pace=Pace(course=Course.BACK)),
-    "at speed 0": replace(MOVING, pace=Pace(0.0)),
-    "about to end": replace(MOVING, fraction=0.95),
+STILL: dict[str, tuple[MotionProgress | None, Pace]] = {
+    "not moving": (None, Pace()),
+    "paused": (HALF_WAY, Pace(course=Course.PAUSED)),
+    "going back": (HALF_WAY, Pace(course=Course.BACK)),
+    "at speed 0": (HALF_WAY, Pace(0.0)),
+    "about to end": (MotionProgress(1, 0.95, 0.1), Pace()),
 }
 
 
-@pytest.mark.parametrize("state", STILL.values(), ids=STILL.keys())
-def test_a_motion_that_cannot_be_replaced_has_no_splice_point(state: ArmState) -> None:
-    assert splice_point_of(UNDER_WAY, state, 0.0) is None
+@pytest.mark.parametrize(("progress", "pace"), STILL.values(), ids=STILL.keys())
+def test_a_motion_that_cannot_be_replaced_has_no_splice_point(progress: MotionProgress | None, pace: Pace) -> None:
+    assert splice_point_of(UNDER_WAY, progress, pace, 0.0) is None
 
 
 def test_the_next_motion_begins_where_the_lead_ends() -> None:
-    splice_point = splice_point_of(UNDER_WAY, MOVING, 0.0)
+    splice_point = splice_point_of(UNDER_WAY, HALF_WAY, Pace(), 0.0)
     assert isinstance(splice_point, SplicePoint)
     start = splice_point.positions_rad
     whole = splice_point.splice(smooth_move({"a": (start["a"], 2.0), "b": (start["b"], 0.0)}, 1.0))

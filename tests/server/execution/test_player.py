@@ -10,9 +10,11 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
 from robot.messages import Course, Outcome, Pace
-from server.execution import executor
-from server.execution import executor as executor_module
-from server.execution.executor import CODE_OF_OUTCOME, CheckedMotion, Player
+from server.execution import player
+from server.execution import player as player_module
+from server.execution.monitors import Questions
+from server.execution.motions_in_progress import MotionsInProgress
+from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, Player
 from server.execution.queue import Answer, Progress
 from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
@@ -21,12 +23,14 @@ from tests.helpers.motions import smooth_move
 
 pytestmark = pytest.mark.stepped_time
 
-MOTION = CheckedMotion(
-    "arm", smooth_move(dict.fromkeys(JOINTS, (0.0, 0.5)), 1.0), {}, EMPTY_SCENE.version, "as planned"
-)
+MOTION = CheckedMotion("arm", smooth_move(dict.fromkeys(JOINTS, (0.0, 0.5)), 1.0), EMPTY_SCENE.version, "as planned")
 CONTACT = PlanningFailure(
     MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall", {"pairs": ["wall"]}
 )
+
+
+def questions(from_s: float) -> Questions:
+    return (MOTION.question(from_s, {}),)
 
 
 class FakeSceneMonitor:
@@ -35,10 +39,10 @@ class FakeSceneMonitor:
     def __init__(self) -> None:
         self.monitoring = False
         self.found: Any = None
-        self.question: Any = None
+        self.questions: Any = None
 
-    def start(self, _version: int, question: Any, on_contact: Any) -> None:
-        self.monitoring, self.question, self.found = True, question, on_contact
+    def start(self, _version: int, questions: Any, on_contact: Any) -> None:
+        self.monitoring, self.questions, self.found = True, questions, on_contact
 
     def stop(self) -> None:
         self.monitoring = False
@@ -51,7 +55,7 @@ class Stage:
     def __init__(self, arm: FakeArm | None = None) -> None:
         self.arm, self.scene_monitor = arm or FakeArm(), FakeSceneMonitor()
         self.clock = FakeClock()
-        self.player = Player(self.arm, self.scene_monitor, LIMITS, self.clock)  # type: ignore[arg-type]
+        self.player = Player(self.arm, self.scene_monitor, LIMITS, MotionsInProgress(), self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
         self.running: asyncio.Task[Answer] | None = None
 
@@ -61,7 +65,7 @@ class Stage:
         self.arm.pass_time(seconds)
 
     async def begin(self) -> None:
-        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append))
+        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append, questions))
         await settle()
 
     async def answer(self) -> Answer:
@@ -95,11 +99,11 @@ async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
     def broken(_progress: Progress) -> None:
         raise ValueError("a bug")
 
-    stage.running = asyncio.create_task(stage.player.play(MOTION, broken))
+    stage.running = asyncio.create_task(stage.player.play(MOTION, broken, questions))
     await settle()
     motion = stage.arm.played[-1]
     assert motion is MOTION.trajectory
-    await asyncio.sleep(2.0 * executor_module.PROGRESS_PERIOD_S)
+    await asyncio.sleep(2.0 * player_module.PROGRESS_PERIOD_S)
     with pytest.raises(ValueError, match="a bug"):
         await stage.answer()
     assert len(stage.arm.stops) == 1
@@ -125,19 +129,19 @@ async def test_only_the_active_motion_is_stopped(stage: Stage) -> None:
 async def test_the_scene_monitor_asks_about_the_rest_of_the_motion(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace())
-    assert stage.scene_monitor.question().from_s == 0.25
+    assert stage.scene_monitor.questions()[0].from_s == 0.25
 
 
 async def test_on_the_way_back_it_asks_about_the_whole_motion(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(course=Course.BACK))
-    assert stage.scene_monitor.question().from_s == 0.0
+    assert stage.scene_monitor.questions()[0].from_s == 0.0
 
 
 async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(executor_module, "ExecutionDeadline", worn)
+    monkeypatch.setattr(player_module, "ExecutionDeadline", worn)
     stage = Stage()
     await stage.begin()
     answer = await stage.answer()
@@ -154,8 +158,8 @@ async def stubborn() -> Stage:
     return made
 
 
-LOOKS_S = 10.0 * executor.PROGRESS_PERIOD_S
-BRAKING_S = executor.BRAKING_TIMEOUT_S
+LOOKS_S = 10.0 * player.PROGRESS_PERIOD_S
+BRAKING_S = player.BRAKING_TIMEOUT_S
 ALLOWED_S = LIMITS.allowed_s(MOTION.trajectory.duration_s)
 
 
@@ -237,7 +241,7 @@ class Worn:
 
 async def test_just_after_the_start_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
     stage.arm.state = replace(stage.arm.state, fraction=0.25)
-    assert stage.scene_monitor.question().from_s == 0.0
+    assert stage.scene_monitor.questions()[0].from_s == 0.0
 
 
 @pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])
@@ -247,7 +251,7 @@ async def test_with_a_starved_arm_or_server_the_state_may_be_of_the_motion_befor
     stage.clock.advance(machine_s)
     stage.arm.pass_time(arm_s)
     stage.arm.state = replace(stage.arm.state, fraction=0.25)
-    assert stage.scene_monitor.question().from_s == 0.0
+    assert stage.scene_monitor.questions()[0].from_s == 0.0
 
 
 async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage) -> None:
@@ -259,7 +263,9 @@ async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage
     assert outgoing is not None
     assert outgoing.splice_point is not None
     assert stage.arm.stops == []
-    stage.running = asyncio.create_task(stage.player.play(MOTION, stage.news.append, outgoing.splice_point.from_s))
+    stage.running = asyncio.create_task(
+        stage.player.play(MOTION, stage.news.append, questions, outgoing.splice_point.from_s)
+    )
     await settle()
     assert stage.arm.continued == [outgoing.splice_point.from_s]
     assert outgoing.ended.done()

@@ -322,7 +322,7 @@ class ArmsDesk(Desk):
     async def submit(self, *requests: str) -> None:
         for request in requests:
             self.queue.submit("/goal", request)
-        await settle()
+            await settle()
 
 
 async def test_goals_without_common_joints_run_at_the_same_time() -> None:

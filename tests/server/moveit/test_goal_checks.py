@@ -41,7 +41,7 @@ ROBOT = model.builtin()
 HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}
 TURNED = {**HOME, "shoulder_pan": 0.5}
 TIP = "gripper_frame_link"
-REPORTS = GoalReports(ROBOT, MoveItParameters(), TIP)
+REPORTS = GoalReports(ROBOT, MoveItParameters())
 FOUND_AT_HOME = IkAnswer((HOME,), (Deviation(),))
 FOUND = IkAnswer((TURNED,), (Deviation(0.002),))
 
@@ -51,7 +51,7 @@ class Desk:
         self.graph = Graph(Registry.load())
         self.scene = SceneState(ROBOT)
         self.arm = FakeArm()
-        reports = GoalReports(ROBOT, MoveItParameters(), TRANSLATOR.tip)
+        reports = GoalReports(ROBOT, MoveItParameters())
         GoalChecks(self.graph, reports, TRANSLATOR, CurrentState(self.arm, ROBOT), DirectPool(), self.scene).open()  # type: ignore[arg-type]
 
     async def check(self, **request: Any) -> Response:
@@ -150,7 +150,7 @@ async def test_the_wait_for_busy_planners_is_limited(monkeypatch: pytest.MonkeyP
 
 
 def test_the_report_of_a_reachable_goal_has_error_time_and_configuration() -> None:
-    told = REPORTS.report(HOME, FOUND, None)
+    told = REPORTS.report(HOME, FOUND, TIP, None)
     assert (told["reachable"], told["free"], told["decided"], told["code"]) == (True, True, True, 1)
     assert told["position_error_m"] == 0.002
     assert told["solution"] == {"name": list(TURNED), "position": list(TURNED.values())}
@@ -159,14 +159,14 @@ def test_the_report_of_a_reachable_goal_has_error_time_and_configuration() -> No
 
 
 def test_a_goal_at_the_present_position_takes_no_time() -> None:
-    assert REPORTS.report(TURNED, FOUND, None)["duration_s"] == 0.0
+    assert REPORTS.report(TURNED, FOUND, TIP, None)["duration_s"] == 0.0
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.7, math.pi])
 def test_the_orientation_error_is_the_angle_to_the_goal_pose(turn_rad: float) -> None:
     tip = pose_of(ForwardPlacements(ROBOT).transforms(TURNED)[TIP])
     turn = Pose(orientation=(0.0, math.sin(turn_rad / 2), 0.0, math.cos(turn_rad / 2)))
-    told = REPORTS.report(HOME, FOUND, composed(tip, turn))
+    told = REPORTS.report(HOME, FOUND, TIP, composed(tip, turn))
     assert told["orientation_error_rad"] == pytest.approx(turn_rad, abs=1e-6)
 
 
@@ -179,7 +179,7 @@ REFUSALS = {
 
 @pytest.mark.parametrize(("code", "flags"), REFUSALS.items())
 def test_the_report_of_a_failure_has_its_details(code: MoveItErrorCode, flags: tuple[bool, bool]) -> None:
-    told = REPORTS.report(HOME, PlanningFailure(code, "why", {"distance_m": 0.04}), None)
+    told = REPORTS.report(HOME, PlanningFailure(code, "why", {"distance_m": 0.04}), TIP, None)
     assert (told["reachable"], told["decided"]) == flags
     assert not told["free"]
     assert (told["code"], told["message"]) == (int(code), "why")
@@ -188,5 +188,5 @@ def test_the_report_of_a_failure_has_its_details(code: MoveItErrorCode, flags: t
 
 def test_the_report_of_a_point_out_of_reach_has_the_nearest_configuration() -> None:
     details = {"distance_m": 0.04, "nearest_rad": {"shoulder_pan": 0.3}}
-    told = REPORTS.report(HOME, PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "why", details), None)
+    told = REPORTS.report(HOME, PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "why", details), TIP, None)
     assert told["solution"] == {"name": ["shoulder_pan"], "position": [0.3]}

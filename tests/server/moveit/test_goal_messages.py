@@ -6,17 +6,19 @@ from typing import Any
 
 import pytest
 
-from planners.goals import JointGoal, PositionGoal
+from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
+from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.execution.motions import PlannedMotion
-from server.moveit.goal_messages import suggestion
+from server.moveit.goal_messages import GoalTranslator, suggestion
 from tests.helpers.fake_arm import HOME, FakeArm
 from tests.helpers.moveit import ROBOT, TRANSLATOR, translator
+from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF
 
 REGISTRY = Registry.load()
 
@@ -174,3 +176,85 @@ def test_a_free_configuration_is_suggested_joint_by_joint() -> None:
 )
 def test_nothing_is_suggested_without_details(details: dict[str, Any]) -> None:
     assert suggestion({"data": "home"}, details, ROBOT) is None
+
+
+LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)
+# The arm of the other robots is not read: their frames are resolved at a goal's turn.
+UNREAD = FakeArm(None)
+LIFTED_HOME = {joint.name: 0.0 for joint in LIFTED.movable_joints}
+TURNED = {"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}
+
+
+def whole_pose(orientation: dict[str, float], frame: str = "base", **position: float) -> dict[str, Any]:
+    message = {"header": {"frame_id": frame}, "pose": {"position": position, "orientation": orientation}}
+    return complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0))
+
+
+@pytest.fixture
+def lifted() -> GoalTranslator:
+    return translator(UNREAD, LIFTED)
+
+
+def test_seven_joints_are_brought_to_the_whole_pose(lifted: GoalTranslator) -> None:
+    asked = goal(lifted.pose(whole_pose(TURNED, x=0.4, z=0.9)), LIFTED_HOME)
+    assert asked == PoseGoal("tool", Pose((0.4, 0.0, 0.9), (0.0, 0.0, 1.0, 0.0)), 0.01, (0.01,) * 3, strict=True)
+
+
+NO_ORIENTATIONS = {"zeros": dict.fromkeys("xyzw", 0.0), "too long": {**TURNED, "w": 1.0}}
+
+
+@pytest.mark.parametrize("orientation", NO_ORIENTATIONS.values(), ids=NO_ORIENTATIONS.keys())
+def test_seven_joints_need_an_orientation(lifted: GoalTranslator, orientation: dict[str, float]) -> None:
+    failure = refusal(lifted.pose, whole_pose(orientation, x=0.4))
+    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert "pose.orientation must be a unit quaternion" in failure.message
+    assert "group arm has 7 joints" in failure.message
+
+
+def test_five_joints_need_no_orientation() -> None:
+    message = whole_pose(dict.fromkeys("xyzw", 0.0), "base_link", x=0.3)
+    assert goal(TRANSLATOR.pose(message)) == PositionGoal("gripper_frame_link", (0.3, 0.0, 0.0), tolerance_m=0.01)
+
+
+def test_a_selected_group_is_that_of_later_goals(lifted: GoalTranslator) -> None:
+    before = lifted.named({"data": "bent"})
+    lifted.select_group("arm_with_torso")
+    after = lifted.named({"data": "raised"})
+    assert [motion.steps[0](LIFTED_HOME).group for motion in (before, after)] == ["arm", "arm_with_torso"]
+    assert after.joints - before.joints == {"lift"}
+
+
+def test_an_unknown_group_is_rejected_with_those_that_exist(lifted: GoalTranslator) -> None:
+    failure = refusal(lifted.select_group, "legs")  # type: ignore[arg-type]
+    assert failure.code is MoveItErrorCode.INVALID_GROUP_NAME
+    assert "'legs'" in failure.message
+    assert "arm, arm_with_torso, gripper" in failure.message
+    assert lifted.group.name == "arm"
+
+
+GROUPS_OF_JOINTS = {
+    "all of the group": (["a1", "a7"], "arm"),
+    "some of a larger one": (["lift", "a1"], "arm_with_torso"),
+    "another group": (["left_finger_joint"], "gripper"),
+    "no group has them all": (["a1", "left_finger_joint"], "arm"),
+}
+
+
+@pytest.mark.parametrize(("names", "group"), GROUPS_OF_JOINTS.values(), ids=GROUPS_OF_JOINTS.keys())
+def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator, names: list[str], group: str) -> None:
+    motion = lifted.joints(joint_state(name=names, position=[0.01] * len(names)))
+    assert motion.steps[0](LIFTED_HOME).group == group
+
+
+def test_the_goals_of_one_arm_of_two_move_its_joints_alone() -> None:
+    pair = translator(UNREAD, PAIR)
+    pair.select_group("both_arms")
+    left = pair.joints(joint_state(name=["left_a1"], position=[0.1]))
+    assert left.joints == set(PAIR.groups["left_arm"].joints)
+
+
+def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:
+    told = suggestion(whole_pose(TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
+    assert told is not None
+    assert told.msg["pose"]["orientation"] == TURNED
+    assert suggestion(whole_pose(TURNED, "tool", x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED) is None

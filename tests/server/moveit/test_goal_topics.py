@@ -25,7 +25,7 @@ from server.moveit.goal_topics import (
     GoalTopics,
 )
 from tests.helpers.clients import values_of
-from tests.helpers.moveit import TRANSLATOR
+from tests.helpers.moveit import translator
 
 REGISTRY = Registry.load()
 CLIENT = Node("client")
@@ -38,8 +38,15 @@ class Obedient:
         self.go_on = asyncio.Event()
         self.go_on.set()
         self.stopped: list[str] = []
+        self.cancelled: list[str] = []
         self.ran: list[Motion] = []
         self.answer = Answer(MoveItErrorCode.SUCCESS, "there")
+
+    def joints_of(self, _request: Motion) -> frozenset[str]:
+        return frozenset(("joint",))
+
+    def runner(self, _joints: frozenset[str]) -> Obedient:
+        return self
 
     async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
         self.ran.append(request)
@@ -48,14 +55,14 @@ class Obedient:
         return self.answer
 
     def cancel(self, reason: str) -> None:
-        self.stop(reason)
+        self.cancelled.append(reason)
+        self.go_on.set()
 
     def preempt(self, reason: str) -> None:
-        self.stop(reason)
+        self.cancel(reason)
 
     def stop(self, reason: str) -> None:
         self.stopped.append(reason)
-        self.go_on.set()
 
 
 class Desk:
@@ -70,7 +77,7 @@ class Desk:
         )
         self.queue.start()
         status.open()
-        GoalTopics(self.graph, node, self.queue, TRANSLATOR, self.confirmation).open()
+        GoalTopics(self.graph, node, self.queue, translator(), self.confirmation).open()
         self.heard: dict[str, list[Any]] = {RESULT_TOPIC: [], STATUS_TOPIC: []}
         for topic, messages in self.heard.items():
             self.graph.subscribe(
@@ -140,7 +147,7 @@ async def test_one_goal_is_cancelled_by_its_id(desk: Desk) -> None:
     await desk.publish("/moveit_goal_cancel", {"data": "99"})
     assert desk.runner.stopped == []
     await desk.publish("/moveit_goal_cancel", {"data": "1"})
-    assert desk.runner.stopped == ["cancelled by /moveit_goal_cancel"]
+    assert desk.runner.cancelled == ["cancelled by /moveit_goal_cancel"]
 
 
 async def test_the_final_status_has_the_code(desk: Desk) -> None:
@@ -180,7 +187,7 @@ async def test_details_of_a_failure_are_json(desk: Desk) -> None:
 
 
 async def test_goals_of_actions_have_a_status_but_no_result_topic(desk: Desk) -> None:
-    desk.queue.submit("/move_action", PlannedMotion(()))
+    desk.queue.submit("/move_action", PlannedMotion((), frozenset()))
     for _ in range(10):
         await asyncio.sleep(0)
     assert desk.runner.ran
@@ -279,3 +286,32 @@ async def test_the_service_switches_the_mode(gate: Gate) -> None:
     gate.graph.services.call(CLIENT, CONFIRM_MODE_SERVICE, {"data": True}, answers.append)
     assert gate.confirmation.enabled
     assert answers[0].values["success"]
+
+
+GROUP_TOPIC = "/moveit_goal_group"
+
+
+def groups_told(desk: Desk) -> list[str]:
+    """The group that a client sees which comes now."""
+    heard: list[str] = []
+    desk.graph.subscribe(
+        Node("late", remote=True), GROUP_TOPIC, None, Subscriber(lambda one: heard.append(one.msg["data"]))
+    )
+    return heard
+
+
+async def test_the_group_of_goals_is_latched_and_can_be_chosen(desk: Desk) -> None:
+    assert await group_told(desk) == "arm"
+    await desk.publish(GROUP_TOPIC, {"data": "gripper"})
+    assert await group_told(desk) == "gripper"
+    await desk.publish(GROUP_TOPIC, {"data": ""})
+    assert await group_told(desk) == "arm"
+
+
+async def test_an_unknown_group_is_told_with_those_that_exist_and_changes_nothing(desk: Desk) -> None:
+    await desk.publish(GROUP_TOPIC, {"data": "legs"})
+    status = desk.heard[STATUS_TOPIC][-1]
+    assert (status["level"], status["name"]) == (2, GROUP_TOPIC)
+    assert "there is no planning group 'legs'; there are: arm" in status["message"]
+    assert desk.heard[RESULT_TOPIC] == []
+    assert await group_told(desk) == "arm"

@@ -15,7 +15,7 @@ from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.executor import BRAKING_TIMEOUT_S
+from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, Result
 from server.graph.node import Node

@@ -127,7 +127,11 @@ def test_settings_reach_their_parts() -> None:
     interface = interface_of(builtin(), settings)
     gripper = interface._gripper
     assert gripper is not None
-    assert interface._executor._player._time_limits == gripper._time_limits == TimeLimits(3.0, 4.0, 5.0)
+    assert (
+        interface._executors.runner(frozenset())._player._time_limits
+        == gripper._time_limits
+        == TimeLimits(3.0, 4.0, 5.0)
+    )
     assert gripper._torque_limit == 0.3
     assert interface._transforms._period_s == 0.1
     assert interface._scene_interface._publisher._period_s == 0.5

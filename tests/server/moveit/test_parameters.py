@@ -5,7 +5,7 @@ import pytest
 from server.errors import ServiceError
 from server.moveit.parameters import MAX_CONFIGURATIONS, MAX_KEYS, MoveItParameters, PlannerParameters
 
-CONFIGURED = MoveItParameters()
+CONFIGURED = MoveItParameters(group_name="arm")
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ class Desk(ActionDesk):
             ActionDesk.cancel(self, reason)
 
     def start(self, goal: Goal) -> None:
-        submit_goal(goal, self.queue, PlannedMotion(()), MoveGroupFeedback(), code)
+        submit_goal(goal, self.queue, PlannedMotion((), frozenset()), MoveGroupFeedback(), code)
 
     def cancel(self, reason: str) -> None:
         self.cancelled.append(reason)
@@ -95,7 +95,7 @@ async def test_a_goal_that_is_over_takes_its_motion_along(desk: Desk) -> None:
 
 
 async def test_a_goal_that_is_over_before_its_turn_never_moves(desk: Desk) -> None:
-    desk.queue.submit("/moveit_goal_pose", PlannedMotion(()), policy=GoalPolicy.QUEUE)
+    desk.queue.submit("/moveit_goal_pose", PlannedMotion((), frozenset()), policy=GoalPolicy.QUEUE)
     await settle()
     desk.hold = True
     goal = await desk.send(ACTION)

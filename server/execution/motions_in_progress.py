@@ -1,0 +1,87 @@
+"""Motions that the arm plays for goals at this moment, each of other joints."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from planners.problem import ConcurrencyQuestion
+from robot.messages import MotionEnded
+from robot.trajectory import Trajectory
+from server.execution.queue import Joints
+
+
+@dataclass(frozen=True)
+class MotionInProgress:
+    """Motion that the arm plays.
+
+    Attributes:
+        trajectory: the motion.
+        ended: its one end.
+    """
+
+    trajectory: Trajectory
+    ended: asyncio.Future[MotionEnded]
+
+    @property
+    def title(self) -> str:
+        """Its joints, for people."""
+        names = self.trajectory.joint_names
+        return f"the motion of {names[0]}" + (f" to {names[-1]}" if len(names) > 1 else "")
+
+
+class MotionsInProgress:
+    """Motions of all goals, by which the motions of some joints are planned around those of others."""
+
+    def __init__(self) -> None:
+        self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}
+
+    def add(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> None:
+        """Add a motion, until it ends."""
+        if not ended.done():
+            self._motions[ended] = MotionInProgress(trajectory, ended)
+            ended.add_done_callback(lambda _ended: self._motions.pop(ended, None))
+
+    def of(self, joints: Iterable[str]) -> list[MotionInProgress]:
+        """Return the motions of any of some joints."""
+        wanted = frozenset(joints)
+        return [one for one in self._live if wanted & set(one.trajectory.joint_names)]
+
+    def beside(self, joints: Joints) -> list[MotionInProgress]:
+        """Return the motions of none but other joints."""
+        return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
+
+    def expected_rad(self, held_rad: Mapping[str, float]) -> dict[str, float]:
+        """Return where the joints will hold when every motion has ended [rad].
+
+        Args:
+            held_rad: position of every movable joint that the arm holds now [rad].
+        """
+        expected_rad = dict(held_rad)
+        for one in self._live:
+            end_rad = one.trajectory.positions_rad[-1].tolist()
+            expected_rad |= zip(one.trajectory.joint_names, end_rad, strict=True)
+        return expected_rad
+
+    @property
+    def _live(self) -> list[MotionInProgress]:
+        # The callback of an end comes a turn of the event loop later than the end.
+        return [one for one in self._motions.values() if not one.ended.done()]
+
+
+def meeting_question(
+    first: Trajectory, second: MotionInProgress, expected_rad: Mapping[str, float]
+) -> ConcurrencyQuestion:
+    """Return the question to planners if a motion may touch one in progress.
+
+    The whole of the other is asked about, not its rest alone: paused motions can be sent back to where they began.
+
+    Args:
+        first: the motion.
+        second: the one in progress, of other joints.
+        expected_rad: position of every movable joint when all motions have ended [rad].
+    """
+    moving = {*first.joint_names, *second.trajectory.joint_names}
+    others_rad = {name: value for name, value in expected_rad.items() if name not in moving}
+    return ConcurrencyQuestion(first, second.trajectory, others_rad)

@@ -233,6 +233,12 @@ class GoalExecutor:
         return replace(answer, performed=replace(planned.performed, executed=executed))
 
     async def _attempt(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
+        try:
+            return await self._plan_and_play_once(request, report)
+        finally:
+            self._in_progress.withdraw(request.joints)
+
+    async def _plan_and_play_once(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
         await self._until_ready(request.joints)
         report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
         version = self._scene.scene.version
@@ -289,21 +295,35 @@ class GoalExecutor:
         Raises:
             RefusedError: there is no such scene, or the goal was cancelled.
         """
-        planned = None
+        found = planned = None
         for _ in range(MAX_STARTS):
-            start_rad = self._expected_rad()
-            scene = self._scene.scene if request.scene is None else request.scene(start_rad)
-            planned = await self._unless_cancelled(plan_sequence(request.steps, start_rad, scene, self._pool.ask))
-            if planned is None:
+            self._in_progress.withdraw(request.joints)
+            found = await self._unless_cancelled(self._plan_in_turn(request))
+            if found is None:
                 break
+            planned, scene = found
             if planned.failure is not None:
                 await self._save(planned, scene)
                 return await self._with_alternative(planned, planned.failure, scene)
-            if not self._moved_since(start_rad):
+            if not self._moved_since(planned.performed.start_rad, request.joints):
                 break
-        if planned is None:
+        if found is None or planned is None:
             raise _preempted(f"{self._cancel_reason} while planning")
         return planned
+
+    async def _plan_in_turn(self, request: PlannedMotion) -> tuple[PlannedSequence, Scene]:
+        """Plan after the goals of other groups that came before; return the scene as well.
+
+        Raises:
+            RefusedError: there is no such scene.
+        """
+        async with self._in_progress.turn:
+            start_rad = self._expected_rad(request.joints)
+            scene = self._scene.scene if request.scene is None else request.scene(start_rad)
+            planned = await plan_sequence(request.steps, start_rad, scene, self._pool.ask)
+            if planned.failure is None:
+                self._in_progress.announce(request.joints, planned.end_rad)
+            return planned, scene
 
     async def _with_alternative(
         self, planned: PlannedSequence, failure: PlanningFailure, scene: Scene
@@ -363,8 +383,8 @@ class GoalExecutor:
             whole = with_lead_in(motion, self._held_rad(), self._robot)
             present_version, beside = self._scene.scene.version, self._in_progress.beside(joints)
             checked = CheckedMotion(_group_of(self._robot, whole), whole, present_version, planned.summary)
-            if whole is not motion or present_version != version or self._moved_since(assumed_rad):
-                question = checked.question(0.0, self._expected_rad())
+            if whole is not motion or present_version != version or self._moved_since(assumed_rad, joints):
+                question = checked.question(0.0, self._expected_rad(joints))
                 await self._unless_cancelled(self._scene_monitor.check(functools.partial(tuple, (question,))))
             in_the_way = await self._unless_cancelled(self._first_meeting(whole, beside))
             self._check_not_cancelled("before the motion began")
@@ -381,7 +401,7 @@ class GoalExecutor:
             RefusedError: the planners cannot tell.
         """
         for other in beside:
-            question = meeting_question(motion, other, self._expected_rad())
+            question = meeting_question(motion, other, self._expected_rad(frozenset(motion.joint_names)))
             answer = await self._pool.ask(question, self._scene.scene)
             if isinstance(answer, PlanningFailure):
                 message = f"whether the motion is free of {other.title} cannot be told: {answer.message}"
@@ -396,8 +416,8 @@ class GoalExecutor:
         """Return the function that asks if a motion is free from a time of it on, also of motions beside it."""
 
         def questions(from_s: float) -> Questions:
-            expected_rad = self._expected_rad()
-            beside = self._in_progress.beside(frozenset(motion.trajectory.joint_names))
+            joints = frozenset(motion.trajectory.joint_names)
+            expected_rad, beside = self._expected_rad(joints), self._in_progress.beside(joints)
             meetings = (meeting_question(motion.trajectory, other, expected_rad) for other in beside)
             return motion.question(from_s, expected_rad), *meetings
 
@@ -412,13 +432,13 @@ class GoalExecutor:
             raise AssertionError("planning without a connected arm")
         return held_rad
 
-    def _expected_rad(self) -> dict[str, float]:
-        """Return the positions that the arm will hold when every motion in progress has ended [rad]."""
-        return self._in_progress.expected_rad(self._held_rad())
+    def _expected_rad(self, joints: Joints) -> dict[str, float]:
+        """Return the positions that some joints hold, and that the others will hold when their motions end [rad]."""
+        return self._in_progress.expected_rad(self._held_rad(), joints)
 
-    def _moved_since(self, before_rad: Positions) -> bool:
-        """Return true if a joint is expected elsewhere than before, shape as for `Positions`."""
-        now_rad = self._expected_rad()
+    def _moved_since(self, before_rad: Positions, joints: Joints) -> bool:
+        """Return true if a joint is expected elsewhere than before; arguments as for :meth:`_expected_rad`."""
+        now_rad = self._expected_rad(joints)
         return any(abs(value - now_rad[name]) > START_TOLERANCE_RAD for name, value in before_rad.items())
 
     def _check_not_cancelled(self, phase: str) -> None:

@@ -101,6 +101,14 @@ class PlannedSequence:
         return sum(motion.duration_s for motion in self.performed.planned)
 
     @property
+    def end_rad(self) -> Positions:
+        """Positions of the joints that move, at the end of the last motion [rad]."""
+        ends: dict[str, float] = {}
+        for motion in self.performed.planned:
+            ends |= _end_positions(motion)
+        return ends
+
+    @property
     def summary(self) -> str:
         """Methods and times, for people."""
         found = f"{', '.join(self.methods)}, {self.duration_s:.2f} s"

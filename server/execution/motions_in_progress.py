@@ -32,10 +32,24 @@ class MotionInProgress:
 
 
 class MotionsInProgress:
-    """Motions of all goals, by which the motions of some joints are planned around those of others."""
+    """Motions of all goals, by which the motions of some joints are planned around those of others.
+
+    Attributes:
+        turn: held by the goal that is being planned, so that the next one knows where its motions end.
+    """
 
     def __init__(self) -> None:
         self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}
+        self._announced: dict[Joints, Mapping[str, float]] = {}
+        self.turn = asyncio.Lock()
+
+    def announce(self, joints: Joints, end_rad: Mapping[str, float]) -> None:
+        """Tell where motions of some joints that are planned will end [rad]."""
+        self._announced[joints] = end_rad
+
+    def withdraw(self, joints: Joints) -> None:
+        """Forget what was announced of some joints."""
+        self._announced.pop(joints, None)
 
     def add(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> None:
         """Add a motion, until it ends."""
@@ -52,16 +66,20 @@ class MotionsInProgress:
         """Return the motions of none but other joints."""
         return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
 
-    def expected_rad(self, held_rad: Mapping[str, float]) -> dict[str, float]:
-        """Return where the joints will hold when every motion has ended [rad].
+    def expected_rad(self, held_rad: Mapping[str, float], joints: Joints) -> dict[str, float]:
+        """Return where the joints will hold when every motion of others, begun or announced, has ended [rad].
 
         Args:
             held_rad: position of every movable joint that the arm holds now [rad].
+            joints: those for which this is asked; they are where they hold now.
         """
         expected_rad = dict(held_rad)
-        for one in self._live:
+        for one in self.beside(joints):
             end_rad = one.trajectory.positions_rad[-1].tolist()
             expected_rad |= zip(one.trajectory.joint_names, end_rad, strict=True)
+        for announced, end_rad_of in self._announced.items():
+            if not announced & joints:
+                expected_rad |= end_rad_of
         return expected_rad
 
     @property

@@ -662,3 +662,34 @@ async def test_a_motion_of_a_preempted_goal_of_another_group_is_braked_first(sta
     await stage.begin(to(shoulder_pan=0.4))
     assert stage.arm.stops == [outgoing]
     assert len(stage.arm.played) == 2
+
+
+async def test_a_goal_is_planned_after_those_that_came_before_for_where_they_end(stage: Stage) -> None:
+    """Its group may have no place yet where the motion of the other, still being planned, makes room."""
+    stage.planners_answer.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    other = stage.executing()
+    second = asyncio.create_task(other.run(fingers(), stage.news.append))
+    await settle()
+    assert len(stage.problems) == 1
+    stage.planners_answer.set()
+    await settle()
+    assert stage.problems[1].start_rad["shoulder_pan"] == pytest.approx(0.4)
+    second.cancel()
+
+
+async def test_a_motion_that_was_announced_and_not_begun_is_forgotten(stage: Stage) -> None:
+    await stage.begin(replace(to(shoulder_pan=0.4), confirm=True))
+    stage.executor.cancel("enough")
+    await stage.answer()
+    await stage.begin(fingers())
+    assert stage.problems[-1].start_rad["shoulder_pan"] == 0.0
+
+
+def fingers() -> PlannedMotion:
+    """Move the joints of another group."""
+
+    def problem(start_rad: Positions) -> PlanningProblem:
+        return PlanningProblem("gripper", start_rad, JointGoal({"gripper": 0.5}))
+
+    return PlannedMotion((problem,), frozenset(("gripper",)))

@@ -1,0 +1,278 @@
+"""Arms with several planning groups, served and moved over a real socket: a column with fingers, and a pair of arms."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
+from tests.helpers.clients import ArmClient, FrameClient, arm_client, frame_client, status_state
+from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF, description_arguments
+from tests.helpers.server import RunningServer
+
+pytestmark = pytest.mark.real_time
+
+LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)
+BENT = dict(LIFTED.named_states["arm"]["bent"])
+
+# What the lag of an ideal joint leaves over [rad, m].
+ARRIVED = 0.005
+
+# moveit.position_tolerance and orientation_tolerance, and what the lag leaves over.
+POSITION_M, TURN_RAD = 0.012, 0.02
+
+# Two clients of a test drive at once: one knows goal topics, the other actions.
+SETTINGS = {"ARMBRIDGE_ACCESS__CONTROL": "shared"}
+
+GROUP_TOPIC = "/moveit_goal_group"
+
+
+@pytest.fixture(scope="module")
+def lifted_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    arguments = description_arguments(tmp_path_factory.mktemp("lifted"), LIFTED_URDF, LIFTED_SRDF)
+    with RunningServer(f"--port 0 {arguments}", SETTINGS) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def pair_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    arguments = description_arguments(tmp_path_factory.mktemp("pair"), PAIR_URDF, PAIR_SRDF)
+    with RunningServer(f"--port 0 {arguments}", SETTINGS) as running:
+        yield running
+
+
+@pytest.fixture
+async def lifted(lifted_server: RunningServer) -> AsyncIterator[FrameClient]:
+    async with frame_client(lifted_server.url) as client:
+        await opened(client)
+        await select(client, "arm")
+        yield client
+
+
+@pytest.fixture
+async def pair(pair_server: RunningServer) -> AsyncIterator[FrameClient]:
+    async with frame_client(pair_server.url) as client:
+        await opened(client)
+        for side in ("left", "right"):
+            await joints_goal(client, {f"{side}_{name}": 0.0 for name in BENT})
+        yield client
+
+
+async def opened(client: FrameClient) -> None:
+    await client.open_goals()
+    await client.subscribe("/joint_states", "sensor_msgs/JointState")
+    await client.subscribe(GROUP_TOPIC, "std_msgs/String")
+    await client.send({"op": "advertise", "topic": GROUP_TOPIC, "type": "std_msgs/String"})
+
+
+async def select(client: FrameClient, group: str) -> None:
+    await client.publish(GROUP_TOPIC, {"data": group})
+    await client.wait_for(GROUP_TOPIC, lambda told: bool(told) and told[-1]["data"] == group)
+
+
+async def present(client: FrameClient) -> dict[str, float]:
+    """Return the position of every joint, by a state that came after this was asked for."""
+    seen = len(client.messages("/joint_states"))
+    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
+    return dict(zip(state["name"], state["position"], strict=True))
+
+
+def joint_message(joints: dict[str, float]) -> dict[str, Any]:
+    return {"name": list(joints), "position": list(joints.values())}
+
+
+async def joints_goal(client: FrameClient, joints: dict[str, float]) -> dict[str, float]:
+    """Send a goal of joints; returns where they are when it is reached."""
+    result = await client.goal("/moveit_goal_joints", joint_message(joints))
+    assert result["val"] == 1, result
+    return await present(client)
+
+
+def pose_message(transform: Any, frame: str = "base") -> dict[str, Any]:
+    """The geometry_msgs/PoseStamped of a transform whose turn is by less than half a circle."""
+    w = math.sqrt(max(0.0, 1.0 + np.trace(transform[:3, :3]))) / 2.0
+    rotation = transform[:3, :3]
+    axis = (rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1])
+    orientation = {**dict(zip("xyz", (value / (4.0 * w) for value in axis), strict=True)), "w": w}
+    position = dict(zip("xyz", transform[:3, 3].tolist(), strict=True))
+    return {"header": {"frame_id": frame}, "pose": {"position": position, "orientation": orientation}}
+
+
+def turn_rad(first: Any, second: Any) -> float:
+    return math.acos(float(np.clip((np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+
+
+async def test_a_named_goal_moves_the_selected_group(lifted: FrameClient) -> None:
+    await select(lifted, "arm_with_torso")
+    assert (await lifted.goal("/moveit_goal_named", {"data": "raised"}))["val"] == 1
+    assert await present(lifted) | {"lift": 0.2, **BENT} == pytest.approx(await present(lifted), abs=ARRIVED)
+    await select(lifted, "arm")
+    result = await lifted.goal("/moveit_goal_named", {"data": "raised"})
+    assert "there is no named target 'raised'" in result["message"]
+
+
+async def test_goals_of_joints_choose_their_group(lifted: FrameClient) -> None:
+    joints = await joints_goal(lifted, {"lift": 0.05, "a1": 0.3})
+    assert (joints["lift"], joints["a1"]) == pytest.approx((0.05, 0.3), abs=ARRIVED)
+    joints = await joints_goal(lifted, {"left_finger_joint": 0.03, "right_finger_joint": 0.03})
+    assert joints["left_finger_joint"] == pytest.approx(0.03, abs=ARRIVED)
+
+
+@pytest.mark.parametrize("group", ["arm", "arm_with_torso"])
+async def test_a_pose_goal_is_met_with_its_orientation(lifted: FrameClient, group: str) -> None:
+    await select(lifted, group)
+    at = await joints_goal(lifted, BENT)
+    wanted = ForwardPlacements(LIFTED).transforms({**at, "a1": 0.4, "a2": 0.7, "a5": 0.5, "a6": 0.6})["tool"]
+    result = await lifted.goal("/moveit_goal_pose", pose_message(wanted))
+    assert result["val"] == 1, result
+    reached = ForwardPlacements(LIFTED).transforms(await present(lifted))["tool"]
+    np.testing.assert_allclose(reached[:3, 3], wanted[:3, 3], atol=POSITION_M)
+    assert turn_rad(reached, wanted) < TURN_RAD
+
+
+async def test_a_pose_goal_without_orientation_is_refused(lifted: FrameClient) -> None:
+    pose = {"position": {"x": 0.4, "y": 0.0, "z": 0.9}, "orientation": dict.fromkeys("xyzw", 0.0)}
+    result = await lifted.goal("/moveit_goal_pose", {"header": {"frame_id": "base"}, "pose": pose})
+    assert result["val"] == -16
+    assert "must be a unit quaternion" in result["message"]
+
+
+async def test_goals_are_checked_with_their_orientation(lifted_server: RunningServer, lifted: FrameClient) -> None:
+    at = await joints_goal(lifted, BENT)
+    good = pose_message(ForwardPlacements(LIFTED).transforms({**at, "a1": 0.4})["tool"])
+    bad = {**good, "pose": {**good["pose"], "orientation": dict.fromkeys("xyzw", 0.0)}}
+    async with arm_client(lifted_server.url) as client:
+        results = (await client.call("/check_goals", poses=[good, bad]))["results"]
+    assert [result["reachable"] for result in results] == [True, False]
+    assert results[0]["orientation_error_rad"] < TURN_RAD
+
+
+async def test_a_cartesian_path_is_followed(lifted_server: RunningServer, lifted: FrameClient) -> None:
+    at = await joints_goal(lifted, BENT)
+    placed = ForwardPlacements(LIFTED).transforms(at)["tool"]
+    placed[2, 3] += 0.08
+    path = {
+        "header": {"frame_id": "base"},
+        "group_name": "arm_with_torso",
+        "waypoints": [pose_message(placed)["pose"]],
+        "max_step": 0.01,
+        "avoid_collisions": True,
+    }
+    async with arm_client(lifted_server.url) as client:
+        answer = await client.call("/compute_cartesian_path", **path)
+        assert answer["fraction"] == 1.0, answer["error_code"]
+        action, type_name = "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory"
+        done = await client.result(await client.send_goal(action, type_name, {"trajectory": answer["solution"]}))
+    assert done["values"]["error_code"]["val"] == 1, done
+    reached = ForwardPlacements(LIFTED).transforms(await present(lifted))["tool"]
+    np.testing.assert_allclose(reached[:3, 3], placed[:3, 3], atol=POSITION_M)
+
+
+async def test_a_box_in_the_way_is_gone_around(lifted_server: RunningServer, lifted: FrameClient) -> None:
+    await joints_goal(lifted, {**BENT, "a1": -0.6})
+    box = {
+        "id": "wall",
+        "header": {"frame_id": "base"},
+        "primitives": [{"type": 1, "dimensions": [0.6, 0.02, 0.5]}],
+        "primitive_poses": [{"position": {"x": 0.45, "y": 0.0, "z": 0.35}, "orientation": {"w": 1.0}}],
+    }
+    async with arm_client(lifted_server.url) as client:
+        assert (await client.call("/apply_planning_scene", scene=scene_of(box)))["success"]
+        joints = await joints_goal(lifted, {**BENT, "a1": 0.6})
+        assert joints["a1"] == pytest.approx(0.6, abs=ARRIVED)
+        path = [dict(zip(one["name"], one["position"], strict=True)) for one in lifted.messages("/joint_states")]
+        assert min(one["a2"] for one in path[-400:]) < 0.4
+        gone = {"id": "wall", "operation": 1}
+        assert (await client.call("/apply_planning_scene", scene=scene_of(gone)))["success"]
+
+
+def scene_of(box: dict[str, Any]) -> dict[str, Any]:
+    return {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [box]}}
+
+
+def moving(client: FrameClient, joint: str) -> list[float]:
+    """Times at which a joint was seen to move [s]."""
+    states = client.messages("/joint_states")
+    at = [(one["_at_s"], one["position"][one["name"].index(joint)]) for one in states]
+    return [later for (_, before), (later, after) in itertools.pairwise(at) if abs(after - before) > 0.002]
+
+
+async def results(client: FrameClient, seen: int, count: int) -> list[dict[str, Any]]:
+    all_ = await client.wait_for("/moveit_goal_result", lambda told: len(told) >= seen + count)
+    return all_[seen:]
+
+
+async def test_two_arms_move_at_the_same_time(pair: FrameClient) -> None:
+    seen, states = len(pair.messages("/moveit_goal_result")), len(pair.messages("/joint_states"))
+    await pair.publish("/moveit_goal_joints", joint_message({"left_a1": 1.2, "left_a2": 0.4}))
+    await pair.publish("/moveit_goal_joints", joint_message({"right_a1": -1.2, "right_a2": 0.4}))
+    assert [result["val"] for result in await results(pair, seen, 2)] == [1, 1]
+    pair.received["/joint_states"] = pair.messages("/joint_states")[states:]
+    left, right = moving(pair, "left_a1"), moving(pair, "right_a1")
+    together_s = min(left[-1], right[-1]) - max(left[0], right[0])
+    assert together_s > 0.5 * (left[-1] - left[0])
+
+
+async def test_arms_that_might_touch_move_one_after_the_other(pair: FrameClient) -> None:
+    # Each leans over to where the other one stands, and comes from where the other one goes.
+    await joints_goal(pair, {"left_a1": math.pi / 2, "left_a2": -0.9})
+    seen, told = len(pair.messages("/moveit_goal_result")), len(pair.messages("/moveit_goal_status"))
+    await pair.publish("/moveit_goal_joints", joint_message({"left_a2": 0.6}))
+    await pair.publish("/moveit_goal_joints", joint_message({"right_a1": math.pi / 2, "right_a2": 0.9}))
+    assert [result["val"] for result in await results(pair, seen, 2)] == [1, 1]
+    waited = [one["message"] for one in pair.messages("/moveit_goal_status")[told:]]
+    assert "waits for the motion of left_a1 to left_a7, which it might touch" in waited
+
+
+async def test_a_goal_of_both_arms_moves_both(pair: FrameClient) -> None:
+    joints = await joints_goal(pair, {"left_a1": 0.3, "right_a1": -0.3})
+    assert (joints["left_a1"], joints["right_a1"]) == pytest.approx((0.3, -0.3), abs=ARRIVED)
+
+
+async def test_a_stop_stops_both_arms(pair: FrameClient) -> None:
+    seen = len(pair.messages("/moveit_goal_result"))
+    await pair.publish("/moveit_goal_joints", joint_message({"left_a1": 2.0}))
+    await pair.publish("/moveit_goal_joints", joint_message({"right_a1": -2.0}))
+    await until_executing(pair, 2)
+    await pair.send({"op": "publish", "topic": "/stop", "type": "std_msgs/Empty", "msg": {}})
+    assert [result["val"] for result in await results(pair, seen, 2)] == [-7, -7]
+    joints = await present(pair)
+    await asyncio.sleep(0.2)
+    assert await present(pair) == pytest.approx(joints, abs=ARRIVED)
+    assert abs(joints["left_a1"]) < 1.9
+
+
+async def until_executing(client: FrameClient, count: int) -> None:
+    """Wait until so many goals of the latest move."""
+
+    def moves(told: list[dict[str, Any]]) -> bool:
+        latest = {one["hardware_id"]: status_state(one) for one in told}
+        return list(latest.values()).count("executing") >= count
+
+    await client.wait_for("/moveit_goal_status", moves)
+
+
+async def test_the_actions_of_both_controllers_play_at_once(pair_server: RunningServer, pair: FrameClient) -> None:
+    seen = len(pair.messages("/joint_states"))
+    async with arm_client(pair_server.url) as client:
+        goals = [await follow(client, side) for side in ("left", "right")]
+        for goal in goals:
+            assert (await client.result(goal))["values"]["error_code"] == 0
+    pair.received["/joint_states"] = pair.messages("/joint_states")[seen:]
+    left, right = moving(pair, "left_a7"), moving(pair, "right_a7")
+    assert min(left[-1], right[-1]) - max(left[0], right[0]) > 0.5
+
+
+async def follow(client: ArmClient, side: str) -> str:
+    """Send a trajectory of a second to the controller of an arm; returns the goal's id."""
+    point = {"positions": [0.5], "time_from_start": {"sec": 1, "nanosec": 0}}
+    trajectory = {"joint_names": [f"{side}_a7"], "points": [point]}
+    action = f"/{side}_arm_controller/follow_joint_trajectory"
+    return await client.send_goal(action, "control_msgs/action/FollowJointTrajectory", {"trajectory": trajectory})

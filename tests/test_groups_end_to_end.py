@@ -180,15 +180,16 @@ async def test_a_box_in_the_way_is_gone_around(lifted_server: RunningServer, lif
     box = {
         "id": "wall",
         "header": {"frame_id": "base"},
-        "primitives": [{"type": 1, "dimensions": [0.6, 0.02, 0.5]}],
-        "primitive_poses": [{"position": {"x": 0.45, "y": 0.0, "z": 0.35}, "orientation": {"w": 1.0}}],
+        "primitives": [{"type": 1, "dimensions": [0.5, 0.02, 0.4]}],
+        "primitive_poses": [{"position": {"x": 0.5, "y": 0.0, "z": 0.75}, "orientation": {"w": 1.0}}],
     }
     async with arm_client(lifted_server.url) as client:
         assert (await client.call("/apply_planning_scene", scene=scene_of(box)))["success"]
+        seen = len(lifted.messages("/joint_states"))
         joints = await joints_goal(lifted, {**BENT, "a1": 0.6})
         assert joints["a1"] == pytest.approx(0.6, abs=ARRIVED)
-        path = [dict(zip(one["name"], one["position"], strict=True)) for one in lifted.messages("/joint_states")]
-        assert min(one["a2"] for one in path[-400:]) < 0.4
+        path = [dict(zip(one["name"], one["position"], strict=True)) for one in lifted.messages("/joint_states")[seen:]]
+        assert max(abs(one[name] - BENT[name]) for one in path for name in BENT if name != "a1") > 0.1
         gone = {"id": "wall", "operation": 1}
         assert (await client.call("/apply_planning_scene", scene=scene_of(gone)))["success"]
 
@@ -276,3 +277,28 @@ async def follow(client: ArmClient, side: str) -> str:
     trajectory = {"joint_names": [f"{side}_a7"], "points": [point]}
     action = f"/{side}_arm_controller/follow_joint_trajectory"
     return await client.send_goal(action, "control_msgs/action/FollowJointTrajectory", {"trajectory": trajectory})
+
+
+GRIPPER_TYPE = "control_msgs/action/GripperCommand"
+
+
+@pytest.mark.parametrize("action", ["gripper_cmd", "gripper_action"])
+async def test_two_fingers_are_commanded_by_the_gap_between_them(lifted_server: RunningServer, action: str) -> None:
+    async with arm_client(lifted_server.url) as client:
+        for gap_m in (0.1, 0.04):
+            goal = await client.send_goal(
+                f"/gripper_controller/{action}", GRIPPER_TYPE, {"command": {"position": gap_m, "max_effort": 60.0}}
+            )
+            ended = (await client.result(goal))["values"]
+            assert ended["reached_goal"], ended
+            assert ended["position"] == pytest.approx(gap_m, abs=2 * ARRIVED)
+            state = client.topics["/joint_states"][-1]
+            fingers = [state["position"][state["name"].index(f"{side}_finger_joint")] for side in ("left", "right")]
+            assert fingers == pytest.approx([gap_m / 2, gap_m / 2], abs=ARRIVED)
+
+
+async def test_an_arm_without_a_gripper_offers_no_action_of_one(pair_server: RunningServer) -> None:
+    async with arm_client(pair_server.url) as client:
+        known = (await client.call("/rosapi/action_servers"))["action_servers"]
+    assert not [name for name in known if "gripper" in name]
+    assert "/left_arm_controller/follow_joint_trajectory" in known

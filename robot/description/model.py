@@ -199,8 +199,16 @@ def parse(
         parts=parts or {},
         default_group=default_group,
         tip_link=groups[default_group].tip_link,
-        gripper=Gripper(("gripper",), 1.74533, -0.174533) if "gripper" in joints else None,
+        gripper=_gripper(joints, groups),
     )
+
+
+def _gripper(joints: Mapping[str, Joint], groups: Mapping[str, Group]) -> Gripper | None:
+    """Return the gripper of a robot whose SRDF has a group of that name with one or two joints."""
+    members = groups["gripper"].joints if "gripper" in groups else ()
+    if len(members) not in (1, 2):
+        return None
+    return Gripper(members, min(joints[name].upper for name in members), max(joints[name].lower for name in members))
 
 
 def _text(path: Path) -> str:

@@ -180,6 +180,8 @@ TOPICS: Mapping[str, Rule] = {
     "/moveit_goal_cancel": STOPPING,
     # The client that confirms may be another than the one that drives.
     "/moveit_goal_confirm": WORKING,
+    # The client that chooses the group is the one that drives.
+    "/moveit_goal_group": SWITCHING,
     "/moveit_goal_joints": GOAL,
     "/moveit_goal_named": GOAL,
     "/moveit_goal_pose": GOAL,
@@ -194,6 +196,7 @@ TOPICS: Mapping[str, Rule] = {
 
 ACTIONS: Mapping[str, Rule] = {
     "/execute_trajectory": GOAL,
+    "/gripper_controller/gripper_action": GOAL,
     "/gripper_controller/gripper_cmd": GOAL,
     "/joint_trajectory_action": GOAL,
     "/move_action": PLANNING_GOAL,

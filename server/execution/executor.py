@@ -504,12 +504,15 @@ class GoalExecutors:
     Args:
         arm: the arm.
         make: makes an executor that shares the motions in progress with the others.
+
+    Attributes:
+        in_progress: motions of all goals.
     """
 
     def __init__(self, arm: Arm, make: Callable[[MotionsInProgress], GoalExecutor]) -> None:
         self._arm = arm
         self._make = make
-        self._in_progress = MotionsInProgress()
+        self.in_progress = MotionsInProgress()
         self._executors: dict[Joints, GoalExecutor] = {}
 
     def joints_of(self, request: Motion) -> Joints:
@@ -519,7 +522,7 @@ class GoalExecutors:
     def runner(self, joints: Joints) -> GoalExecutor:
         """Return the executor of motions of some joints."""
         if joints not in self._executors:
-            self._executors[joints] = self._make(self._in_progress)
+            self._executors[joints] = self._make(self.in_progress)
         return self._executors[joints]
 
     def stop(self, _reason: str) -> None:

@@ -1,7 +1,8 @@
-"""Gripper: its motions and its two actions.
+"""Gripper of one or two fingers: its motions and its actions.
 
 The newest command wins, and a stall on the way is a grip. ros2_control's two gripper controllers both call their action
-``gripper_cmd``, below the controller's name; so each has a controller's name of its own here.
+``gripper_cmd``, below the controller's name; so each has a controller's name of its own here. Fetch's driver calls it
+``gripper_action``.
 """
 
 from __future__ import annotations
@@ -10,17 +11,20 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
+
+import numpy as np
 
 from planners.problem import MoveItErrorCode
 from robot.arm import Arm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
-from robot.trajectory import rest_to_rest
+from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.errors import RefusedError
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
+from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import ArmClock, TimeLimits
 from server.graph.actions import Goal, GoalStatus
@@ -40,10 +44,17 @@ SQUEEZE_PERIOD_S = 0.04
 SQUEEZED_WITHIN_RAD = 0.005
 
 GRIPPER_ACTION = "/gripper_controller/gripper_cmd"
+FETCH_ACTION = "/gripper_controller/gripper_action"
 PARALLEL_ACTION = "/parallel_gripper_controller/gripper_cmd"
 
 # A URDF's limit lies so far beyond the soft limit; a command for it means the soft limit.
-CLAMPED_WITHIN_RAD = 0.05
+CLAMPED_WITHIN_RAD, CLAMPED_WITHIN_M = 0.05, 0.005
+
+# Positions of two fingers that a client means to be the same may differ by its rounding [rad or m].
+SAME_POSITION = 1e-6
+
+# Longest way of a finger that counts as none [rad or m].
+SHORTEST_WAY = 1e-6
 
 Message = dict[str, Any]
 
@@ -53,23 +64,29 @@ class GripperCommand:
     """Command to the gripper.
 
     Attributes:
-        position_rad: goal position, within the joint's limits.
+        position: goal position of each finger, within its joint's limits [rad or m].
         max_effort: share of full motor duty, as in ``effort`` of ``/joint_states``; 0 for the limit.
-        max_velocity_rad_s: 0 for the velocity of planned motions.
+        max_velocity: of each finger, 0 for the velocity of planned motions [rad/s or m/s].
     """
 
-    position_rad: float
+    position: float
     max_effort: float = 0.0
-    max_velocity_rad_s: float = 0.0
+    max_velocity: float = 0.0
 
 
 @dataclass(frozen=True)
 class GripperReading:
-    """Position of the gripper [rad], its velocity [rad/s] and its effort [share of full duty]."""
+    """Reading of the fingers, in the order of the gripper's joints.
 
-    position_rad: float
-    velocity_rad_s: float
-    effort: float
+    Attributes:
+        positions: [rad or m].
+        velocities: [rad/s or m/s].
+        efforts: share of full duty.
+    """
+
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...]
+    efforts: tuple[float, ...]
 
 
 class Gripper:
@@ -77,30 +94,37 @@ class Gripper:
 
     Args:
         arm: the arm.
-        joint: the gripper's joint; its limits are kept.
-        velocity_scaling: share of the joint's velocity limit that motions use.
-        acceleration_scaling: share of its acceleration limit.
+        joints: the joints of its fingers, one or two, which all go to the same position; their limits are kept.
+        velocity_scaling: share of the joints' velocity limits that motions use.
+        acceleration_scaling: share of their acceleration limits.
         time_limits: of motions.
         torque_limit: share of full motor duty that the gripper may use.
+        in_progress: gets its motions; None for a gripper without an arm that moves beside it.
         clock: monotonic time of this machine [s].
+
+    Attributes:
+        joints: as given.
     """
 
     def __init__(
         self,
         arm: Arm,
-        joint: Joint,
+        joints: Sequence[Joint],
         velocity_scaling: float,
         acceleration_scaling: float,
         time_limits: TimeLimits,
         torque_limit: float,
+        in_progress: MotionsInProgress | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
-        self._joint = joint
-        self._max_velocity = velocity_scaling * joint.max_velocity
-        self._max_acceleration = acceleration_scaling * joint.max_acceleration
+        self.joints = tuple(joints)
+        self._names = tuple(joint.name for joint in joints)
+        self._max_velocity = velocity_scaling * min(joint.max_velocity for joint in joints)
+        self._max_acceleration = acceleration_scaling * min(joint.max_acceleration for joint in joints)
         self._time_limits = time_limits
         self._torque_limit = torque_limit
+        self._in_progress = in_progress or MotionsInProgress()
         self._clock = clock
         self._newest = 0
         self._turn = asyncio.Lock()
@@ -119,10 +143,11 @@ class Gripper:
         state = self._arm.state
         if state.position_rad is None or state.velocity_rad_s is None or state.load is None:
             return None
-        column = state.joint_names.index(self._joint.name)
-        return GripperReading(
-            float(state.position_rad[column]), float(state.velocity_rad_s[column]), float(state.load[column])
+        columns = [state.joint_names.index(name) for name in self._names]
+        positions, velocities, efforts = (
+            tuple(values[columns].tolist()) for values in (state.position_rad, state.velocity_rad_s, state.load)
         )
+        return GripperReading(positions, velocities, efforts)
 
     def claim(self) -> int:
         """Claim the gripper for :meth:`move`, in place of the claim before; return the number of the claim."""
@@ -159,17 +184,16 @@ class Gripper:
 
     async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None]) -> MotionEnded:
         check_ready(self._arm)
-        velocity = min(command.max_velocity_rad_s or self._max_velocity, self._max_velocity)
-        trajectory = rest_to_rest(
-            self._joint.name, self._goal_rad(), command.position_rad, velocity, self._max_acceleration
-        )
-        field = f"the duration of the way to {command.position_rad:.3f} rad"
+        velocity = min(command.max_velocity or self._max_velocity, self._max_velocity)
+        trajectory = fingers_together(self._names, self._goals(), command.position, velocity, self._max_acceleration)
+        field = f"the duration of the way to {command.position:.3f} {unit_of(self.joints[0])}"
         self._time_limits.check_duration(
             trajectory.duration_s, field, MoveItErrorCode.FAILURE, ": raise the command's velocity"
         )
         share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
         self._ends_s = self._clock() + trajectory.duration_s
         self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share)
+        self._in_progress.add(trajectory, self._motion)
         try:
             ended = await self._until_ended(self._motion, self._time_limits.allowed_s(trajectory.duration_s), report)
         finally:
@@ -199,21 +223,53 @@ class Gripper:
     async def _until_squeezed(self) -> None:
         """Wait until the goal rests at its squeeze: the next motion starts there."""
         until_s = self._arm.clock_s + SQUEEZE_TIMEOUT_S
-        last_rad, looked_at_s = math.inf, -math.inf
+        last, looked_at_s = np.full(len(self.joints), math.inf), -math.inf
         while (now_s := self._arm.clock_s) < until_s and self._arm.state.goal_rad is not None:
             # A goal that the arm had no time to change does not rest.
             if now_s - looked_at_s >= SQUEEZE_PERIOD_S:
-                goal_rad = self._goal_rad()
-                if abs(goal_rad - last_rad) < SQUEEZED_WITHIN_RAD:
+                goals = self._goals()
+                if np.abs(goals - last).max() < SQUEEZED_WITHIN_RAD:
                     return
-                last_rad, looked_at_s = goal_rad, now_s
+                last, looked_at_s = goals, now_s
             await asyncio.sleep(SQUEEZE_PERIOD_S)
 
-    def _goal_rad(self) -> float:
+    def _goals(self) -> Vector:
+        """Return the fingers' goals, shape (joints,) [rad or m]."""
         state = self._arm.state
         if state.goal_rad is None:
             raise AssertionError("a motion of an arm that is not read")
-        return float(state.goal_rad[state.joint_names.index(self._joint.name)])
+        goals: Vector = state.goal_rad[[state.joint_names.index(name) for name in self._names]]
+        return goals
+
+
+def fingers_together(
+    names: tuple[str, ...], start: Vector, end: float, max_velocity: float, max_acceleration: float
+) -> Trajectory:
+    """Plan the fastest motion of fingers to one position, in which they arrive together.
+
+    Args:
+        names: of the joints.
+        start: their positions, shape (joints,) [rad or m].
+        end: position of each at the end [rad or m].
+        max_velocity: of each, above 0 [rad/s or m/s].
+        max_acceleration: of each, above 0 [rad/s^2 or m/s^2].
+    """
+    way = end - start
+    longest = float(np.abs(way).max())
+    if longest < SHORTEST_WAY:
+        still = np.zeros((1, len(names)))
+        return Trajectory(names, np.zeros(1), np.full((1, len(names)), end), still, still)
+    # The share of the way that is done, from 0 to 1.
+    share = rest_to_rest(names[0], 0.0, 1.0, max_velocity / longest, max_acceleration / longest)
+    positions, velocities, accelerations = (
+        array * way for array in (share.positions_rad, share.velocities_rad_s, share.accelerations_rad_s2)
+    )
+    return Trajectory(names, share.time_s, start + positions, velocities, accelerations)
+
+
+def unit_of(joint: Joint) -> str:
+    """Return the unit of a joint's positions."""
+    return "m" if joint.type == "prismatic" else "rad"
 
 
 class ActionMessages(Protocol):
@@ -238,24 +294,29 @@ class ActionMessages(Protocol):
 class GripperCommandMessages:
     """Messages of control_msgs/action/GripperCommand.
 
+    The position of a gripper with two sliding fingers is the gap between them, the sum of the joints' positions, as
+    for Fetch's driver; otherwise it is that of each joint.
+
     Args:
-        joint: the gripper's joint.
+        joints: of the fingers.
     """
 
     type_name = "control_msgs/action/GripperCommand"
 
-    def __init__(self, joint: Joint) -> None:
-        self._joint = joint
+    def __init__(self, joints: Sequence[Joint]) -> None:
+        self._joints = joints
+        self._sliding_fingers = len(joints) if joints[0].type == "prismatic" else 1
 
     def command(self, message: Message) -> GripperCommand:
         """Read a control_msgs/GripperCommand."""
-        return _checked_command(self._joint, message["position"], message["max_effort"], 0.0)
+        return _checked_command(self._joints, message["position"], message["max_effort"], 0.0, self._sliding_fingers)
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
         """Return the result message."""
+        mean = sum(reading.positions) / len(reading.positions)
         return {
-            "position": reading.position_rad,
-            "effort": reading.effort,
+            "position": self._sliding_fingers * mean,
+            "effort": max(reading.efforts, key=abs),
             "stalled": stalled,
             "reached_goal": reached,
         }
@@ -269,27 +330,30 @@ class ParallelGripperCommandMessages:
     """Messages of control_msgs/action/ParallelGripperCommand.
 
     Args:
-        joint: the gripper's joint.
+        joints: of the fingers.
     """
 
     type_name = "control_msgs/action/ParallelGripperCommand"
 
-    def __init__(self, joint: Joint) -> None:
-        self._joint = joint
+    def __init__(self, joints: Sequence[Joint]) -> None:
+        self._joints = joints
+        self._names = [joint.name for joint in joints]
 
     def command(self, message: Message) -> GripperCommand:
-        """Read a sensor_msgs/JointState: the position, and optional bounds of velocity and effort."""
+        """Read a sensor_msgs/JointState: the position of each finger, and optional bounds of velocity and effort."""
         names, positions = message["name"], message["position"]
-        if names not in ([], [self._joint.name]):
-            raise invalid(f"command.name must be empty or [{self._joint.name}], not {names}")
-        if len(positions) != 1:
+        if not set(names) <= set(self._names) or len(set(names)) != len(names):
+            raise invalid(f"command.name must be empty or name joints of [{', '.join(self._names)}], not {names}")
+        if len(positions) not in (1, len(names)):
             raise invalid(f"command.position must have one value, not {len(positions)}")
+        if max(positions) - min(positions) > SAME_POSITION:
+            raise invalid(f"command.position must be the same for all fingers, not {positions}")
         bounds = {}
         for field in ("velocity", "effort"):
-            if len(message[field]) > 1:
+            if len(message[field]) > len(positions):
                 raise invalid(f"command.{field} must have one value at most, not {len(message[field])}")
-            bounds[field] = message[field][0] if message[field] else 0.0
-        return _checked_command(self._joint, positions[0], bounds["effort"], bounds["velocity"])
+            bounds[field] = min(message[field], default=0.0)
+        return _checked_command(self._joints, positions[0], bounds["effort"], bounds["velocity"])
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
         """Return the result message."""
@@ -299,38 +363,57 @@ class ParallelGripperCommandMessages:
         """Return the feedback message."""
         return {
             "state": {
-                "name": [self._joint.name],
-                "position": [reading.position_rad],
-                "velocity": [reading.velocity_rad_s],
-                "effort": [reading.effort],
+                "name": self._names,
+                "position": list(reading.positions),
+                "velocity": list(reading.velocities),
+                "effort": list(reading.efforts),
             }
         }
 
 
-def _checked_command(joint: Joint, position_rad: float, max_effort: float, max_velocity: float) -> GripperCommand:
-    lower, upper = joint.lower, joint.upper
-    if not lower - CLAMPED_WITHIN_RAD <= position_rad <= upper + CLAMPED_WITHIN_RAD:
-        raise invalid(f"command.position must be from {lower:.3f} to {upper:.3f} rad, not {position_rad}")
+def _checked_command(
+    joints: Sequence[Joint], position: float, max_effort: float, max_velocity: float, fingers: int = 1
+) -> GripperCommand:
+    """Return a command within the limits.
+
+    Args:
+        joints: of the fingers.
+        position: as the client has it [rad or m].
+        max_effort: as the client has it.
+        max_velocity: of each finger [rad/s or m/s].
+        fingers: number of fingers of whose positions the client's is the sum.
+
+    Raises:
+        RefusedError: a value is out of bounds.
+    """
+    lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
+    unit = unit_of(joints[0])
+    beyond = CLAMPED_WITHIN_M if unit == "m" else CLAMPED_WITHIN_RAD
+    each = position / fingers
+    if not lower - beyond <= each <= upper + beyond:
+        limits = f"from {fingers * lower:.3f} to {fingers * upper:.3f} {unit}"
+        raise invalid(f"command.position must be {limits}, not {position}")
     for name, value in (("effort", max_effort), ("velocity", max_velocity)):
         if not (math.isfinite(value) and value >= 0.0):
             raise invalid(f"command's bound of {name} must be a finite number from 0 on, not {value}")
-    return GripperCommand(min(max(position_rad, lower), upper), max_effort, max_velocity)
+    return GripperCommand(min(max(each, lower), upper), max_effort, max_velocity)
 
 
 class GripperActions:
-    """The gripper's two actions.
+    """The gripper's actions.
 
     Args:
         graph: where they are.
-        joint: the gripper's joint.
         gripper: executes their goals.
     """
 
-    def __init__(self, graph: Graph, joint: Joint, gripper: Gripper) -> None:
+    def __init__(self, graph: Graph, gripper: Gripper) -> None:
         self._gripper = gripper
+        simple = GripperCommandMessages(gripper.joints)
         self._actions: dict[str, ActionMessages] = {
-            GRIPPER_ACTION: GripperCommandMessages(joint),
-            PARALLEL_ACTION: ParallelGripperCommandMessages(joint),
+            GRIPPER_ACTION: simple,
+            FETCH_ACTION: simple,
+            PARALLEL_ACTION: ParallelGripperCommandMessages(gripper.joints),
         }
         self._tasks: set[asyncio.Task[None]] = set()
         node = Node("gripper")

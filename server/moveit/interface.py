@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 from planners.pool import PlannerPool
 from robot.arm import Arm
-from robot.calibration import GRIPPER_JOINT
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
@@ -28,7 +27,7 @@ from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
 from server.moveit.goal_messages import GoalTranslator
 from server.moveit.goal_topics import Confirmation, GoalChecks, GoalReports, GoalStatusTopics, GoalTopics
-from server.moveit.gripper import GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
+from server.moveit.gripper import FETCH_ACTION, GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
 from server.moveit.named_states import NamedStates, NamedStatesFile, NamedStatesServices, default_path
 from server.moveit.parameters import PlannerParameters
 from server.moveit.requests.context import planning_group
@@ -141,13 +140,13 @@ class MoveItInterface:
         # Goals and commands of MoveIt's clients.
         self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve, arm, pool, lambda: self.queue.busy)
         self._gripper = None
-        joint = robot.joints.get(GRIPPER_JOINT)
-        # The gripper of another arm is not known by its description.
-        if joint is not None and joint.movable:
+        if robot.gripper is not None:
+            joints = [robot.joints[name] for name in robot.gripper.joints]
             scalings = moveit.max_velocity_scaling, moveit.max_acceleration_scaling
             torque_limit = settings.arm.guards.gripper_torque_limit
-            self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)
-            GripperActions(graph, joint, self._gripper)
+            in_progress = self._executors.in_progress
+            self._gripper = Gripper(arm, joints, *scalings, time_limits, torque_limit, in_progress)
+            GripperActions(graph, self._gripper)
         self._actions = MotionActions(graph, self._context, arm, self.queue, time_limits)
 
     async def restore_scene(self) -> None:
@@ -172,7 +171,7 @@ class MoveItInterface:
         self._goal_checks.open()
         self._display.open()
         offer_services(self._graph, self._context)
-        self._actions.open(() if self._gripper is None else (GRIPPER_ACTION, PARALLEL_ACTION))
+        self._actions.open(() if self._gripper is None else (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION))
 
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on to the parts that publish or record it."""

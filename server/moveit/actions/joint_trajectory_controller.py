@@ -247,6 +247,7 @@ class JointTrajectoryController:
         current: positions that it holds.
         queue: queue of its goals.
         time_limits: of motions.
+        industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
 
     Attributes:
         actions: names of the actions.
@@ -261,6 +262,8 @@ class JointTrajectoryController:
         current: CurrentState,
         queue: GoalQueue[Motion],
         time_limits: TimeLimits,
+        *,
+        industrial: bool,
     ) -> None:
         self._robot = robot
         self._group = group
@@ -271,7 +274,8 @@ class JointTrajectoryController:
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         self._topic = f"/{group.name}_controller/joint_trajectory"
-        self.actions = (f"/{group.name}_controller/follow_joint_trajectory", INDUSTRIAL_ACTION)
+        action = f"/{group.name}_controller/follow_joint_trajectory"
+        self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = Node(f"{group.name} controller")
         for name in self.actions:
             graph.actions.offer(node, name, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
@@ -315,7 +319,7 @@ class JointTrajectoryController:
         """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm."""
         trajectory = published.msg
         if not trajectory["points"]:
-            self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}")
+            self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}", self._group.joints)
             return
         try:
             self._check(trajectory)

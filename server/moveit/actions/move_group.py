@@ -387,7 +387,9 @@ def _execution_result(answer: Answer) -> Message:
 
 
 class MotionActions:
-    """All actions that move the arm's group, and the topics of actionlib for all actions of the arm.
+    """All actions that move the arm's groups, and the topics of actionlib for all actions of the arm.
+
+    Every group with a driven joint has a controller.
 
     Args:
         graph: where they are.
@@ -400,18 +402,28 @@ class MotionActions:
     def __init__(
         self, graph: Graph, context: PlanningContext, arm: Arm, queue: GoalQueue[Motion], time_limits: TimeLimits
     ) -> None:
-        robot, current, group = context.robot, CurrentState(arm, context.robot), context.problems.group("")
+        robot, current, default = context.robot, CurrentState(arm, context.robot), context.problems.group("")
         PlanningActions(graph, context, queue)
         ExecuteTrajectory(graph, robot, current, queue, time_limits)
-        self._controller = JointTrajectoryController(graph, robot, group, arm, current, queue, time_limits)
-        self._controller_state = ControllerStatePublisher(graph, group)
+        driven = {joint.name for joint in robot.driven_joints}
+        groups = [group for group in robot.groups.values() if driven & set(group.joints)]
+        self._controllers = [
+            JointTrajectoryController(
+                graph, robot, group, arm, current, queue, time_limits, industrial=group.name == default.name
+            )
+            for group in groups
+        ]
+        self._controller_states = [ControllerStatePublisher(graph, group) for group in groups]
         self._actionlib = ActionlibBridge(graph, time.monotonic, call_later)
 
     def open(self, others: Iterable[str]) -> None:
         """Offer the topics of actionlib for these actions and for others of the arm."""
-        self._actionlib.open((*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *self._controller.actions, *others))
+        followed = (action for controller in self._controllers for action in controller.actions)
+        self._actionlib.open((*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *followed, *others))
 
     def take_state(self, state: ArmState) -> None:
-        """Pass the arm's latest state on to the controller."""
-        self._controller.take_state(state)
-        self._controller_state.take_state(state)
+        """Pass the arm's latest state on to the controllers."""
+        for controller in self._controllers:
+            controller.take_state(state)
+        for publisher in self._controller_states:
+            publisher.take_state(state)

@@ -139,7 +139,7 @@ async def test_a_stop_ends_the_grippers_motion_as_well(client: ArmClient) -> Non
 async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
     robot = builtin()
     arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
-    gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)
+    gripper = Gripper(arm, [robot.joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     async with gripper._turn:
         await asyncio.sleep(0)
@@ -151,7 +151,7 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
     robot = builtin()
     arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
     await arm.launch()
-    gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)
+    gripper = Gripper(arm, [robot.joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     await asyncio.sleep(0.02)
     assert not moving.done()
@@ -177,7 +177,7 @@ class GrippingArm(FakeArm):
 
 async def test_an_effort_is_a_share_of_what_the_gripper_may_use() -> None:
     arm = GrippingArm()
-    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, TimeLimits(), 0.4)  # type: ignore[arg-type]
+    gripper = Gripper(arm, [builtin().joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.4)  # type: ignore[arg-type]
     for effort in (0.0, 0.1, 0.4, 5.0):
         await gripper.move(gripper.claim(), GripperCommand(0.5, effort), lambda _reading: None)
     assert arm.shares == pytest.approx([1.0, 0.25, 1.0, 1.0])
@@ -195,7 +195,7 @@ ALLOWED_S = 5.0
 
 def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
     clock = asyncio.get_running_loop().time
-    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, TimeLimits(0.0, ALLOWED_S), 0.5, clock)  # type: ignore[arg-type]
+    gripper = Gripper(arm, [builtin().joints["gripper"]], 1.0, 1.0, TimeLimits(0.0, ALLOWED_S), 0.5, clock=clock)  # type: ignore[arg-type]
     return asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
 
 
@@ -212,8 +212,8 @@ class Grippers:
     def __init__(self) -> None:
         self.arm, self.graph = SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
-        self.gripper = Gripper(self.arm, builtin().joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)  # type: ignore[arg-type]
-        self.actions = GripperActions(self.graph, builtin().joints["gripper"], self.gripper)
+        self.gripper = Gripper(self.arm, [builtin().joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.5)  # type: ignore[arg-type]
+        self.actions = GripperActions(self.graph, self.gripper)
         self.results: list[Result] = []
 
     async def send(self, **command: Any) -> Goal:

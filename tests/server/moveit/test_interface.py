@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-from dataclasses import replace
 from typing import Any
 
 from websockets.asyncio.client import connect
@@ -142,14 +141,12 @@ def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItI
     return MoveItInterface(*parts, FakeArm(), PlannerPool(robot))  # type: ignore[arg-type]
 
 
-def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:
+def test_an_arm_has_the_gripper_of_its_description() -> None:
     with_gripper, without = builtin(), parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
-    stiff = replace(with_gripper.joints["gripper"], type="fixed")
     gripper = interface_of(with_gripper)._gripper
     assert gripper is not None
-    assert gripper._joint is with_gripper.joints["gripper"]
+    assert gripper.joints == (with_gripper.joints["gripper"],)
     assert interface_of(without)._gripper is None
-    assert interface_of(replace(with_gripper, joints={**with_gripper.joints, "gripper": stiff}))._gripper is None
 
 
 async def test_a_client_of_topics_moves_the_arm_gets_a_suggestion_and_stops(

@@ -57,6 +57,7 @@ class Desk(ActionDesk):
             self.current,
             self.queue,
             TimeLimits(),
+            industrial=True,
         )
 
     async def publish(self, **trajectory: Any) -> None:

@@ -39,6 +39,7 @@ OFFERED = {
     "/sequence_move_group": "moveit_msgs/action/MoveGroupSequence",
     "/execute_trajectory": "moveit_msgs/action/ExecuteTrajectory",
     "/arm_controller/follow_joint_trajectory": "control_msgs/action/FollowJointTrajectory",
+    "/gripper_controller/follow_joint_trajectory": "control_msgs/action/FollowJointTrajectory",
     "/joint_trajectory_action": "control_msgs/action/FollowJointTrajectory",
 }
 

@@ -20,11 +20,11 @@ from protocol.operations import Fragment
 # the rest may be still to come.
 _START = re.compile(rb'\{(?=[ \t\r\n]*+(?:["}]|\Z))')
 
-# Nothing below is tried twice: groups are atomic. The rest of a text whose quote has been passed; what contains no brace
+# Nothing below is tried twice: groups are atomic. The rest of a text whose quote has been passed; what has no brace
 # that counts; and, so that a long list of small objects is read quickly, whole objects as well. Repeated groups are
-# bounded, and matched again where they end: each time costs 100 bytes while the match lasts. Not possessive, as single
-# characters are: of a possessive group that can end in several ways Python 3.11.2 takes the wrong end (CPython's issue
-# 106052).
+# bounded, and matched again where they end: each time costs 100 bytes while the match lasts. They are not possessive,
+# as single characters are: where such a group can end in several ways, Python 3.11.2 takes the wrong end (CPython's
+# issue 106052).
 _SOME = rb"{0,1000}"
 _TEXT = rb'(?>(?:[^"\\]++|\\.)' + _SOME + rb")"
 _NO_BRACES = rb'[^"{}]++|"' + _TEXT + rb'"'

@@ -14,7 +14,7 @@ import pytest
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from tests.helpers.clients import ArmClient, FrameClient, arm_client, frame_client, status_state
-from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF, description_arguments
+from tests.helpers.robots import LIFTED_GRIPPER, LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF, folder_arguments
 from tests.helpers.server import RunningServer
 
 pytestmark = pytest.mark.real_time
@@ -36,14 +36,14 @@ GROUP_TOPIC = "/moveit_goal_group"
 
 @pytest.fixture(scope="module")
 def lifted_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
-    arguments = description_arguments(tmp_path_factory.mktemp("lifted"), LIFTED_URDF, LIFTED_SRDF)
+    arguments = folder_arguments(tmp_path_factory.mktemp("lifted"), LIFTED_URDF, LIFTED_SRDF, LIFTED_GRIPPER)
     with RunningServer(f"--port 0 {arguments}", SETTINGS) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
 def pair_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
-    arguments = description_arguments(tmp_path_factory.mktemp("pair"), PAIR_URDF, PAIR_SRDF)
+    arguments = folder_arguments(tmp_path_factory.mktemp("pair"), PAIR_URDF, PAIR_SRDF)
     with RunningServer(f"--port 0 {arguments}", SETTINGS) as running:
         yield running
 

@@ -107,8 +107,8 @@ def encounter(
             return Encounter(0.5 * sum(first_s), 0.5 * sum(second_s), tuple(collision.colliding_pairs(q)))
         begin_s, end_s = times_s[longer]
         middle_s = 0.5 * (begin_s + end_s)
-        for half in ((begin_s, middle_s), (middle_s, end_s)):
-            parts.append((half, second_s, near) if longer == 0 else (first_s, half, near))
+        halves = (begin_s, middle_s), (middle_s, end_s)
+        parts += [(half, second_s, near) if longer == 0 else (first_s, half, near) for half in halves]
     return None
 
 

@@ -1,13 +1,30 @@
-"""Robots beside the built-in arm: one with seven joints, and the built-in one with one mesh more."""
+"""The SO-101, one with a mesh more, and an arm with seven joints."""
 
 from __future__ import annotations
 
 import re
 import struct
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-from robot.description import model
+from robot.calibration import Calibration
+from robot.description import robot_folder
+from robot.description.model import RobotModel
+
+SO101 = robot_folder.built_in("so101")
+SO101_SERVOS = SO101.hardware.servos
+
+
+def so101() -> RobotModel:
+    """The SO-101's description."""
+    return SO101.model
+
+
+def nominal_calibration() -> Calibration:
+    """The calibration of a flawless SO-101."""
+    return replace(Calibration.nominal(SO101_SERVOS), measured=True)
+
 
 SEVEN_JOINT_URDF = """
 <robot name="seven">
@@ -69,7 +86,7 @@ def meshed_arm(folder: Path, mesh: str) -> dict[str, str]:
     """
     visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
     joint = '<joint name="held" type="fixed"><parent link="base_link"/><child link="meshed"/></joint>'
-    arm = model.builtin()
+    arm = so101()
     urdf, srdf = folder / "arm.urdf", folder / "arm.srdf"
     urdf.write_text(arm.urdf.replace("</robot>", f'<link name="meshed">{visual}</link>{joint}</robot>'))
     srdf.write_text(arm.srdf)
@@ -175,8 +192,17 @@ PAIR_SRDF = f"""
 """
 
 
-def description_arguments(folder: Path, urdf: str, srdf: str) -> str:
-    """Write a description; returns the arguments of a server with its ideal arm."""
+LIFTED_GRIPPER = """
+[gripper]
+joints = ["left_finger_joint", "right_finger_joint"]
+open = 0.05
+closed = 0.0
+"""
+
+
+def folder_arguments(folder: Path, urdf: str, srdf: str, tables: str = "") -> str:
+    """Write an arm's folder, with some more tables of its robot.toml; returns the arguments of a server with it."""
     (folder / "arm.urdf").write_text(urdf)
     (folder / "arm.srdf").write_text(srdf)
-    return f"--urdf {folder / 'arm.urdf'} --srdf {folder / 'arm.srdf'}"
+    (folder / "robot.toml").write_text(f'[robot]\ntitle = "test arm"\nurdf = "arm.urdf"\nsrdf = "arm.srdf"\n{tables}')
+    return f"--robot {folder}"

@@ -11,7 +11,7 @@ from websockets.asyncio.client import connect
 
 from planners.pool import PlannerPool
 from protocol.registry import Registry
-from robot.description.model import RobotModel, builtin, parse
+from robot.description.model import RobotModel, parse
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.time_limits import TimeLimits
 from server.graph.topics import Graph
@@ -20,6 +20,7 @@ from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.clients import ArmClient, frame_client, values_of
 from tests.helpers.fake_arm import FakeArm
+from tests.helpers.robots import so101
 from tests.helpers.server import RunningServer, ServerOnBus
 
 CANCELED, SUCCEEDED = 5, 4
@@ -123,7 +124,7 @@ def test_settings_reach_their_parts() -> None:
         ),
         goals=GoalSettings(max_paused_s=5.0),
     )
-    interface = interface_of(builtin(), settings)
+    interface = interface_of(so101(), settings)
     gripper = interface._gripper
     assert gripper is not None
     assert (
@@ -142,7 +143,7 @@ def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItI
 
 
 def test_an_arm_has_the_gripper_of_its_description() -> None:
-    with_gripper, without = builtin(), parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
+    with_gripper, without = so101(), parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
     gripper = interface_of(with_gripper)._gripper
     assert gripper is not None
     assert gripper.joints == (with_gripper.joints["gripper"],)

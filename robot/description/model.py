@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -13,41 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.description.srdf import Group as Group
+from robot.description.srdf import read_srdf
+from robot.description.urdf import Joint as Joint
+from robot.description.urdf import JointLimits, read_urdf
 from robot.errors import DescriptionError
-
-MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
-
-# Time to the velocity limit for a joint without an acceleration limit: gentle for any servo arm.
-DEFAULT_TIME_TO_FULL_SPEED_S = 0.4
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Joint of a URDF. Positions in rad (m when prismatic); rates per second and per second squared."""
-
-    name: str
-    type: str
-    parent: str
-    child: str
-    lower: float
-    upper: float
-    max_velocity: float
-    max_acceleration: float
-
-    @property
-    def movable(self) -> bool:
-        """True for a joint with a position of its own."""
-        return self.type in MOVABLE_TYPES
-
-
-@dataclass(frozen=True)
-class Group:
-    """Planning group of the SRDF: joints that move together, from ``base_link`` to ``tip_link``."""
-
-    name: str
-    joints: tuple[str, ...]
-    base_link: str
-    tip_link: str
 
 
 @dataclass(frozen=True)
@@ -79,6 +47,7 @@ class RobotModel:
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
         parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
             the link's frame; for the cases in which a hull is too wide.
+        planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     """
 
     name: str
@@ -92,6 +61,7 @@ class RobotModel:
     mesh_directory: Path | None = None
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    planning_frame: str = ""
 
     @property
     def root_link(self) -> str:
@@ -123,7 +93,12 @@ def load(urdf_path: Path, srdf_path: Path) -> RobotModel:
     Raises:
         DescriptionError: a file cannot be read or does not describe an arm.
     """
-    return parse(_text(urdf_path), _text(srdf_path), mesh_directory=urdf_path.resolve().parent)
+    return parse(
+        _text(urdf_path),
+        _text(srdf_path),
+        mesh_directory=urdf_path.resolve().parent,
+        sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
+    )
 
 
 def parse(
@@ -133,38 +108,39 @@ def parse(
     mesh_directory: Path | None = None,
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
+    limits: Mapping[str, JointLimits] | None = None,
+    sources: tuple[str, str] = ("URDF", "SRDF"),
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
 
-    Joints with the names of the SO-101's also get the limits of its servos, since the velocity limits of the URDFs in
-    circulation are placeholders of 10 rad/s.
+    Args:
+        urdf: text of the URDF.
+        srdf: text of the SRDF.
+        mesh_directory: see :class:`RobotModel`.
+        hulls: see :class:`RobotModel`.
+        parts: see :class:`RobotModel`.
+        limits: limits by joint that replace those of the URDF; None for the limits of the SO-101's servos, since the
+            velocity limits of its URDFs in circulation are placeholders of 10 rad/s.
+        sources: names of the URDF and of the SRDF, for errors.
 
     Raises:
         DescriptionError: a text does not parse, or misses what planning needs.
     """
-    robot = _root(urdf, "URDF")
-    semantics = _root(srdf, "SRDF")
-    limits = _servo_limits()
-    joints = {joint.name: joint for joint in (_joint(element, limits) for element in robot.iterfind("joint"))}
-    if not any(joint.movable for joint in joints.values()):
-        *others, last = MOVABLE_TYPES
-        raise DescriptionError("URDF", f"has no movable joint: no <joint> has the type {', '.join(others)} or {last}")
-    links = _links_from_root(robot, joints)
+    tree = read_urdf(urdf, sources[0], _servo_limits() if limits is None else limits)
+    semantics = read_srdf(srdf, sources[1], tree)
     return RobotModel(
-        name=robot.get("name", "robot"),
+        name=tree.name,
         urdf=urdf,
         srdf=srdf,
-        links=links,
-        joints=joints,
-        groups=_groups(semantics, joints),
-        named_states=_named_states(semantics, joints),
-        disabled_pairs=frozenset(
-            frozenset((_attribute(pair, "link1", "SRDF"), _attribute(pair, "link2", "SRDF")))
-            for pair in semantics.iterfind("disable_collisions")
-        ),
+        links=tree.links,
+        joints=tree.joints,
+        groups=semantics.groups,
+        named_states=semantics.named_states,
+        disabled_pairs=semantics.disabled_pairs,
         mesh_directory=mesh_directory,
         hulls=hulls or {},
         parts=parts or {},
+        planning_frame=semantics.planning_frame,
     )
 
 
@@ -175,151 +151,11 @@ def _text(path: Path) -> str:
         raise DescriptionError(str(path), f"cannot be read: {error}") from error
 
 
-def _root(text: str, kind: str) -> ET.Element:
-    try:
-        root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
-    except ET.ParseError as error:
-        raise DescriptionError(kind, f"is not XML: {error}") from error
-    if root.tag != "robot":
-        raise DescriptionError(kind, f"must start with <robot>, not <{root.tag}>")
-    return root
-
-
-def _attribute(element: ET.Element, name: str, kind: str) -> str:
-    value = element.get(name)
-    if value is None:
-        raise DescriptionError(kind, f"<{element.tag}> {element.attrib} has no attribute {name!r}")
-    return value
-
-
-def _number(element: ET.Element, name: str, where: str) -> float:
-    text = element.get(name)
-    if text is None:
-        raise DescriptionError(where, f"has no attribute {name!r}")
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise DescriptionError(where, f"{name} must be a finite number, not {text!r}")
-    return value
-
-
 def _hull(shape: Mapping[str, list[list[float]]]) -> Hull:
     return Hull(np.asarray(shape["vertices"], dtype=np.float64), np.asarray(shape["triangles"], dtype=np.int32))
 
 
-def _servo_limits() -> Mapping[str, Mapping[str, float]]:
+def _servo_limits() -> Mapping[str, JointLimits]:
     text = (resources.files("robot.description") / "so101_limits.json").read_text()
     table: Mapping[str, Mapping[str, float]] = json.loads(text)["joints"]
-    return table
-
-
-def _joint(element: ET.Element, servo_limits: Mapping[str, Mapping[str, float]]) -> Joint:
-    name = _attribute(element, "name", "URDF")
-    kind = _attribute(element, "type", "URDF")
-    parent, child = element.find("parent"), element.find("child")
-    if parent is None or child is None:
-        raise DescriptionError("URDF", f"joint {name!r} needs <parent> and <child>")
-    lower, upper, velocity, acceleration = 0.0, 0.0, 0.0, 0.0
-    if kind in MOVABLE_TYPES:
-        lower, upper, velocity = _limits(element, name, kind)
-        servo = servo_limits.get(name, {})
-        velocity = min(velocity, servo.get("max_velocity", math.inf))
-        acceleration = servo.get("max_acceleration", velocity / DEFAULT_TIME_TO_FULL_SPEED_S)
-    return Joint(
-        name=name,
-        type=kind,
-        parent=_attribute(parent, "link", "URDF"),
-        child=_attribute(child, "link", "URDF"),
-        lower=lower,
-        upper=upper,
-        max_velocity=velocity,
-        max_acceleration=acceleration,
-    )
-
-
-def _limits(element: ET.Element, name: str, kind: str) -> tuple[float, float, float]:
-    """Read lower, upper and velocity limit of a movable joint; a continuous joint may turn half a turn either way."""
-    where = f"URDF joint {name!r} <limit>"
-    limit = element.find("limit")
-    if limit is None:
-        raise DescriptionError("URDF", f"joint {name!r} has no <limit>")
-    velocity = _number(limit, "velocity", where)
-    if velocity <= 0.0:
-        raise DescriptionError(where, f"velocity must be above 0, not {velocity:g}")
-    if kind == "continuous":
-        return -math.pi, math.pi, velocity
-    lower, upper = _number(limit, "lower", where), _number(limit, "upper", where)
-    if lower >= upper:
-        raise DescriptionError(where, f"lower {lower:g} must be below upper {upper:g}")
-    return lower, upper, velocity
-
-
-def _links_from_root(robot: ET.Element, joints: Mapping[str, Joint]) -> tuple[str, ...]:
-    """Return the link names, root first, parents before children."""
-    names = [_attribute(link, "name", "URDF") for link in robot.iterfind("link")]
-    parent_of = {joint.child: joint.parent for joint in joints.values()}
-    for child, parent in parent_of.items():
-        for link in (child, parent):
-            if link not in names:
-                raise DescriptionError("URDF", f"a joint names the link {link!r}, which does not exist")
-    roots = [name for name in names if name not in parent_of]
-    if len(roots) != 1:
-        raise DescriptionError("URDF", f"must have exactly one root link, not {roots}")
-    ordered = list(roots)
-    for link in ordered:
-        ordered.extend(child for child, parent in parent_of.items() if parent == link)
-    return tuple(ordered)
-
-
-def _chain(joints: Mapping[str, Joint], base_link: str, tip_link: str, group: str) -> tuple[Joint, ...]:
-    """Return the joints from ``base_link`` to ``tip_link``, base first."""
-    by_child = {joint.child: joint for joint in joints.values()}
-    chain: list[Joint] = []
-    link = tip_link
-    while link != base_link:
-        if link not in by_child:
-            raise DescriptionError("SRDF", f"group {group!r}: no chain leads from {base_link!r} to {tip_link!r}")
-        chain.append(by_child[link])
-        link = by_child[link].parent
-    return tuple(reversed(chain))
-
-
-def _groups(semantics: ET.Element, joints: Mapping[str, Joint]) -> dict[str, Group]:
-    groups = {}
-    for element in semantics.iterfind("group"):
-        name = _attribute(element, "name", "SRDF")
-        chain = element.find("chain")
-        members: tuple[Joint, ...]
-        if chain is not None:
-            base, tip = _attribute(chain, "base_link", "SRDF"), _attribute(chain, "tip_link", "SRDF")
-            members = _chain(joints, base, tip, name)
-        else:
-            names = [_attribute(joint, "name", "SRDF") for joint in element.iterfind("joint")]
-            unknown = [joint for joint in names if joint not in joints]
-            if unknown or not names:
-                raise DescriptionError(
-                    "SRDF", f"group {name!r} needs a <chain> or <joint>s of the URDF; unknown: {unknown}"
-                )
-            members = tuple(joints[joint] for joint in names)
-            base, tip = members[0].parent, members[-1].child
-        movable = tuple(joint.name for joint in members if joint.movable)
-        groups[name] = Group(name, movable, base, tip)
-    if not groups:
-        raise DescriptionError("SRDF", "has no <group>")
-    return groups
-
-
-def _named_states(semantics: ET.Element, joints: Mapping[str, Joint]) -> dict[str, dict[str, dict[str, float]]]:
-    states: dict[str, dict[str, dict[str, float]]] = {}
-    for element in semantics.iterfind("group_state"):
-        name, group = _attribute(element, "name", "SRDF"), _attribute(element, "group", "SRDF")
-        positions = {}
-        for joint in element.iterfind("joint"):
-            joint_name = _attribute(joint, "name", "SRDF")
-            if joint_name not in joints:
-                raise DescriptionError("SRDF", f"group_state {name!r} names the unknown joint {joint_name!r}")
-            positions[joint_name] = _number(joint, "value", f"SRDF group_state {name!r} joint {joint_name!r}")
-        states.setdefault(group, {})[name] = positions
-    return states
+    return {name: JointLimits(each["max_velocity"], each["max_acceleration"]) for name, each in table.items()}

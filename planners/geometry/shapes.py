@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from planners.errors import ShapeError
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
+from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import RobotModel
+from robot.errors import DescriptionError
 from robot.trajectory import Vector
 
 # A check's time grows with the corners: hulls of the SO-101's meshes have thousands and take five times as long.
@@ -114,11 +116,10 @@ def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]
     Raises:
         ShapeError: a shape cannot be loaded.
     """
-    # package:// names start above the package's own directory, relative names in it.
-    folders = [] if robot.mesh_directory is None else [str(robot.mesh_directory), str(robot.mesh_directory.parent)]
     try:
-        geometry = pin.buildGeomFromUrdfString(model, robot.urdf, pin.GeometryType.COLLISION, package_dirs=folders)
-    except (ValueError, RuntimeError) as error:
+        urdf = with_mesh_paths(robot.urdf, robot.mesh_directory, robot.package_directories)
+        geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    except (DescriptionError, ValueError, RuntimeError) as error:
         raise ShapeError(robot.name, f"cannot be loaded: {error}") from error
     return list(geometry.geometryObjects)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.description.mesh_files import check_meshes, package_path
 from robot.description.srdf import Group as Group
 from robot.description.srdf import read_srdf
 from robot.description.urdf import Joint as Joint
@@ -39,6 +41,7 @@ class RobotModel:
         urdf: text of the URDF.
         srdf: text of the SRDF.
         mesh_directory: base of the URDF's relative mesh paths; None for a URDF without meshes.
+        package_directories: folders for ``package://``, beside those around the URDF.
         links: link names, root first.
         joints: every joint by name, in the order of the URDF.
         groups: planning groups by name.
@@ -62,6 +65,7 @@ class RobotModel:
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
     planning_frame: str = ""
+    package_directories: tuple[Path, ...] = ()
 
     @property
     def root_link(self) -> str:
@@ -87,16 +91,22 @@ def builtin() -> RobotModel:
     )
 
 
-def load(urdf_path: Path, srdf_path: Path) -> RobotModel:
+def load(urdf_path: Path, srdf_path: Path, package_directories: Sequence[Path] = ()) -> RobotModel:
     """Read a robot from files.
 
+    Args:
+        urdf_path: URDF.
+        srdf_path: SRDF.
+        package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
+
     Raises:
-        DescriptionError: a file cannot be read or does not describe an arm.
+        DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
     """
     return parse(
         _text(urdf_path),
         _text(srdf_path),
         mesh_directory=urdf_path.resolve().parent,
+        package_directories=(*package_directories, *package_path(os.environ)),
         sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
     )
 
@@ -106,6 +116,7 @@ def parse(
     srdf: str,
     *,
     mesh_directory: Path | None = None,
+    package_directories: tuple[Path, ...] = (),
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
     limits: Mapping[str, JointLimits] | None = None,
@@ -117,6 +128,7 @@ def parse(
         urdf: text of the URDF.
         srdf: text of the SRDF.
         mesh_directory: see :class:`RobotModel`.
+        package_directories: see :class:`RobotModel`.
         hulls: see :class:`RobotModel`.
         parts: see :class:`RobotModel`.
         limits: limits by joint that replace those of the URDF; None for the limits of the SO-101's servos, since the
@@ -124,10 +136,13 @@ def parse(
         sources: names of the URDF and of the SRDF, for errors.
 
     Raises:
-        DescriptionError: a text does not parse, or misses what planning needs.
+        DescriptionError: a text does not parse, or misses what planning needs; with a mesh directory and without
+            hulls, a mesh is not there.
     """
     tree = read_urdf(urdf, sources[0], _servo_limits() if limits is None else limits)
     semantics = read_srdf(srdf, sources[1], tree)
+    if mesh_directory is not None and not hulls:
+        check_meshes(urdf, sources[0], mesh_directory, package_directories)
     return RobotModel(
         name=tree.name,
         urdf=urdf,
@@ -138,6 +153,7 @@ def parse(
         named_states=semantics.named_states,
         disabled_pairs=semantics.disabled_pairs,
         mesh_directory=mesh_directory,
+        package_directories=package_directories,
         hulls=hulls or {},
         parts=parts or {},
         planning_frame=semantics.planning_frame,

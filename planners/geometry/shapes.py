@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
+from planners.geometry.plain_urdf import plain_urdf
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import RobotModel
@@ -117,11 +118,16 @@ def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]
         ShapeError: a shape cannot be loaded.
     """
     try:
-        urdf = with_mesh_paths(robot.urdf, robot.mesh_directory, robot.package_directories)
+        urdf = with_mesh_paths(plain_urdf(robot), robot.mesh_directory, robot.package_directories)
         geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     except (DescriptionError, ValueError, RuntimeError) as error:
         raise ShapeError(robot.name, f"cannot be loaded: {error}") from error
     return list(geometry.geometryObjects)
+
+
+def frame_of_link(model: pin.Model, link: str) -> int:
+    """Return the index of a link's frame; a joint may have the link's name."""
+    return int(model.getFrameId(link, pin.FrameType.BODY))
 
 
 def link_name(model: pin.Model, shape: pin.GeometryObject) -> str:
@@ -147,7 +153,7 @@ def scaled(shape: coal.CollisionGeometry, factor: float) -> coal.Convex:
 
 def on_link(model: pin.Model, link: str, shape: coal.CollisionGeometry) -> pin.GeometryObject:
     """A shape in the frame of a link."""
-    frame_id = model.getFrameId(link)
+    frame_id = frame_of_link(model, link)
     frame = model.frames[frame_id]
     return pin.GeometryObject(link, frame.parentJoint, frame_id, frame.placement, shape)
 

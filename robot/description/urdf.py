@@ -48,9 +48,14 @@ class Joint:
     mimic: Mimic | None = None
 
     @property
+    def moves(self) -> bool:
+        """True for a joint that moves, be it with a position of its own or with another joint."""
+        return self.type in MOVABLE_TYPES
+
+    @property
     def movable(self) -> bool:
         """True for a joint with a position of its own."""
-        return self.type in MOVABLE_TYPES and self.mimic is None
+        return self.moves and self.mimic is None
 
 
 @dataclass(frozen=True)

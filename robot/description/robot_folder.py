@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -99,13 +99,16 @@ def problems(folder: Path) -> tuple[str, ...]:
     return ()
 
 
-def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) -> RobotFolder:
+def load(
+    folder: Path, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
+) -> RobotFolder:
     """Load an arm from its folder.
 
     Args:
         folder: the folder.
         urdf: URDF in place of the folder's, whose hulls and parts then do not apply.
         srdf: SRDF that goes with it.
+        package_directories: folders for ``package://``, ahead of the folder's own.
 
     Raises:
         DescriptionError: the folder does not describe an arm; a RobotFileError names all problems.
@@ -122,10 +125,11 @@ def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) ->
     own = urdf is None
     urdf = urdf or found.of(lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
     srdf = srdf or found.of(lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
+    packages = (*package_directories, *((folder / package).resolve() for package in file.robot.packages))
     arm = None
     if urdf is not None and srdf is not None:
         described = urdf, srdf
-        arm = found.of(lambda: model.load(*described, limits=limits), None)
+        arm = found.of(lambda: model.load(*described, packages, limits), None)
     hulls: dict[str, Hull] = {}
     parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
     if own and (hulls_file := file.robot.hulls) is not None:
@@ -145,8 +149,7 @@ def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) ->
         gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
-        held_joints=file.held_joints,
-        package_directories=tuple((folder / package).resolve() for package in file.robot.packages),
+        held_joints={**arm.held_joints, **file.held_joints},
     )
     return RobotFolder(
         folder.resolve().name, file.robot.title or folder.resolve().name, arm, _hardware(file, arm), folder

@@ -61,7 +61,7 @@ def run_list(_options: argparse.Namespace) -> int:
 
 
 def _summary(found: RobotFolder) -> str:
-    arm, hardware = found.model, found.hardware
+    arm, hardware, held = found.model, found.hardware, found.model.held_joints
     servos = {servo.joint: f"{servo.model}, id {servo.servo_id}" for servo in hardware.servos}
     rows = [
         (
@@ -70,7 +70,7 @@ def _summary(found: RobotFolder) -> str:
             f"{joint.lower:.3f} .. {joint.upper:.3f}",
             f"{joint.max_velocity:g}",
             f"{joint.max_acceleration:g}",
-            f"held at {arm.held_joints[joint.name]:g}" if joint.name in arm.held_joints else servos.get(joint.name, "-"),
+            servos.get(joint.name, f"held at {held[joint.name]:g}" if joint.name in held else "-"),
         )
         for joint in arm.movable_joints
     ]

@@ -13,6 +13,7 @@ import pytest
 
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
+from server.moveit.poses import pose_of, write_pose
 from tests.helpers.clients import ArmClient, FrameClient, arm_client, frame_client, status_state
 from tests.helpers.robots import LIFTED_GRIPPER, LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF, folder_arguments
 from tests.helpers.server import RunningServer
@@ -95,14 +96,9 @@ async def joints_goal(client: FrameClient, joints: dict[str, float]) -> dict[str
     return await present(client)
 
 
-def pose_message(transform: Any, frame: str = "base") -> dict[str, Any]:
-    """The geometry_msgs/PoseStamped of a transform whose turn is by less than half a circle."""
-    w = math.sqrt(max(0.0, 1.0 + np.trace(transform[:3, :3]))) / 2.0
-    rotation = transform[:3, :3]
-    axis = (rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1])
-    orientation = {**dict(zip("xyz", (value / (4.0 * w) for value in axis), strict=True)), "w": w}
-    position = dict(zip("xyz", transform[:3, 3].tolist(), strict=True))
-    return {"header": {"frame_id": frame}, "pose": {"position": position, "orientation": orientation}}
+def pose_message(transform: Any) -> dict[str, Any]:
+    """The geometry_msgs/PoseStamped of a transform in the column's root link."""
+    return {"header": {"frame_id": "base"}, "pose": write_pose(pose_of(transform))}
 
 
 def turn_rad(first: Any, second: Any) -> float:

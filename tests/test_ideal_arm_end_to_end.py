@@ -12,6 +12,7 @@ import pytest
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
+from server.moveit.poses import pose_of, write_pose
 from tests.helpers.clients import FrameClient, arm_client, frame_client, values_of
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import RunningServer
@@ -28,6 +29,9 @@ ARRIVED = 0.005
 
 # moveit.position_tolerance, and what the lag leaves over.
 POSITION_M = 0.012
+
+# moveit.orientation_tolerance about each of three axes, and the same.
+TURN_RAD = 0.025
 
 
 @pytest.fixture(scope="module", params=[SEVEN_JOINT_URDF, SLIDING], ids=["seven joints turn", "the last one slides"])
@@ -84,13 +88,15 @@ async def test_a_goal_of_joints_is_reached(client: FrameClient) -> None:
     assert {name: joints[name] for name in goal} == pytest.approx(goal, abs=ARRIVED)
 
 
-async def test_a_goal_of_a_position_is_reached(client: FrameClient, robot: RobotModel) -> None:
+async def test_a_goal_of_a_pose_is_reached(client: FrameClient, robot: RobotModel) -> None:
     placements = ForwardPlacements(robot)
     reachable = {"a1": 0.3, "a2": 0.6, "a3": 0.2, "a4": 1.0, "a5": 0.1, "a6": 0.7, "a7": 0.05}
-    wanted_m = placements.transforms(reachable)["tool"][:3, 3]
-    pose = {"position": dict(zip("xyz", wanted_m.tolist(), strict=True)), "orientation": {"w": 1.0}}
+    wanted = placements.transforms(reachable)["tool"]
+    pose = write_pose(pose_of(wanted))
     joints = await arrive(client, "/moveit_goal_pose", {"header": {"frame_id": "pedestal"}, "pose": pose})
-    np.testing.assert_allclose(placements.transforms(joints)["tool"][:3, 3], wanted_m, atol=POSITION_M)
+    reached = placements.transforms(joints)["tool"]
+    np.testing.assert_allclose(reached[:3, 3], wanted[:3, 3], atol=POSITION_M)
+    np.testing.assert_allclose(reached[:3, :3], wanted[:3, :3], atol=TURN_RAD)
 
 
 async def test_its_joints_have_no_servos_to_tell_of(client: FrameClient) -> None:

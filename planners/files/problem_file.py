@@ -41,9 +41,6 @@ _SHAPE_OF: Mapping[str, Callable[..., scene.Shape]] = {
 
 FORMAT: Literal["so101-plan-bench/1"] = "so101-plan-bench/1"
 
-# The joint that the field ``gripper`` positions: the only one of the SO-101 that is not in its planning group.
-GRIPPER_JOINT = "gripper"
-
 _GOALS: Mapping[str, type[Any]] = {
     "joints": JointGoal,
     "position": PositionGoal,
@@ -359,11 +356,17 @@ class _Reader:
         start = self._of_joint(f"{where}.start", entry.start)
         start_rad = {joint.name: 0.0 for joint in self._robot.movable_joints} | self._fields.other_joints
         if self._fields.gripper is not None:
-            start_rad[GRIPPER_JOINT] = self._fields.gripper
+            start_rad |= dict.fromkeys(self._gripper_joints(), self._fields.gripper)
         start_rad |= dict(zip(self._fields.joint_names, start, strict=True))
         fields = {"group": self._group, "start_rad": start_rad, "goal": self._goal(where, entry)}
         problem: PlanningProblem = self._validated(f"{where}.options", PlanningProblem, {**entry.options, **fields})
         return problem
+
+    def _gripper_joints(self) -> tuple[str, ...]:
+        """The joints of the gripper, for a file that positions it."""
+        if self._robot.gripper is None:
+            raise self._wrong("gripper", "the robot has no gripper: name its other joints in other_joints")
+        return self._robot.gripper.joints
 
     def _goal(self, where: str, entry: _Entry) -> Goal:
         if isinstance(entry.goal, list):

@@ -57,6 +57,11 @@ class Joint:
         """True for a joint with a position of its own."""
         return self.moves and self.mimic is None
 
+    @property
+    def unit(self) -> str:
+        """Unit of its positions."""
+        return "m" if self.type == "prismatic" else "rad"
+
 
 @dataclass(frozen=True)
 class JointLimits:

@@ -153,7 +153,7 @@ class GoalExecutor:
         self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._time_limits = time_limits or TimeLimits()
-        self._player = Player(arm, self._scene_monitor, self._time_limits, self._in_progress)
+        self._player = Player(arm, robot, self._scene_monitor, self._time_limits, self._in_progress)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
 

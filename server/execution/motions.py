@@ -279,7 +279,7 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
     away = np.abs(motion.positions_rad[0] - held)
     worst = int(np.argmax(away))
     if away[worst] > START_TOLERANCE_RAD:
-        raise _too_far(motion, held, worst)
+        raise _too_far(motion, held, worst, robot)
     if away[worst] <= SAME_START_RAD:
         return motion
     lead_s = _lead_in_s(motion.joint_names, away, robot)
@@ -313,14 +313,15 @@ def _lead_in_s(joint_names: tuple[str, ...], way_rad: np.ndarray, robot: RobotMo
     return float(np.max(np.maximum(by_velocity, by_acceleration)))
 
 
-def _too_far(motion: Trajectory, held: np.ndarray, worst: int) -> RefusedError:
+def _too_far(motion: Trajectory, held: np.ndarray, worst: int, robot: RobotModel) -> RefusedError:
     name = motion.joint_names[worst]
+    unit = robot.joints[name].unit
     start_rad, held_rad = float(motion.positions_rad[0, worst]), float(held[worst])
     return RefusedError(
         PlanningFailure(
             MoveItErrorCode.CONTROL_FAILED,
-            f"the motion starts with joint {name} at {start_rad:.4f} rad, but the arm holds it at {held_rad:.4f} rad "
-            f"(tolerance {START_TOLERANCE_RAD} rad): plan it anew from here",
+            f"the motion starts with joint {name} at {start_rad:.4f} {unit}, but the arm holds it at {held_rad:.4f}"
+            f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it anew from here",
             {"joint": name, "start_rad": start_rad, "held_rad": held_rad, "tolerance_rad": START_TOLERANCE_RAD},
         )
     )

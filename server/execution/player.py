@@ -16,6 +16,7 @@ import numpy as np
 
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckQuestion
 from robot.arm import Arm
+from robot.description.model import RobotModel
 from robot.messages import ArmState, Course, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.execution.monitors import Questions, SceneMonitor
@@ -91,6 +92,7 @@ class Player:
 
     Args:
         arm: the arm.
+        robot: its description.
         scene_monitor: monitors the motion.
         time_limits: of motions.
         in_progress: gets the motion.
@@ -103,12 +105,14 @@ class Player:
     def __init__(
         self,
         arm: Arm,
+        robot: RobotModel,
         scene_monitor: SceneMonitor,
         time_limits: TimeLimits,
         in_progress: MotionsInProgress,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
+        self._robot = robot
         self._scene_monitor = scene_monitor
         self._time_limits = time_limits
         self._in_progress = in_progress
@@ -220,7 +224,7 @@ class Player:
             if not ended.done() and progress is not None:
                 report(Progress(GoalState.EXECUTING, motion.summary, progress.fraction, progress.remaining_s))
         if not ended.done():
-            lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names)
+            lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
             self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{deadline.exceeded}; {lag}"))
             await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
         if not ended.done():
@@ -245,11 +249,11 @@ class Player:
         return Answer(self._end.code, f"{self._end.message}: {ended.message}", self._end.details)
 
 
-def _greatest_lag(state: ArmState, joints: tuple[str, ...]) -> str:
+def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:
     """Return a sentence that names the joint, of some, that is farthest from its goal."""
     if state.goal_rad is None or state.position_rad is None:
         return "where its joints are is not known"
     error_rad = np.abs(state.goal_rad - state.position_rad)
     lags = {name: float(error_rad[state.joint_names.index(name)]) for name in joints}
     worst = max(lags, key=lambda name: lags[name])
-    return f"joint {worst} is {lags[worst]:.3f} rad behind"
+    return f"joint {worst} is {lags[worst]:.3f} {robot.joints[worst].unit} behind"

@@ -29,7 +29,7 @@ from protocol.errors import one_line, shorten
 from robot.description.model import RobotModel
 from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
-from server.moveit.description import find_file, package_name, with_package_urls
+from server.moveit.description import RobotFiles, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -364,7 +364,7 @@ class HttpHandler:
         page_directory: Path = PAGE_DIRECTORY,
         routes: Mapping[str, Route] | None = None,
     ) -> None:
-        self._robot = robot
+        self._files = None if robot is None else RobotFiles(robot)
         self._routes = {} if routes is None else routes
         self._page_directory = page_directory
         # Large meshes do not put the page out, nor does their disk hold it up.
@@ -442,12 +442,11 @@ class HttpHandler:
         text = self._descriptions.get(name)
         if text is not None:
             file = StoredFile.of(text, gzipped=gzipped)
-        elif self._robot is None:
+        elif (files := self._files) is None:
             raise ServiceError("there is no robot")
         else:
-            directory, package = self._robot.mesh_directory, package_name(self._robot)
             url = f"package://{name}"
-            file = await self._robot_files.read(lambda: find_file(directory, package, url), gzipped=gzipped)
+            file = await self._robot_files.read(lambda: files.find(url), gzipped=gzipped)
         return HttpResponse.of_file(file, media_type(name), _ASK_AGAIN, _cors(ROBOT))
 
     def _tell(self, sentence: str) -> None:

@@ -212,7 +212,7 @@ def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
 def queue_metrics(queue: GoalQueue[Any]) -> Iterator[Metric]:
     """Yield the metrics of goals that are not answered yet."""
     yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
-    yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on, 0 or 1.", int(bool(queue.busy)))
+    yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
 
 
 def planner_metrics(planners: PlannerPool) -> Iterator[Metric]:

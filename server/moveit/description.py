@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import json
 import logging
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from robot.description.mesh_files import find_mesh
 from robot.description.model import RobotModel
+from robot.errors import DescriptionError
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -52,6 +56,7 @@ class RobotDescription:
     def __init__(self, graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
         self._graph = graph
         self._robot = robot
+        self._files = RobotFiles(robot)
         self._keep_parameter = keep_parameter
         self._node = Node("robot description")
 
@@ -69,9 +74,52 @@ class RobotDescription:
 
     async def _get_file(self, request: dict[str, Any]) -> dict[str, Any]:
         # A slow disk must not hold up whatever else the server does; the call itself is bounded.
-        directory, package = self._robot.mesh_directory, package_name(self._robot)
-        octets = await asyncio.to_thread(read_file, directory, package, request["name"])
+        octets = await asyncio.to_thread(self._files.read, request["name"])
         return {"value": base64.b64encode(octets).decode("ascii")}
+
+
+class RobotFiles:
+    """Files that clients may fetch: those below the URDF's folder, and those beside the meshes of its packages.
+
+    Args:
+        robot: the arm.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._robot = robot
+        self._package = package_name(robot)
+
+    def find(self, name: str) -> Path:
+        """Find a file.
+
+        Args:
+            name: a ``package://`` URL, or a path within the URDF's folder.
+
+        Raises:
+            ServiceError: there is no such file, or it is of another kind or elsewhere.
+            FileTooLargeError: the file is too large.
+        """
+        for url, folder in self._mesh_folders.items():
+            if name.startswith(f"{url}/"):
+                return _checked(folder, name.removeprefix(f"{url}/"), name, f"{url}/")
+        return find_file(self._robot.mesh_directory, self._package, name)
+
+    def read(self, name: str) -> bytes:
+        """Read a file; argument and errors are those of :meth:`find`."""
+        return _read(self.find(name), name)
+
+    @cached_property
+    def _mesh_folders(self) -> dict[str, Path]:
+        """The folders of meshes that the URDF names by package URLs, by their own URL."""
+        folders: dict[str, Path] = {}
+        root = ET.fromstring(self._robot.urdf)  # noqa: S314 - the user's own file, already parsed
+        for name in {mesh.get("filename", "") for mesh in root.iter("mesh")}:
+            if name.startswith(_PACKAGE):
+                # What is only seen may be missing: the start has told of it.
+                with contextlib.suppress(DescriptionError):
+                    found = find_mesh(name, self._robot.mesh_directory, self._robot.package_directories)
+                    folders[name.rpartition("/")[0]] = found.parent
+        return folders
 
 
 def package_name(robot: RobotModel) -> str:
@@ -109,10 +157,25 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
     """
     if directory is None:
         raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")
-    nowhere = f"name: {name!r} is no file below {_PACKAGE}{package}/"
+    return _checked(directory, _within(directory.resolve(), package, name), name, f"{_PACKAGE}{package}/")
+
+
+def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
+    """Return a file in a directory.
+
+    Args:
+        directory: nothing outside it is served.
+        inner: path of the file in it.
+        name: name of the file, for errors.
+        url: URL of the directory, for errors.
+
+    Raises:
+        ServiceError: there is no such file, or it is of another kind or outside the directory.
+        FileTooLargeError: the file is too large.
+    """
+    nowhere = f"name: {name!r} is no file below {url}"
     try:
         root = directory.resolve()
-        inner = _within(root, package, name)
         path = (root / inner).resolve()
         # Whatever the name says, links included, the file must be where the description is.
         if not path.is_relative_to(root) or _hidden(path.relative_to(root)) or not path.is_file():
@@ -130,7 +193,10 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
 
 def read_file(directory: Path | None, package: str, name: str) -> bytes:
     """Read one of the robot's files; arguments and errors are those of :func:`find_file`."""
-    path = find_file(directory, package, name)
+    return _read(find_file(directory, package, name), name)
+
+
+def _read(path: Path, name: str) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:

@@ -15,7 +15,7 @@ from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, composed, read_pose
-from server.moveit.requests.context import chooses_orientation, planning_group, tip_link
+from server.moveit.requests.context import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
@@ -63,7 +63,7 @@ class GoalTranslator:
 
     @property
     def tip(self) -> str:
-        """The link that pose goals are for."""
+        """The link that pose goals are for; empty for a group that has none."""
         return tip_link(self._robot, self.group, self._parameters)
 
     def select_group(self, name: str) -> None:
@@ -133,10 +133,11 @@ class GoalTranslator:
         A frame that moves with the arm is resolved when the goal's turn comes.
 
         Raises:
-            RefusedError: a number is not finite, the orientation is none although it counts, or there is no such
-                frame.
+            RefusedError: a number is not finite, the orientation is none although it counts, the group has no tip, or
+                there is no such frame.
         """
-        frame, group, tip = self._frame(message), self.group, self.tip
+        frame, group = self._frame(message), self.group
+        tip = checked_tip(self.tip, group)
         whole = chooses_orientation(group)
         pose = _whole_pose(message["pose"], group) if whole else Pose(_position_m(message["pose"]))
         radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
@@ -240,7 +241,7 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
         name = details["nearest_name"]
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")
     if "free_rad" in details:
-        return _joints(details["free_rad"], "the last free configuration on the way there")
+        return _joints(details["free_rad"], robot, "the last free configuration on the way there")
     if "free_m" in details:
         return _point(details["free_m"], message, robot.root_link, "the last free point on the way there")
     if "nearest_m" in details:
@@ -262,10 +263,15 @@ def _point(position_m: list[float], message: Message, root: str, what: str) -> S
     return Suggestion(POSE_TOPIC, POSE_TYPE, msg, f"{what}, ({x:.3f}, {y:.3f}, {z:.3f}) m")
 
 
-def _joints(positions_rad: Mapping[str, float], what: str) -> Suggestion:
+def _joints(positions_rad: Mapping[str, float], robot: RobotModel, what: str) -> Suggestion:
     msg = {"name": list(positions_rad), "position": list(positions_rad.values())}
-    listed = ", ".join(f"{name} {position_rad:.3f}" for name, position_rad in positions_rad.items())
-    return Suggestion(JOINTS_TOPIC, JOINTS_TYPE, msg, f"{what}, {listed} rad")
+    units = {robot.joints[name].unit for name in positions_rad}
+    listed = ", ".join(
+        f"{name} {value:.3f}" + (f" {robot.joints[name].unit}" if len(units) > 1 else "")
+        for name, value in positions_rad.items()
+    )
+    unit = f" {units.pop()}" if len(units) == 1 else ""
+    return Suggestion(JOINTS_TOPIC, JOINTS_TYPE, msg, f"{what}, {listed}{unit}")
 
 
 def _within_limits(message: Message, robot: RobotModel) -> Suggestion:
@@ -274,5 +280,5 @@ def _within_limits(message: Message, robot: RobotModel) -> Suggestion:
     known = {name: value for name, value in named if name in robot.joints}
     limits = {name: (robot.joints[name].lower, robot.joints[name].upper) for name in known}
     return _joints(
-        {name: min(max(known[name], low), high) for name, (low, high) in limits.items()}, "within the limits"
+        {name: min(max(known[name], low), high) for name, (low, high) in limits.items()}, robot, "within the limits"
     )

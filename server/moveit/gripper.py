@@ -186,7 +186,7 @@ class Gripper:
         check_ready(self._arm)
         velocity = min(command.max_velocity or self._max_velocity, self._max_velocity)
         trajectory = fingers_together(self._names, self._goals(), command.position, velocity, self._max_acceleration)
-        field = f"the duration of the way to {command.position:.3f} {unit_of(self.joints[0])}"
+        field = f"the duration of the way to {command.position:.3f} {self.joints[0].unit}"
         self._time_limits.check_duration(
             trajectory.duration_s, field, MoveItErrorCode.FAILURE, ": raise the command's velocity"
         )
@@ -265,11 +265,6 @@ def fingers_together(
         array * way for array in (share.positions_rad, share.velocities_rad_s, share.accelerations_rad_s2)
     )
     return Trajectory(names, share.time_s, start + positions, velocities, accelerations)
-
-
-def unit_of(joint: Joint) -> str:
-    """Return the unit of a joint's positions."""
-    return "m" if joint.type == "prismatic" else "rad"
 
 
 class ActionMessages(Protocol):
@@ -387,7 +382,7 @@ def _checked_command(
         RefusedError: a value is out of bounds.
     """
     lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
-    unit = unit_of(joints[0])
+    unit = joints[0].unit
     beyond = CLAMPED_WITHIN_M if unit == "m" else CLAMPED_WITHIN_RAD
     each = position / fingers
     if not lower - beyond <= each <= upper + beyond:

@@ -295,7 +295,7 @@ class JointTrajectoryController:
             self._queue.reject(goal.action, error.failure)
             goal.finish(GoalStatus.ABORTED, result(rejection_code(error), error.failure.message))
             return
-        trajectory_goal = TrajectoryGoal(goal, self._group.joints, tolerances)
+        trajectory_goal = TrajectoryGoal(goal, self._group.joints, tolerances, self._robot)
 
         def send_feedback(progress: Progress) -> None:
             trajectory_goal.take_progress(progress)
@@ -341,10 +341,12 @@ class TrajectoryGoal:
         goal: the action's goal.
         joints: the controlled joints.
         tolerances: its tolerances.
+        robot: the arm.
     """
 
-    def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances) -> None:
+    def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
         self._goal = goal
+        self._robot = robot
         self._joints = joints
         self._tolerances = tolerances
         self._executing = False
@@ -367,7 +369,7 @@ class TrajectoryGoal:
             self._end_when_settled(state, *self._settling)
         elif self._executing and not self._path_violation and state.goal_rad is not None:
             desired_rad = dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
-            self._path_violation = violation(self._tolerances.path, state, desired_rad)
+            self._path_violation = violation(self._tolerances.path, state, desired_rad, self._robot)
             if self._path_violation:
                 cancel(self._path_violation)
 
@@ -399,7 +401,7 @@ class TrajectoryGoal:
     def _end_when_settled(self, state: ArmState, answer: Answer, end_rad: Positions, until_s: float) -> None:
         if self._goal.ended:
             return
-        goal_violation = violation(self._tolerances.goal, state, end_rad)
+        goal_violation = violation(self._tolerances.goal, state, end_rad, self._robot)
         if not goal_violation:
             self._finish(answer)
         elif state.clock_s >= until_s:
@@ -494,13 +496,14 @@ def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[st
     return tolerances
 
 
-def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions) -> str:
+def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions, robot: RobotModel) -> str:
     """Describe the first joint beyond its tolerance; empty if there is none.
 
     Args:
         tolerances: the tolerances.
         state: a state of the arm.
         desired_rad: position of every joint [rad].
+        robot: the arm.
     """
     if state.position_rad is None:
         return ""
@@ -508,7 +511,10 @@ def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions) -
     for name, tolerance_rad in tolerances.items():
         error_rad = abs(measured[name] - desired_rad[name])
         if error_rad > tolerance_rad:
-            return f"joint {name} is {error_rad:.3f} rad from where it should be (tolerance {tolerance_rad:g} rad)"
+            unit = robot.joints[name].unit
+            return (
+                f"joint {name} is {error_rad:.3f} {unit} from where it should be (tolerance {tolerance_rad:g} {unit})"
+            )
     return ""
 
 

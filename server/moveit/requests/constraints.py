@@ -94,7 +94,7 @@ def _constraint(message: Message, context: RequestContext, where: str) -> JointC
     for field, value in (("tolerance_above", above), ("tolerance_below", below)):
         if value < 0.0:
             raise invalid(
-                f"{where}.{field} of joint {joint.name} must be 0 rad or more, not {value:g}", joint=joint.name
+                f"{where}.{field} of joint {joint.name} must be 0 {joint.unit} or more, not {value:g}", joint=joint.name
             )
     position = _within_limits(joint, message, context, where)
     lower, upper = min(position, message["position"] - below), max(position, message["position"] + above)
@@ -108,8 +108,8 @@ def _within_limits(joint: Joint, message: Message, context: RequestContext, wher
     own = message["tolerance_below"] if requested > inside else message["tolerance_above"]
     if abs(requested - inside) > max(context.parameters.joint_tolerance, own):
         raise invalid(
-            f"{where}: the position of joint {joint.name!r}, {requested:.4g} rad, is beyond its limits"
-            f" {joint.lower:.4g} to {joint.upper:.4g} rad",
+            f"{where}: the position of joint {joint.name!r}, {requested:.4g} {joint.unit}, is beyond its limits"
+            f" {joint.lower:.4g} to {joint.upper:.4g} {joint.unit}",
             joint=joint.name,
             position_rad=requested,
             lower_rad=joint.lower,
@@ -117,7 +117,7 @@ def _within_limits(joint: Joint, message: Message, context: RequestContext, wher
         )
     if inside != requested:
         context.warnings.append(
-            f"the goal of joint {joint.name} is moved from {requested:.4g} rad to its limit {inside:.4g} rad"
+            f"the goal of joint {joint.name} is moved from {requested:.4g} to its limit {inside:.4g} {joint.unit}"
         )
     return inside
 
@@ -129,7 +129,7 @@ def _common(first: JointConstraint, second: JointConstraint, where: str) -> Join
     if lower > upper + LEAST_JOINT_TOLERANCE_RAD:
         raise invalid(
             f"{where}: the constraints on joint {first.joint!r} leave it no position:"
-            f" one ends at {upper:.4g} rad, another begins at {lower:.4g} rad",
+            f" one ends at {upper:.4g}, another begins at {lower:.4g}",
             joint=first.joint,
         )
     position = min(max(first.position_rad, lower), upper)

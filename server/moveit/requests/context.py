@@ -46,10 +46,10 @@ class RequestContext:
         """Return the name of a link; that of the tip for an empty name.
 
         Raises:
-            RefusedError: there is no such link.
+            RefusedError: there is no such link, or the group has no tip.
         """
         if not name:
-            return tip_link(self.robot, self.group, self.parameters)
+            return checked_tip(tip_link(self.robot, self.group, self.parameters), self.group)
         if name not in self.robot.links:
             known = ", ".join(self.robot.links)
             raise refused(
@@ -77,8 +77,23 @@ def chooses_orientation(group: Group) -> bool:
     return len(group.joints) >= FREE_POSE_JOINTS
 
 
+def checked_tip(link: str, group: Group) -> str:
+    """Return the tip of a group.
+
+    Raises:
+        RefusedError: it has none.
+    """
+    if not link:
+        raise refused(
+            MoveItErrorCode.INVALID_LINK_NAME,
+            f"group {group.name} has no tip, for its joints are not one chain: name a link, or another group",
+            group=group.name,
+        )
+    return link
+
+
 def tip_link(robot: RobotModel, group: Group, parameters: MoveItParameters) -> str:
-    """Return the link that goals of a group move when they name none."""
+    """Return the link that goals of a group move when they name none; empty where the group is not one chain."""
     if group.name != (parameters.group_name or robot.default_group):
         return group.tip_link
     if parameters.end_effector_link:

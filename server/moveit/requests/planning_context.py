@@ -64,8 +64,8 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
         if abs(value - inside) > MAX_START_BOUNDS_ERROR_RAD:
             raise refused(
                 MoveItErrorCode.START_STATE_INVALID,
-                f"the start has joint {joint.name!r} at {value:.4g} rad, beyond its limits {joint.lower:.4g} to"
-                f" {joint.upper:.4g} rad by more than {MAX_START_BOUNDS_ERROR_RAD:g} rad",
+                f"the start has joint {joint.name!r} at {value:.4g} {joint.unit}, beyond its limits {joint.lower:.4g}"
+                f" to {joint.upper:.4g} {joint.unit} by more than {MAX_START_BOUNDS_ERROR_RAD:g} {joint.unit}",
                 joint=joint.name,
                 position_rad=value,
                 lower_rad=joint.lower,
@@ -73,7 +73,7 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
             )
         if inside != value:
             warnings.append(
-                f"the start of joint {joint.name} is moved from {value:.4g} rad to its limit {inside:.4g} rad"
+                f"the start of joint {joint.name} is moved from {value:.4g} to its limit {inside:.4g} {joint.unit}"
             )
             positions[joint.name] = inside
     if message["multi_dof_joint_state"]["joint_names"]:

@@ -20,6 +20,7 @@ from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import so101
 
 pytestmark = pytest.mark.stepped_time
 
@@ -55,7 +56,7 @@ class Stage:
     def __init__(self, arm: FakeArm | None = None) -> None:
         self.arm, self.scene_monitor = arm or FakeArm(), FakeSceneMonitor()
         self.clock = FakeClock()
-        self.player = Player(self.arm, self.scene_monitor, LIMITS, MotionsInProgress(), self.clock)  # type: ignore[arg-type]
+        self.player = Player(self.arm, so101(), self.scene_monitor, LIMITS, MotionsInProgress(), self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
         self.running: asyncio.Task[Answer] | None = None
 

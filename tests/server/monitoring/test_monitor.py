@@ -219,9 +219,9 @@ def test_goals_are_told_by_source_and_result() -> None:
 
 
 def test_waiting_goals_are_counted() -> None:
-    found = samples(queue_metrics(WatchedQueue(2, "goal 7 is worked on")))
+    found = samples(queue_metrics(WatchedQueue(2, 1)))
     assert found == {("armbridge_goals_waiting",): 2, ("armbridge_goals_in_hand",): 1}
-    assert samples(queue_metrics(WatchedQueue(0, "")))["armbridge_goals_in_hand",] == 0
+    assert samples(queue_metrics(WatchedQueue(0, 0)))["armbridge_goals_in_hand",] == 0
 
 
 def test_planners_are_counted_by_what_they_do() -> None:

@@ -49,7 +49,7 @@ class _WatchedQueue:
     """Goals on their way."""
 
     waiting_count: int = 2
-    busy: str = "goal 7 from /a is worked on"
+    active_count: int = 1
 
 
 # They stand for parts of which the monitor reads no more than these fields.

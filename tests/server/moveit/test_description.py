@@ -20,6 +20,7 @@ from server.moveit.description import (
     SRDF_TOPIC,
     URDF_TOPIC,
     RobotDescription,
+    RobotFiles,
     find_file,
     package_name,
     read_file,
@@ -138,3 +139,35 @@ def test_a_folder_within_is_a_package_as_well(files: Path) -> None:
     inner.write_bytes(b"solid")
     assert find_file(files, PACKAGE, f"package://{PACKAGE}/base.stl") == inner
     assert find_file(files, PACKAGE, "package://assets/base.stl") == files / "assets" / "base.stl"
+
+
+@pytest.fixture
+def packaged(tmp_path: Path) -> RobotFiles:
+    """Files of an arm whose URDF is in one package and whose meshes are in another, beside it."""
+    (tmp_path / "arm_meshes" / "meshes" / "visual").mkdir(parents=True)
+    (tmp_path / "arm_meshes" / "secret.stl").write_text("key")
+    for name in ("base.dae", "skin.png", "notes.txt"):
+        (tmp_path / "arm_meshes" / "meshes" / "visual" / name).write_text(name)
+    folder = tmp_path / "arm_description" / "urdf"
+    folder.mkdir(parents=True)
+    meshes = "package://arm_meshes/meshes/visual/base.dae", "package://gone/a.stl"
+    return RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
+
+
+@pytest.mark.parametrize("name", ["base.dae", "skin.png"])
+def test_files_beside_the_meshes_of_a_package_are_served(packaged: RobotFiles, name: str) -> None:
+    assert packaged.read(f"package://arm_meshes/meshes/visual/{name}") == name.encode()
+
+
+ELSEWHERE = (
+    "package://arm_meshes/secret.stl",
+    "package://arm_meshes/meshes/visual/../../secret.stl",
+    "package://arm_meshes/meshes/visual/notes.txt",
+    "package://gone/a.stl",
+)
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_nothing_else_of_a_package_is_served(packaged: RobotFiles, name: str) -> None:
+    with pytest.raises(ServiceError, match="name: "):
+        packaged.read(name)

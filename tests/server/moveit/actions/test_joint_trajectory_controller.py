@@ -189,7 +189,7 @@ class Followed:
         goal.when_ended(self.results.append)
         path = {"elbow_flex": path_rad} if path_rad else {}
         end = {"elbow_flex": goal_rad} if goal_rad else {}
-        self.goal = TrajectoryGoal(goal, ARM, SegmentTolerances(path, end, time_s))
+        self.goal = TrajectoryGoal(goal, ARM, SegmentTolerances(path, end, time_s), ROBOT)
 
     def state(self, state: ArmState) -> None:
         self.goal.take_state(state, self.cancelled.append)
@@ -399,10 +399,10 @@ def test_a_wrong_tolerance_is_refused_with_its_field(name: str, position_rad: fl
 
 
 def test_a_violation_names_the_joint_with_its_numbers() -> None:
-    assert violation({"elbow_flex": 0.2}, STANDING, WANTED) == ""
-    sentence = violation({"elbow_flex": 0.05}, STANDING, WANTED)
+    assert violation({"elbow_flex": 0.2}, STANDING, WANTED, ROBOT) == ""
+    sentence = violation({"elbow_flex": 0.05}, STANDING, WANTED, ROBOT)
     assert sentence == "joint elbow_flex is 0.100 rad from where it should be (tolerance 0.05 rad)"
 
 
 def test_an_arm_that_is_not_read_violates_nothing() -> None:
-    assert violation({"elbow_flex": 0.05}, replace(STANDING, position_rad=None), WANTED) == ""
+    assert violation({"elbow_flex": 0.05}, replace(STANDING, position_rad=None), WANTED, ROBOT) == ""

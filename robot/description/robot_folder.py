@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import robot.arms
 from robot.description import model, robot_file
+from robot.description.example_robots import find_example
 from robot.description.model import Gripper, Hull, JointLimits, RobotModel
 from robot.description.robot_file import GripperTable, RobotFile, ServoTable
 from robot.description.servo_table import HardwareTable, ServoSpec, Zero, ZeroTick
@@ -75,7 +76,9 @@ def find(name_or_folder: str) -> Path:
     if path.is_dir():
         return path
     raise DescriptionError(
-        f"robot {name_or_folder!r}", f"is no folder, and none of the built-in arms: {', '.join(built_in_names())}"
+        f"robot {name_or_folder!r}",
+        f"is no folder, and none of the built-in arms {', '.join(built_in_names())}; others come with the package "
+        "example-robot-data (pip install example-robot-data)",
     )
 
 
@@ -88,10 +91,35 @@ def built_in(name: str) -> RobotFolder:
     return load(find(name))
 
 
-def problems(folder: Path) -> tuple[str, ...]:
-    """Return everything that is wrong with an arm's folder, a sentence each."""
+def resolve(
+    name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
+) -> RobotFolder:
+    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data.
+
+    Args:
+        name_or_folder: name or path.
+        urdf: as of :func:`load`.
+        srdf: as of :func:`load`.
+        package_directories: as of :func:`load`.
+
+    Raises:
+        DescriptionError: there is no such arm, or its files do not describe one.
+    """
     try:
-        load(folder)
+        folder = find(name_or_folder)
+    except DescriptionError:
+        if (example := find_example(name_or_folder)) is None:
+            raise
+        packages = (*package_directories, *example.packages)
+        arm = model.load(urdf or example.urdf, srdf or example.srdf, packages)
+        return RobotFolder(name_or_folder, name_or_folder, arm, HardwareTable(), example.urdf.parent)
+    return load(folder, urdf=urdf, srdf=srdf, package_directories=package_directories)
+
+
+def problems(name_or_folder: str) -> tuple[str, ...]:
+    """Return everything that is wrong with an arm, a sentence each."""
+    try:
+        resolve(name_or_folder)
     except RobotFileError as error:
         return error.problems
     except DescriptionError as error:

@@ -6,7 +6,6 @@ import argparse
 
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
-from robot.errors import DescriptionError
 from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 
@@ -38,17 +37,12 @@ def add_robot_parser(subparsers: Subparsers) -> None:
 def run_check(options: argparse.Namespace) -> int:
     """Carry out ``robot check``."""
     terminal = Terminal()
-    try:
-        folder = robot_folder.find(options.folder)
-    except DescriptionError as error:
-        terminal.say(f"armbridge: {error}")
-        return ExitCode.USAGE
-    found = robot_folder.problems(folder)
+    found = robot_folder.problems(options.folder)
     for problem in found:
         terminal.tell(problem)
     if found:
         return ExitCode.PROBLEMS
-    terminal.tell(_summary(robot_folder.load(folder)))
+    terminal.tell(_summary(robot_folder.resolve(options.folder)))
     return ExitCode.DONE
 
 

@@ -268,8 +268,8 @@ async def test_the_actions_of_both_controllers_play_at_once(pair_server: Running
 
 
 async def follow(client: ArmClient, side: str) -> str:
-    """Send a trajectory of a second to the controller of an arm; returns the goal's id."""
-    point = {"positions": [0.5], "time_from_start": {"sec": 1, "nanosec": 0}}
+    """Send a trajectory of three seconds to the controller of an arm; returns the goal's id."""
+    point = {"positions": [0.5], "time_from_start": {"sec": 3, "nanosec": 0}}
     trajectory = {"joint_names": [f"{side}_a7"], "points": [point]}
     action = f"/{side}_arm_controller/follow_joint_trajectory"
     return await client.send_goal(action, "control_msgs/action/FollowJointTrajectory", {"trajectory": trajectory})
@@ -298,3 +298,24 @@ async def test_an_arm_without_a_gripper_offers_no_action_of_one(pair_server: Run
         known = (await client.call("/rosapi/action_servers"))["action_servers"]
     assert not [name for name in known if "gripper" in name]
     assert "/left_arm_controller/follow_joint_trajectory" in known
+
+
+async def test_seven_joints_are_steered(lifted_server: RunningServer, lifted: FrameClient) -> None:
+    placements = ForwardPlacements(LIFTED)
+    before = after = placements.transforms(await joints_goal(lifted, BENT))["tool"][:3, 3].copy()
+    async with arm_client(lifted_server.url) as client:
+        topic = "/servo_node/delta_twist_cmds"
+        await client.say("advertise", topic=topic, type="geometry_msgs/TwistStamped")
+        async with asyncio.timeout(30.0):
+            while after[2] - before[2] < 0.03:
+                await client.say("publish", topic=topic, msg={"twist": {"linear": {"z": 0.5}}})
+                after = placements.transforms(await present(lifted))["tool"][:3, 3].copy()
+    np.testing.assert_allclose(after[:2], before[:2], atol=0.02)
+
+
+async def test_a_group_without_a_tip_takes_no_poses(pair: FrameClient) -> None:
+    await select(pair, "both_arms")
+    pose = {"position": {"x": 0.4, "y": 0.0, "z": 0.4}, "orientation": {"w": 1.0}}
+    result = await pair.goal("/moveit_goal_pose", {"header": {"frame_id": "table"}, "pose": pose})
+    assert "group both_arms has no tip" in result["message"]
+    await select(pair, "left_arm")

@@ -30,7 +30,7 @@ from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
 from robot.messages import ArmConfig, ArmState, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
-from server.execution.executor import MAX_SAMPLES, GoalExecutor, MotionRecorder
+from server.execution.executor import MAX_SAMPLES, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
@@ -692,3 +692,15 @@ def fingers() -> PlannedMotion:
         return PlanningProblem("gripper", start_rad, JointGoal({"gripper": 0.5}))
 
     return PlannedMotion((problem,), frozenset(("gripper",)))
+
+
+async def test_goals_of_the_same_joints_have_the_same_executor_and_all_share_the_motions(stage: Stage) -> None:
+    def make(in_progress: MotionsInProgress) -> GoalExecutor:
+        return GoalExecutor(stage.arm, so101(), stage, stage, in_progress=in_progress)  # type: ignore[arg-type]
+
+    executors = GoalExecutors(stage.arm.as_arm, make)
+    arm, gripper = executors.runner(frozenset(ARM)), executors.runner(frozenset(("gripper",)))
+    assert executors.runner(frozenset(ARM)) is arm is not gripper
+    assert arm._in_progress is gripper._in_progress is executors.in_progress
+    executors.stop("enough")
+    assert stage.arm.stops == [None]

@@ -312,3 +312,13 @@ async def test_an_unknown_group_is_told_with_those_that_exist_and_changes_nothin
     assert "there is no planning group 'legs'; there are: arm" in status["message"]
     assert desk.heard[RESULT_TOPIC] == []
     assert group_told(desk) == "arm"
+
+
+async def test_goals_of_several_groups_are_confirmed_one_after_the_other() -> None:
+    confirmation = Confirmation(Graph(REGISTRY), enabled=True, timeout_s=60.0)
+    first, second = (asyncio.create_task(confirmation.wait()) for _ in range(2))
+    for waiting in (first, second):
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        confirmation._take_decision(go=True)
+        assert await asyncio.wait_for(waiting, 1.0) is None

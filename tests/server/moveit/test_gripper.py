@@ -9,28 +9,35 @@ import numpy as np
 import pytest
 
 from robot.arm import Arm
+from robot.description.model import parse
+from robot.description.urdf import Joint
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
+from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, Result
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.gripper import (
+    FETCH_ACTION,
     GRIPPER_ACTION,
     PARALLEL_ACTION,
     SQUEEZE_PERIOD_S,
     Gripper,
     GripperActions,
     GripperCommand,
+    GripperCommandMessages,
     GripperReading,
+    ParallelGripperCommandMessages,
+    fingers_together,
 )
 from tests.helpers.clients import ArmClient
 from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
 from tests.helpers.moveit import REGISTRY
-from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, nominal_calibration, so101
 from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
@@ -317,3 +324,69 @@ async def test_a_relaxed_gripper_names_the_service_that_enables_it(client: ArmCl
     ended = await client.result(await client.send_goal(GRIPPER_ACTION, SIMPLE, {"command": {"position": 0.5}}))
     assert (ended["result"], ended["status"]) == (False, ABORTED)
     assert "/arm/enable" in ended["values"]
+
+
+LIFTED = parse(LIFTED_URDF, LIFTED_SRDF)
+FINGERS = [LIFTED.joints[name] for name in LIFTED.groups["gripper"].joints]
+TURNING = [replace(joint, type="revolute", lower=-0.1, upper=0.8) for joint in FINGERS]
+
+
+def test_fingers_arrive_together_wherever_each_of_them_is() -> None:
+    motion = fingers_together(("a", "b"), np.array([0.0, 0.03]), 0.05, 0.1, 1.0)
+    assert motion.positions_rad[-1].tolist() == pytest.approx([0.05, 0.05])
+    share = (motion.positions_rad - motion.positions_rad[0]) / (motion.positions_rad[-1] - motion.positions_rad[0])
+    np.testing.assert_allclose(share[:, 0], share[:, 1])
+    assert np.abs(motion.velocities_rad_s).max() <= 0.1 + 1e-9
+
+
+def test_fingers_that_are_there_do_not_move() -> None:
+    assert fingers_together(("a", "b"), np.array([0.05, 0.05]), 0.05, 0.1, 1.0).duration_s == 0.0
+
+
+def simple_command(joints: list[Joint], position: float) -> GripperCommand:
+    return GripperCommandMessages(joints).command({"position": position, "max_effort": 0.0})
+
+
+def test_the_position_of_two_sliding_fingers_is_the_gap_between_them() -> None:
+    assert simple_command(FINGERS, 0.06).position == pytest.approx(0.03)
+    reading = GripperReading((0.02, 0.03), (0.0, 0.0), (0.1, -0.4))
+    result = GripperCommandMessages(FINGERS).result(reading, stalled=False, reached=True)
+    assert (result["position"], result["effort"]) == (pytest.approx(0.05), -0.4)
+
+
+def test_the_position_of_two_turning_fingers_is_that_of_each() -> None:
+    assert simple_command(TURNING, 0.5).position == 0.5
+
+
+def test_the_limits_of_sliding_fingers_are_told_in_metres() -> None:
+    with pytest.raises(RefusedError, match=r"must be from 0\.000 to 0\.100 m, not 0\.2"):
+        simple_command(FINGERS, 0.2)
+
+
+def joint_command(**fields: Any) -> GripperCommand:
+    message = {"name": [], "position": [], "velocity": [], "effort": [], **fields}
+    return ParallelGripperCommandMessages(FINGERS).command(message)
+
+
+def test_each_finger_may_be_named_with_the_same_position() -> None:
+    names = [joint.name for joint in FINGERS]
+    assert joint_command(name=names, position=[0.02, 0.02], velocity=[0.05, 0.04]) == GripperCommand(0.02, 0.0, 0.04)
+    assert joint_command(position=[0.02]) == GripperCommand(0.02)
+    with pytest.raises(RefusedError, match="must be the same for all fingers"):
+        joint_command(name=names, position=[0.02, 0.03])
+
+
+def test_the_gripper_is_offered_by_the_name_of_fetchs_driver_as_well() -> None:
+    types = Grippers().graph.actions.types()
+    assert types[FETCH_ACTION] == types[GRIPPER_ACTION] == SIMPLE
+
+
+async def test_a_motion_of_the_gripper_is_known_to_the_goals_of_the_arm() -> None:
+    in_progress, arm = MotionsInProgress(), SlowArm()
+    arm.state = replace(arm.state, load=np.zeros(len(arm.state.joint_names)))
+    joints = [so101().joints["gripper"]]
+    gripper = Gripper(arm, joints, 1.0, 1.0, TimeLimits(), 0.5, in_progress)  # type: ignore[arg-type]
+    moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
+    await settle()
+    assert in_progress.expected_rad({"gripper": 0.0}, frozenset(("elbow_flex",))) == {"gripper": 1.0}
+    moving.cancel()

@@ -184,6 +184,8 @@ class Stage:
         self.rechecked: list[RecheckQuestion] = []
         self.meeting: PlanningFailure | None = None
         self.meetings: list[ConcurrencyQuestion] = []
+        self.meetings_answer = asyncio.Event()
+        self.meetings_answer.set()
         self.in_progress = MotionsInProgress()
         self.news: list[Progress] = []
         self.executor = self.executing()
@@ -203,6 +205,7 @@ class Stage:
             return RecheckAnswer(self.contact)
         if isinstance(request, ConcurrencyQuestion):
             self.meetings.append(request)
+            await self.meetings_answer.wait()
             return RecheckAnswer(self.meeting)
         self.problems.append(request)
         self.scenes.append(scene.version)
@@ -704,3 +707,15 @@ async def test_goals_of_the_same_joints_have_the_same_executor_and_all_share_the
     assert arm._in_progress is gripper._in_progress is executors.in_progress
     executors.stop("enough")
     assert stage.arm.stops == [None]
+
+
+async def test_a_motion_that_begins_during_the_last_check_is_checked_as_well(stage: Stage) -> None:
+    first = beside(stage)
+    stage.meetings_answer.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    first.set_result(MotionEnded(1, Outcome.REACHED, "there"))
+    beside(stage)
+    stage.meetings_answer.set()
+    await settle()
+    assert len(stage.meetings) == 2
+    assert len(stage.arm.played) == 1

@@ -403,3 +403,12 @@ async def test_the_goal_that_ends_last_is_told() -> None:
     desk.arms.of("left").report(Progress(GoalState.EXECUTING, "", 0.5, 4.0))
     desk.arms.of("right").report(Progress(GoalState.EXECUTING, "", 0.5, 1.0))
     assert desk.queue.running == RunningGoal("goal 1 from /goal", 4.0, 0)
+
+
+async def test_a_goal_preempts_waiting_goals_of_its_joints_alone() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right", "left", "right")
+    desk.queue.submit("/goal", "left", policy=GoalPolicy.PREEMPT)
+    await settle()
+    assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
+    assert desk.queue.waiting_count == 1

@@ -72,6 +72,8 @@ export function clearNotices(store: PageStore, prefix: string): void {
   if (others.length < notices.length) store.set({ notices: others });
 }
 
+const NO_PLAN: State["plan"] = { trajectory: null, tool_path: [], scrub_s: null };
+
 /** Select a goal, and remove the plan, which was made for another one. */
 export function selectGoal(
   store: PageStore,
@@ -79,7 +81,7 @@ export function selectGoal(
   joints_rad: JointValues | null,
   name = "",
 ): void {
-  store.set({ selection: { kind, joints_rad, name }, plan: { trajectory: null, tool_path: [], scrub_s: null } });
+  store.set({ selection: { kind, joints_rad, name }, plan: NO_PLAN });
 }
 
 /** Select a named pose as the goal. */
@@ -89,6 +91,6 @@ export function selectNamedPose(store: PageStore, name: string): void {
 
 /** Select a point as the goal of the tool. */
 export function selectTarget(store: PageStore, position_m: Point): void {
-  selectGoal(store, "target", null);
-  store.patch("target", { position_m });
+  const { target } = store.state;
+  store.set({ selection: { kind: "target", joints_rad: null }, target: { ...target, position_m }, plan: NO_PLAN });
 }

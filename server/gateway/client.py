@@ -35,16 +35,7 @@ from protocol.operations import (
 )
 from protocol.publication import PublishedMessage
 from protocol.session import Packed, Refusal, with_id
-from server.access.authorization import (
-    EVENT_TOPIC,
-    PLANNING_SERVICES,
-    STOP_EVENT,
-    STOP_SERVICES,
-    STOP_TOPICS,
-    rule_of_action,
-    rule_of_service,
-    rule_of_topic,
-)
+from server.access.authorization import is_driving, is_stop, rule_of_service
 from server.access.permissions import Role
 from server.errors import GraphError
 from server.gateway.client_auth import AuthContext, ClientAuth
@@ -263,7 +254,7 @@ class ClientServices:
         """
         name, id_ = _name_and_id(operation)
         self._client.translator.detect_dialect(operation.type, "srv")
-        type_name, plans = self._services.type_of(name), name in PLANNING_SERVICES
+        type_name, plans = self._services.type_of(name), rule_of_service(name).plans
 
         def answer(response: Response) -> None:
             fields = {
@@ -530,26 +521,11 @@ class Client:
 
     def is_stop(self, operation: Operation) -> bool:
         """Return True for an operation that stops the arm."""
-        match operation:
-            case Publish():
-                name = qualify(operation.topic)
-                return name in STOP_TOPICS and (name != EVENT_TOPIC or operation.msg.get("data") == STOP_EVENT)
-            case CallService():
-                return qualify(operation.service.partition("#")[0]) in STOP_SERVICES
-            case _:
-                return False
+        return is_stop(operation)
 
     def is_driving(self, operation: Operation) -> bool:
         """Return True for an operation that may move the arm."""
-        match operation:
-            case Publish():
-                return rule_of_topic(qualify(operation.topic)).drives
-            case CallService():
-                return rule_of_service(qualify(operation.service.partition("#")[0])).drives
-            case SendActionGoal():
-                return rule_of_action(qualify(operation.action)).drives
-            case _:
-                return False
+        return is_driving(operation)
 
     def carry_out(self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None) -> None:
         """Carry an operation out, or tell of a refusal; as `OperationHandler.carry_out`."""

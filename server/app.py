@@ -159,6 +159,7 @@ class App:
         monitor = BackgroundTask("monitor", self._monitor.run)
         diagnostics = BackgroundTask("diagnostics", self._diagnostics.run)
         memory = BackgroundTask("memory", self._memory.run)
+        message_types = BackgroundTask("message types", self._graph.message_types.compile_waiting)
         relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
         parts = [
             Part("the monitor", monitor.start, monitor.stop),
@@ -174,6 +175,8 @@ class App:
             Part("connections", self._listener.open),
             Part("the arm's first state", self._wait_for_arm),
             Part("memory", memory.start, memory.stop),
+            # Ready without them: whoever comes first waits for a type of his own, at most 20 ms.
+            Part("message types", message_types.start, message_types.stop),
         ]
         if self._bridge is not None:
             bridge = BackgroundTask("zenoh", self._bridge.run)

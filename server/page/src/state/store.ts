@@ -1,4 +1,4 @@
-import type { GoalSelection, JointValues, Point, State } from "./state";
+import type { GoalSelection, JointValues, Orientation, Point, State } from "./state";
 
 /** Callback with the new value of the selected part, and with the whole state. */
 type Listener<State, Value> = (value: Value, state: State) => void;
@@ -89,8 +89,22 @@ export function selectNamedPose(store: PageStore, name: string): void {
   selectGoal(store, "named", store.state.named[name]?.joints ?? null, name);
 }
 
-/** Select a point as the goal of the tool. */
-export function selectTarget(store: PageStore, position_m: Point): void {
+/**
+ * Select a pose as the goal of the tool.
+ *
+ * @param orientation - null for a point that may be reached in any orientation.
+ */
+export function selectTarget(store: PageStore, position_m: Point, orientation: Orientation | null = null): void {
   const { target } = store.state;
-  store.set({ selection: { kind: "target", joints_rad: null }, target: { ...target, position_m }, plan: NO_PLAN });
+  store.set({
+    selection: { kind: "target", joints_rad: null },
+    target: { ...target, position_m: [...position_m], orientation },
+    plan: NO_PLAN,
+  });
+}
+
+/** Select the joint group that goals are for, and remove the goal of the group before. */
+export function selectGroup(store: PageStore, group: string): void {
+  if (group === store.state.group) return;
+  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: NO_PLAN });
 }

@@ -57,7 +57,13 @@ test("a gripper is moved by its own controller, else by that of the only gripper
   expect(gripperAction(gripper, ["/other"])).toBeNull();
 });
 
-test("named poses are those of the group's joints", () => {
+test("a saved pose says something of all joints, of which the group takes its own", () => {
+  const named = { aside: { saved: true, joints: { a: 1, claw: 2 } }, grip: { saved: true, joints: { claw: 2 } } };
+  const poses = { aside: { saved: true, joints: { a: 1 } } };
+  expect(groupPoses({ ...empty, limits, urdf, srdf, named })).toEqual(poses);
+});
+
+test("described poses are those of the group's joints", () => {
   const pose = (joints: Record<string, number>) => ({ saved: false, joints });
   const named = { home: pose({ a: 0, wheel: 0 }), part: pose({ a: 1 }), open: pose({ claw: 1 }), all: pose({ a: 0, claw: 0 }) };
   expect(Object.keys(groupPoses({ ...empty, limits, urdf, srdf, named }))).toEqual(["home", "part"]);

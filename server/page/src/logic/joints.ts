@@ -11,12 +11,14 @@ export function armJoints(known: KnownJoints): string[] {
   return group === null ? driven : group.joints.filter((name) => driven.includes(name));
 }
 
-/** Named poses of the planning group: those that say something of its joints, and of no others. */
+/** Return the named poses that say something of the planning group's joints, without what they say of others. */
 export function groupPoses(known: KnownJoints): State["named"] {
   const joints = new Set(armJoints(known));
-  const poses = Object.entries(known.named).filter(([, pose]) => {
-    const names = Object.keys(pose.joints);
-    return names.length > 0 && names.every((name) => joints.has(name));
+  const poses = Object.entries(known.named).flatMap(([name, { saved, joints: all }]) => {
+    const own = Object.entries(all).filter(([joint]) => joints.has(joint));
+    // A described pose belongs to one group, a saved one has the joints of all.
+    const is_of_group = own.length > 0 && (saved || own.length === Object.keys(all).length);
+    return is_of_group ? [[name, { saved, joints: Object.fromEntries(own) }] as const] : [];
   });
   return Object.fromEntries(poses);
 }

@@ -2,7 +2,7 @@ import type { ArmCommands } from "../link/commands";
 import { groupPoses } from "../logic/joints";
 import { duration_s } from "../logic/trajectory";
 import type { ActiveGoal, State } from "../state/state";
-import { selectNamedPose, type PageStore } from "../state/store";
+import { selectGoal, type PageStore } from "../state/store";
 import { permissionFieldset, type PanelContext } from "./context";
 import { button, el, section, setText } from "./dom";
 
@@ -29,7 +29,9 @@ export function motionSection(context: PanelContext): HTMLElement {
 function namedPoses(context: PanelContext): HTMLElement {
   const { store, commands } = context;
   const list = el("div", { class: "chips", testid: "named", role: "group", label: "named poses" });
-  const choose = (name: string): void => selectNamedPose(store, name);
+  const choose = (name: string): void => {
+    selectGoal(store, "named", groupPoses(store.state)[name]?.joints ?? null, name);
+  };
   let shown = "";
   const show = (state: State): void => {
     const poses = Object.entries(groupPoses(state));

@@ -84,11 +84,6 @@ export function selectGoal(
   store.set({ selection: { kind, joints_rad, name }, plan: NO_PLAN });
 }
 
-/** Select a named pose as the goal. */
-export function selectNamedPose(store: PageStore, name: string): void {
-  selectGoal(store, "named", store.state.named[name]?.joints ?? null, name);
-}
-
 /**
  * Select a pose as the goal of the tool.
  *

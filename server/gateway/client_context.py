@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 from protocol import dialect
 from protocol.codecs import cbor
+from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.dialect import Dialect
 from protocol.errors import NothingToDoError, OperationError, ProtocolError, one_line, shorten
 from protocol.operations import (
@@ -27,7 +28,7 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import LARGE_BYTES, EncodedMessage, encoding_cost_bytes
+from protocol.publication import LARGE_BYTES, EncodedMessage
 from protocol.registry import Kind, Registry
 from protocol.session import LaterFields, Refusal, Session
 from robot.logs import LogLimiter
@@ -273,4 +274,4 @@ class ClientContext:
         def translated() -> Mapping[str, Any]:
             return {**fields, field: self.translator.to_client(type_name, fields[field])}
 
-        return translated if encoding_cost_bytes(fields[field]) >= LARGE_BYTES else translated()
+        return translated if encoding_cost_bytes(fields[field], LARGE_BYTES) >= LARGE_BYTES else translated()

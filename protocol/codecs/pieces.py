@@ -93,7 +93,7 @@ def encoded_pieces(value: Any, notation: Notation, piece_bytes: int = PIECE_BYTE
     if type(value) not in (dict, list) or encoding_cost_bytes(value, piece_bytes) < piece_bytes:
         yield notation.encode(value)
         return
-    head, tail = (notation.map_head, notation.map_tail)
+    head, tail = notation.map_head, notation.map_tail
     if type(value) is list:
         head, tail = notation.list_head, notation.list_tail
     yield head(len(value))
@@ -116,7 +116,7 @@ def encoded_pieces(value: Any, notation: Notation, piece_bytes: int = PIECE_BYTE
 
 def _runs(value: dict[Any, Any] | list[Any], piece_bytes: int) -> Iterator[dict[Any, Any] | list[Any]]:
     """Cut a map or a list into maps or lists of members that make a piece together, or of one that is too long."""
-    if type(value) is list:
+    if isinstance(value, list):
         for start, end in _cuts(value, piece_bytes):
             yield value[start:end]
     else:

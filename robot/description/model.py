@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot.description.mesh_files import check_meshes, package_path
 from robot.description.srdf import Group as Group
-from robot.description.srdf import read_srdf
+from robot.description.srdf import Semantics, read_srdf
 from robot.description.urdf import Joint as Joint
-from robot.description.urdf import JointLimits, read_urdf
+from robot.description.urdf import JointLimits as JointLimits
+from robot.description.urdf import Tree, read_urdf
 from robot.errors import DescriptionError
+
+NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """Gripper of an arm.
+
+    Attributes:
+        joints: its joints, one or two that mirror each other.
+        open: position of each joint when it is open [rad or m].
+        closed: position of each joint when it is closed [rad or m].
+    """
+
+    joints: tuple[str, ...]
+    open: float
+    closed: float
 
 
 @dataclass(frozen=True)
@@ -41,7 +58,6 @@ class RobotModel:
         urdf: text of the URDF.
         srdf: text of the SRDF.
         mesh_directory: base of the URDF's relative mesh paths; None for a URDF without meshes.
-        package_directories: folders for ``package://``, beside those around the URDF.
         links: link names, root first.
         joints: every joint by name, in the order of the URDF.
         groups: planning groups by name.
@@ -50,6 +66,11 @@ class RobotModel:
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
         parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
             the link's frame; for the cases in which a hull is too wide.
+        gripper: the gripper; None for an arm without one.
+        default_group: group of goals that name none.
+        tip_link: link that pose goals of this group move; empty where the group's joints are not one chain.
+        held_joints: joint -> position at which it stays, for joints that are not driven [rad or m].
+        package_directories: folders of packages that ``package://`` names, beside those around the URDF.
         planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     """
 
@@ -64,8 +85,12 @@ class RobotModel:
     mesh_directory: Path | None = None
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
-    planning_frame: str = ""
+    gripper: Gripper | None = None
+    default_group: str = ""
+    tip_link: str = ""
+    held_joints: Mapping[str, float] = field(default_factory=dict)
     package_directories: tuple[Path, ...] = ()
+    planning_frame: str = ""
 
     @property
     def root_link(self) -> str:
@@ -77,38 +102,45 @@ class RobotModel:
         """Joints with a position, in the order of the URDF."""
         return tuple(joint for joint in self.joints.values() if joint.movable)
 
-
-def builtin() -> RobotModel:
-    """Load the SO-101 follower that is shipped with the package."""
-    folder = resources.files("robot.description")
-    hulls = json.loads((folder / "so101_hulls.json").read_text())["links"]
-    parts = json.loads((folder / "so101_parts.json").read_text())["links"]
-    return parse(
-        (folder / "so101.urdf").read_text(),
-        (folder / "so101.srdf").read_text(),
-        hulls={name: _hull(shape) for name, shape in hulls.items()},
-        parts={name: tuple(np.array(vertices) for vertices in shapes) for name, shapes in parts.items()},
-    )
+    @property
+    def driven_joints(self) -> tuple[Joint, ...]:
+        """Movable joints that are driven, in the order of the URDF."""
+        return tuple(joint for joint in self.movable_joints if joint.name not in self.held_joints)
 
 
-def load(urdf_path: Path, srdf_path: Path, package_directories: Sequence[Path] = ()) -> RobotModel:
+def load(
+    urdf_path: Path,
+    srdf_path: Path,
+    limits: Mapping[str, JointLimits] = NO_LIMITS,
+    *,
+    package_directories: Sequence[Path] = (),
+    with_meshes: bool = True,
+) -> RobotModel:
     """Read a robot from files.
 
     Args:
-        urdf_path: URDF.
-        srdf_path: SRDF.
+        urdf_path: the URDF, whose folder its relative mesh paths begin at.
+        srdf_path: the SRDF.
+        limits: limits by joint that replace the URDF's.
         package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
+        with_meshes: the meshes have to be there; not where hulls stand in for them.
 
     Raises:
         DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
     """
-    return parse(
+    directory, packages = urdf_path.resolve().parent, (*package_directories, *package_path(os.environ))
+    sources = f"URDF {urdf_path}", f"SRDF {srdf_path}"
+    robot = parse(
         _text(urdf_path),
         _text(srdf_path),
-        mesh_directory=urdf_path.resolve().parent,
-        package_directories=(*package_directories, *package_path(os.environ)),
-        sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
+        mesh_directory=directory,
+        package_directories=packages,
+        limits=limits,
+        sources=sources,
     )
+    if with_meshes:
+        check_meshes(robot.urdf, sources[0], directory, packages)
+    return robot
 
 
 def parse(
@@ -119,7 +151,7 @@ def parse(
     package_directories: tuple[Path, ...] = (),
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
-    limits: Mapping[str, JointLimits] | None = None,
+    limits: Mapping[str, JointLimits] = NO_LIMITS,
     sources: tuple[str, str] = ("URDF", "SRDF"),
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
@@ -127,22 +159,19 @@ def parse(
     Args:
         urdf: text of the URDF.
         srdf: text of the SRDF.
-        mesh_directory: see :class:`RobotModel`.
-        package_directories: see :class:`RobotModel`.
-        hulls: see :class:`RobotModel`.
-        parts: see :class:`RobotModel`.
-        limits: limits by joint that replace those of the URDF; None for the limits of the SO-101's servos, since the
-            velocity limits of its URDFs in circulation are placeholders of 10 rad/s.
+        mesh_directory: base of relative mesh paths.
+        package_directories: as of :class:`RobotModel`.
+        hulls: likewise.
+        parts: likewise.
+        limits: limits by joint that replace the URDF's.
         sources: names of the URDF and of the SRDF, for errors.
 
     Raises:
-        DescriptionError: a text does not parse, or misses what planning needs; with a mesh directory and without
-            hulls, a mesh is not there.
+        DescriptionError: a text does not parse, or misses what planning needs.
     """
-    tree = read_urdf(urdf, sources[0], _servo_limits() if limits is None else limits)
+    tree = read_urdf(urdf, sources[0], limits)
     semantics = read_srdf(srdf, sources[1], tree)
-    if mesh_directory is not None and not hulls:
-        check_meshes(urdf, sources[0], mesh_directory, package_directories)
+    default_group = _default_group(semantics)
     return RobotModel(
         name=tree.name,
         urdf=urdf,
@@ -153,11 +182,57 @@ def parse(
         named_states=semantics.named_states,
         disabled_pairs=semantics.disabled_pairs,
         mesh_directory=mesh_directory,
-        package_directories=package_directories,
         hulls=hulls or {},
         parts=parts or {},
+        gripper=_gripper(tree, semantics, default_group),
+        default_group=default_group,
+        tip_link=semantics.groups[default_group].tip_link,
+        # Nothing drives them: they rest where they are least turned.
+        held_joints={name: _nearest_to_zero(tree.joints[name]) for name in semantics.passive_joints},
+        package_directories=package_directories,
         planning_frame=semantics.planning_frame,
     )
+
+
+def _default_group(semantics: Semantics) -> str:
+    """Return the group "arm", else the first that is one chain and no end effector, else the first."""
+    if "arm" in semantics.groups:
+        return "arm"
+    effectors = {effector.group for effector in semantics.end_effectors}
+    chains = [name for name, group in semantics.groups.items() if group.tip_link]
+    return next(name for name in [*(n for n in chains if n not in effectors), *chains, *semantics.groups])
+
+
+def _gripper(tree: Tree, semantics: Semantics, arm: str) -> Gripper | None:
+    """Return the gripper that the SRDF describes: an end effector, or a group "gripper" or "hand", of a joint or two.
+
+    Of several, that at the arm's tip; open and closed by their named states, else by the limits.
+    """
+    tip, groups = semantics.groups[arm].tip_link, semantics.groups
+    hands = [effector for effector in semantics.end_effectors if effector.group != arm]
+    at_tip = [effector.group for effector in hands if effector.parent_link == tip]
+    others = [effector.group for effector in hands if effector.parent_link != tip]
+    effectors = at_tip or (others if len(others) == 1 else [])
+    for name in effectors or ("gripper", "hand"):
+        joints = groups[name].joints if name in groups else ()
+        if not 1 <= len(joints) <= 2 or set(joints) & set(groups[arm].joints):
+            continue
+        ends = [_ends(tree.joints[joint], semantics.named_states.get(name, {})) for joint in joints]
+        if len(set(ends)) == 1:
+            return Gripper(joints, *ends[0])
+    return None
+
+
+def _ends(joint: Joint, states: Mapping[str, Mapping[str, float]]) -> tuple[float, float]:
+    """Return where a joint of a gripper is when it is open and when it is closed [rad or m]."""
+    closed = {name: states.get(name, {}).get(joint.name) for name in ("closed", "close")}
+    opened = states.get("open", {}).get(joint.name)
+    shut = next((position for position in closed.values() if position is not None), None)
+    return joint.upper if opened is None else opened, joint.lower if shut is None else shut
+
+
+def _nearest_to_zero(joint: Joint) -> float:
+    return min(max(0.0, joint.lower), joint.upper)
 
 
 def _text(path: Path) -> str:
@@ -165,13 +240,3 @@ def _text(path: Path) -> str:
         return path.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise DescriptionError(str(path), f"cannot be read: {error}") from error
-
-
-def _hull(shape: Mapping[str, list[list[float]]]) -> Hull:
-    return Hull(np.asarray(shape["vertices"], dtype=np.float64), np.asarray(shape["triangles"], dtype=np.int32))
-
-
-def _servo_limits() -> Mapping[str, JointLimits]:
-    text = (resources.files("robot.description") / "so101_limits.json").read_text()
-    table: Mapping[str, Mapping[str, float]] = json.loads(text)["joints"]
-    return {name: JointLimits(each["max_velocity"], each["max_acceleration"]) for name, each in table.items()}

@@ -60,8 +60,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint from beside the URDF, whose own they replace; None for those that stay."""
+    """Limits of a joint from beside its URDF; None where the URDF's count.
 
+    Attributes:
+        lower: lower limit [rad or m].
+        upper: upper limit [rad or m].
+        max_velocity: [rad/s or m/s].
+        max_acceleration: [rad/s^2 or m/s^2].
+        max_jerk: [rad/s^3 or m/s^3].
+    """
+
+    lower: float | None = None
+    upper: float | None = None
     max_velocity: float | None = None
     max_acceleration: float | None = None
     max_jerk: float | None = None
@@ -123,7 +133,7 @@ def _joint(element: ET.Element, source: str, limits: Mapping[str, JointLimits]) 
     own = limits.get(name, NO_LIMITS)
     if kind in MOVABLE_TYPES and mimic is None:
         where = f"{source} joint {name!r}"
-        lower, upper = _range(element, where, kind)
+        lower, upper = _range(element, where, kind, own)
         velocity = _velocity(element, where, name) if own.max_velocity is None else own.max_velocity
         acceleration = own.max_acceleration or velocity / DEFAULT_TIME_TO_FULL_SPEED_S
     return Joint(
@@ -140,15 +150,18 @@ def _joint(element: ET.Element, source: str, limits: Mapping[str, JointLimits]) 
     )
 
 
-def _range(element: ET.Element, where: str, kind: str) -> tuple[float, float]:
-    """Read the position limits of a movable joint; a continuous joint may turn half a turn either way."""
-    if kind == "continuous":
-        return -math.pi, math.pi
+def _range(element: ET.Element, where: str, kind: str, limits: JointLimits) -> tuple[float, float]:
+    """Return the position limits of a movable joint; a continuous joint may turn half a turn either way."""
     limit = element.find("limit")
-    if limit is None:
+    if kind == "continuous":
+        lower, upper = -math.pi, math.pi
+    elif limit is None:
         raise DescriptionError(where, 'has no <limit>: add <limit lower="" upper="" velocity="" effort=""/>')
-    # URDF: both are 0 where they are left out.
-    lower, upper = (number(limit, end, f"{where} <limit>") if limit.get(end) else 0.0 for end in ("lower", "upper"))
+    else:
+        # URDF: both are 0 where they are left out.
+        lower, upper = (number(limit, end, f"{where} <limit>") if limit.get(end) else 0.0 for end in ("lower", "upper"))
+    lower = lower if limits.lower is None else limits.lower
+    upper = upper if limits.upper is None else limits.upper
     if lower >= upper:
         raise DescriptionError(f"{where} <limit>", f"lower {lower:g} must be below upper {upper:g}")
     return lower, upper

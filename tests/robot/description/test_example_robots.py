@@ -40,7 +40,7 @@ needs_package = pytest.mark.skipif(not installed(), reason=f"{PACKAGE} is not in
 def read(name: str) -> RobotModel:
     example = find_example(name)
     assert example is not None
-    return model.load(example.urdf, example.srdf, example.packages)
+    return model.load(example.urdf, example.srdf, package_directories=example.packages)
 
 
 def robot_or_refusal(name: str) -> RobotModel | str:

@@ -46,7 +46,10 @@ def test_links_come_root_first_and_each_branch_as_a_whole() -> None:
 
 
 def test_limits_from_beside_the_urdf_replace_its_own() -> None:
-    joint = tree(HAND.replace('velocity="0.2"', 'velocity="0"'), {"grip": JointLimits(0.1, 0.3, 3.0)}).joints["grip"]
+    joint = tree(
+        HAND.replace('velocity="0.2"', 'velocity="0"'),
+        {"grip": JointLimits(max_velocity=0.1, max_acceleration=0.3, max_jerk=3.0)},
+    ).joints["grip"]
     assert (joint.max_velocity, joint.max_acceleration, joint.max_jerk) == (0.1, 0.3, 3.0)
 
 

@@ -7,6 +7,7 @@ import json
 import math
 from typing import Any
 
+import pytest
 from websockets.asyncio.client import connect
 
 from planners.pool import PlannerPool

@@ -141,7 +141,6 @@ class DynamixelServo:
             **_DEFAULTS[model.name],
         }
         self._memory: bytes | None = None
-        self._off_s = 0.0
         self.power_up()
 
     def power_up(self, off_s: float = 0.0) -> None:
@@ -157,6 +156,7 @@ class DynamixelServo:
         self._values[Register.GOAL_PWM] = self.value(Register.PWM_LIMIT)
         if self.model.has_current:
             self._values[Register.GOAL_CURRENT] = self.value(Register.CURRENT_LIMIT)
+        self._memory = None
         self._off_s = off_s
         self._heard_s = self._overload_s = 0.0
         self._forced = 0
@@ -193,6 +193,7 @@ class DynamixelServo:
             goal_pwm: register GOAL_PWM; None for its limit.
             goal_current_ma: register GOAL_CURRENT; None for its limit [mA].
         """
+        self._memory = None
         self._values[Register.GOAL_POSITION] = self.present_ticks
         self._values[Register.TORQUE_ENABLE] = 1
         if goal_pwm is not None:

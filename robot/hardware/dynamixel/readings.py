@@ -20,6 +20,9 @@ from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Measured
 # Misses in a row after which a servo is asked behind the others.
 MISSES_UNTIL_LAST = 2
 
+# Reads in a row without any reply, for each servo, after which all count as silent: each has been the first once.
+EMPTY_READS_PER_SERVO = MISSES_UNTIL_LAST
+
 # A servo that has missed this many reads in a row is read less often: waiting for it costs half of a period. As many as
 # make its reading stale, so that it never counts as lost because it was not read.
 MISSES_UNTIL_SILENT = 10
@@ -51,6 +54,7 @@ class ServoWatch:
         self._measured: Measured | None = None
         self._cycle = 0
         self._misses_in_row = dict.fromkeys(servos.ids, 0)
+        self._empty_reads = 0
         self._doubted: set[int] = set()
         self.silent_cycles = dict.fromkeys(servos.ids, 0)
 
@@ -117,6 +121,10 @@ class ServoWatch:
             if servo not in believed:
                 self._misses_in_row[servo] += servo in asked and servo not in behind_first
                 self.silent_cycles[servo] += 1
+        self._empty_reads = 0 if frames else self._empty_reads + 1
+        if self._empty_reads >= EMPTY_READS_PER_SERVO * len(self._servos.ids):
+            for servo, misses in self._misses_in_row.items():
+                self._misses_in_row[servo] = max(misses, MISSES_UNTIL_SILENT)
 
     def age_s(self, servo_id: int, now_s: float) -> float:
         """Return the time since a servo's last good reply [s]; infinite when there was none."""

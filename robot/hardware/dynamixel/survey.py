@@ -14,7 +14,7 @@ import contextlib
 from dataclasses import dataclass
 from itertools import cycle
 
-from robot.calibration import JointCalibration
+from robot.calibration import TICKS_PER_TURN, JointCalibration
 from robot.errors import NoReply, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.dynamixel.bus import Bus, Identity, ping, read
@@ -35,6 +35,10 @@ MISSING_ADVICE = ": check the cable to the first one named and its id"
 
 # Position limits that differ from the calibration by more than this many ticks (0.7 deg) are of another calibration.
 LIMITS_AGREE_WITHIN_TICKS = 8
+
+# A servo that counts more turns was turned by another program. The SDK cannot send every goal that far away: some have
+# the bytes of a packet's header (32 turns).
+MOST_TURNS = 16
 
 # Cycles between register checks: each of six servos is checked about once a second.
 CYCLES_BETWEEN = 16
@@ -225,6 +229,12 @@ def _look_at(bus: Bus, servos: ServoMap, joint: JointCalibration, identity: Iden
     highest = yield from read(bus, servo, Register.MAX_POSITION_LIMIT)
     goal = yield from read(bus, servo, Register.GOAL_POSITION)
     present = yield from read(bus, servo, Register.PRESENT_POSITION)
+    turns = servos.turns_ticks(servo, present)
+    if abs(turns) > MOST_TURNS * TICKS_PER_TURN:
+        raise StartupError(
+            f"servo {servos.label(servo)} is at {present} ticks, more than {MOST_TURNS} turns away from its calibrated "
+            "range: switch its supply off and on"
+        )
     model = servos.models[servo]
     has_watchdog = identity.firmware >= model.watchdog_firmware
     return ServoFound(
@@ -232,7 +242,7 @@ def _look_at(bus: Bus, servos: ServoMap, joint: JointCalibration, identity: Iden
         mode=OperatingMode(mode),
         homing_offset=offset,
         torque_on=(yield from read(bus, servo, Register.TORQUE_ENABLE)) == 1,
-        goal_ticks=goal + servos.turns_ticks(servo, present),
+        goal_ticks=goal + turns,
         position_limits_ticks=(lowest, highest),
         max_voltage_v=(yield from read(bus, servo, Register.MAX_VOLTAGE_LIMIT)) * VOLT_PER_UNIT,
         pwm_limit=(yield from read(bus, servo, Register.PWM_LIMIT)),

@@ -236,7 +236,7 @@ class ServoTorque:
         return {servo: self._servos.full_share(servo) for servo in self._servos.ids}
 
     def write_limits(self, shares: Mapping[int, float]) -> None:
-        """Write torque limits, which are not acknowledged.
+        """Write torque limits, which are not acknowledged: two packets where a gripper is limited by its current.
 
         Args:
             shares: shares of full duty by servo id.

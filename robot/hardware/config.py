@@ -87,19 +87,15 @@ class DynamixelConfig:
     Attributes:
         simulated: False.
         calibration: servos of the joints, whose order is that of every array.
-        models: joint -> model of its servo, as ``xl330-m288``.
         port: serial device, ``socket://host:port``, or USB id.
         baud: bits per second.
-        calibrated: False if the calibration does not say where the zero of this arm is; it is then never driven.
     """
 
     simulated: ClassVar[bool] = False
 
     calibration: Calibration
-    models: Mapping[str, str]
     port: str
     baud: int = 1_000_000
-    calibrated: bool = True
 
     def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
         """Return the joints that have a servo."""
@@ -117,9 +113,7 @@ class EmulatedDynamixelConfig:
     Attributes:
         simulated: True.
         port: name in place of a port.
-        calibrated: True: the calibration is that of the emulated servos.
         calibration: as of :class:`DynamixelConfig`; its ranges are the joints' mechanical stops.
-        models: as of :class:`DynamixelConfig`.
         drop: probability that a reply is lost.
         corrupt: probability that a reply has a wrong byte.
         seed: seed of these faults.
@@ -129,10 +123,8 @@ class EmulatedDynamixelConfig:
 
     simulated: ClassVar[bool] = True
     port: ClassVar[str] = "simulated"
-    calibrated: ClassVar[bool] = True
 
     calibration: Calibration
-    models: Mapping[str, str]
     drop: float = 0.0
     corrupt: float = 0.0
     seed: int = 0

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from robot.calibration import Calibration, JointCalibration
-from robot.description import model
+from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
 from robot.emulator.dynamixel.in_process import EmulatedDynamixels
 from robot.emulator.dynamixel.servo import DynamixelServo
@@ -22,31 +20,28 @@ from robot.messages import GuardLimits
 from tests.helpers.arm_rig import ArmRig
 from tests.helpers.emulator import SteppedClock
 
-FOLDER = Path(__file__).parents[2] / "robot" / "arms" / "koch_v1_1"
-MODELS: Mapping[str, str] = {
-    "shoulder_pan": "xl430-w250",
-    "shoulder_lift": "xl430-w250",
-    "elbow_flex": "xl330-m288",
-    "wrist_flex": "xl330-m288",
-    "wrist_roll": "xl330-m288",
-    "gripper": "xl330-m288",
-}
-NAMES = tuple(MODELS)
+KOCH = robot_folder.built_in("koch_v1_1")
+SERVOS = KOCH.hardware.servos
+NAMES = tuple(servo.joint for servo in SERVOS)
 
 # As lerobot writes one: offsets anywhere within half a turn, the two joints that turn freely with all ticks.
+_OFFSETS_AND_RANGES = (
+    (-300, 0, 4095),
+    (900, 1300, 2790),
+    (-1700, 1020, 3080),
+    (2000, 780, 3310),
+    (0, 0, 4095),
+    (120, 1900, 3000),
+)
 CALIBRATION = Calibration(
-    (
-        JointCalibration("shoulder_pan", 1, 0, -300, 0, 4095),
-        JointCalibration("shoulder_lift", 2, 0, 900, 1300, 2790),
-        JointCalibration("elbow_flex", 3, 0, -1700, 1020, 3080),
-        JointCalibration("wrist_flex", 4, 0, 2000, 780, 3310),
-        JointCalibration("wrist_roll", 5, 0, 0, 0, 4095),
-        JointCalibration("gripper", 6, 0, 120, 1900, 3000),
+    tuple(
+        JointCalibration(servo, servo.servo_id, 0, *numbers)
+        for servo, numbers in zip(SERVOS, _OFFSETS_AND_RANGES, strict=True)
     )
 )
-ROBOT = within_calibration(model.load(FOLDER / "koch_v1_1.urdf", FOLDER / "koch_v1_1.srdf"), CALIBRATION)
+ROBOT = within_calibration(KOCH.model, CALIBRATION)
 BOUNDS = JointBounds.of(ROBOT, NAMES)
-METAL = DynamixelConfig(CALIBRATION, MODELS, "/dev/arm")
+METAL = DynamixelConfig(CALIBRATION, "/dev/arm")
 
 
 class SteppedDynamixels:
@@ -58,8 +53,8 @@ class SteppedDynamixels:
 
     def __init__(self, **settings: Any) -> None:
         self.clock = SteppedClock()
-        self.config = EmulatedDynamixelConfig(**{"calibration": CALIBRATION, "models": MODELS, **settings})
-        self.source = EmulatedDynamixels(self.config, BOUNDS, GuardLimits(), self.clock)
+        self.config = EmulatedDynamixelConfig(**{"calibration": CALIBRATION, **settings})
+        self.source = EmulatedDynamixels(ROBOT, self.config, BOUNDS, GuardLimits(), self.clock)
         self.servo_bus = self.source.bus
         self.port = self.source.port
 

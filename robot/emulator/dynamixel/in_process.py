@@ -5,12 +5,16 @@ No reply can be late, since the servos' time is the caller's.
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Sequence
 
 from robot.calibration import Calibration, JointCalibration
+from robot.description.gravity import LinkWeights
 from robot.description.limits import JointBounds
-from robot.emulator.dynamixel.servo import DynamixelServo
+from robot.description.model import RobotModel
+from robot.emulator.arm import WEIGHED_AGAIN_RAD
+from robot.emulator.dynamixel.servo import FULL_PERMILLE, DynamixelServo
 from robot.emulator.dynamixel.servo_bus import DynamixelBus
 from robot.emulator.faults import Faults
 from robot.emulator.plant import Plant
@@ -18,19 +22,24 @@ from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
 from robot.hardware.dynamixel.hardware import DynamixelHardware
-from robot.hardware.dynamixel.registers import FULL_PWM, MODELS, OperatingMode
-from robot.hardware.dynamixel.servo_map import ServoMap
+from robot.hardware.dynamixel.registers import FULL_PWM, OperatingMode
+from robot.hardware.dynamixel.servo_map import ServoMap, model_of
 from robot.hardware.interface import HardwareInterface
 from robot.messages import GuardLimits
 
 BAUDRATE = 1_000_000
+
+# Friction in the gear carries most of a resting joint's weight; the share that is left for the motor is the one of an
+# STS3215 (:mod:`robot.emulator.arm`).
+CARRIED_BY_MOTOR = 0.18
 
 
 class EmulatedDynamixels:
     """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed.
 
     Args:
-        config: calibration, models, faults and start of the servos.
+        robot: description of the arm.
+        config: calibration, faults and start of the servos.
         bounds: soft limits of the joints.
         guard_limits: torque limits.
         clock: time of the control loop [s].
@@ -42,6 +51,7 @@ class EmulatedDynamixels:
 
     def __init__(
         self,
+        robot: RobotModel,
         config: EmulatedDynamixelConfig,
         bounds: JointBounds,
         guard_limits: GuardLimits,
@@ -53,9 +63,10 @@ class EmulatedDynamixels:
         self._clock = clock
         chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
         faults = Faults(drop=config.drop, corrupt=config.corrupt, random=chance)
-        self.bus = DynamixelBus(build_servos(config), faults, clock())
+        servos = build_servos(config)
+        self.bus = DynamixelBus(servos, faults, clock(), weight_of(robot, config.calibration, servos))
         if config.driven:
-            self._hold(ServoMap(config.calibration, config.models, bounds, guard_limits))
+            self._hold(ServoMap(config.calibration, bounds, guard_limits))
         self.port = DynamixelPort(self.bus, clock)
 
     def open(self) -> HardwareInterface:
@@ -77,14 +88,42 @@ class EmulatedDynamixels:
 
 def build_servos(config: EmulatedDynamixelConfig) -> list[DynamixelServo]:
     """Build the arm's servos at its start, each in its range."""
-    calibration: Calibration = config.calibration
-    return [
-        _servo(joint, config.models[joint.joint], config.start_rad.get(joint.joint, 0.0))
-        for joint in calibration.joints
-    ]
+    return [_servo(joint, config.start_rad.get(joint.joint, 0.0)) for joint in config.calibration.joints]
 
 
-def _servo(joint: JointCalibration, model: str, start_rad: float) -> DynamixelServo:
+def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[DynamixelServo]) -> Callable[[], None]:
+    """Return a function that loads the servos with the links' weight at the present pose.
+
+    Args:
+        robot: description of the arm.
+        calibration: joints of the servos.
+        servos: in the order of the calibration.
+    """
+    weights = LinkWeights(robot)
+    joints = list(zip(calibration.joints, servos, strict=True))
+    still = {joint.name: robot.held_joints.get(joint.name, 0.0) for joint in robot.movable_joints}
+    weighed: dict[str, float] = {}
+
+    def weigh() -> None:
+        """Load the servos with the weight at the present pose."""
+        position_rad = {
+            joint.joint: joint.rad_from_ticks(servo.plant.position_ticks + joint.homing_offset)
+            for joint, servo in joints
+        }
+        if all(abs(at - weighed.get(name, math.inf)) < WEIGHED_AGAIN_RAD for name, at in position_rad.items()):
+            return
+        weighed.update(position_rad)
+        torques_nm = weights.holding_torques({**still, **position_rad})
+        for joint, servo in joints:
+            # The plant counts in ticks, which may fall while the joint's position rises.
+            sign = math.copysign(1.0, joint.rad_s_from_ticks_s(1.0))
+            duty = FULL_PERMILLE * torques_nm[joint.joint] / servo.model.stall_torque_nm
+            servo.plant.gravity_permille = sign * CARRIED_BY_MOTOR * duty
+
+    return weigh
+
+
+def _servo(joint: JointCalibration, start_rad: float) -> DynamixelServo:
     start_ticks = joint.ticks_from_rad(min(max(start_rad, joint.lower_rad), joint.upper_rad))
     # A Dynamixel adds its homing offset to the encoder's position.
     plant = Plant(
@@ -94,7 +133,7 @@ def _servo(joint: JointCalibration, model: str, start_rad: float) -> DynamixelSe
     )
     limits = joint.range_min, joint.range_max
     return DynamixelServo(
-        joint.servo_id, MODELS[model], plant, limits, joint.homing_offset, OperatingMode.EXTENDED_POSITION
+        joint.servo_id, model_of(joint), plant, limits, joint.homing_offset, OperatingMode.EXTENDED_POSITION
     )
 
 

@@ -7,7 +7,7 @@ wire.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from dynamixel_sdk import (
@@ -66,15 +66,24 @@ class DynamixelBus:
         servos: in the order of their ids.
         faults: faults of the bus, which may be changed while it runs.
         now_s: monotonic time [s].
+        weigh: loads the servos with the links' weight at the present pose; None for an arm without weight.
 
     Attributes:
         servos: as given.
         faults: as given.
     """
 
-    def __init__(self, servos: Sequence[DynamixelServo], faults: Faults, now_s: float) -> None:
+    def __init__(
+        self,
+        servos: Sequence[DynamixelServo],
+        faults: Faults,
+        now_s: float,
+        weigh: Callable[[], None] | None = None,
+    ) -> None:
         self.servos = tuple(servos)
         self.faults = faults
+        self._weigh = weigh or (lambda: None)
+        self._weigh()
         self._now_s = now_s
         self._parser = InstructionParser()
 
@@ -85,6 +94,8 @@ class DynamixelBus:
         for servo in self.servos:
             servo.step(now_s - self._now_s)
         self._now_s = now_s
+        if not all(servo.plant.at_rest for servo in self.servos):
+            self._weigh()
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Receive bytes from the host.

@@ -33,9 +33,9 @@ from robot.trajectory import Vector
 # Supply and temperature are read ten times a second; the reply is twice as long with them.
 CLIMATE_EVERY = 10
 
-UNCALIBRATED = (
-    "the arm has no calibration that says where its zero is, so that it would move to wrong positions: name its file "
-    "or its lerobot id with --calibration"
+NO_ZERO = (
+    "no calibration says where the joints' zero is, and motions would go elsewhere than planned: calibrate the arm "
+    "with lerobot, and name the calibration (arm.calibration, --calibration NAME)"
 )
 
 
@@ -87,7 +87,7 @@ class DynamixelHardware(HardwareInterface):
         clock: Callable[[], float],
     ) -> None:
         self.bus = bus
-        self.servos = ServoMap(config.calibration, config.models, bounds, guard_limits)
+        self.servos = ServoMap(config.calibration, bounds, guard_limits)
         super().__init__(self.servos.names, self.servos.full_torque)
         self.counters = bus.counters
         self.latched_status = sum(HARDWARE_ERRORS.values(), StatusFlag(0))
@@ -179,8 +179,8 @@ class DynamixelHardware(HardwareInterface):
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
         """Switch torque on, unless the calibration is unknown or not the servos'."""
         yield 0.0
-        if not self._config.calibrated:
-            raise StartupError(UNCALIBRATED)
+        if not self._config.simulated and not self._config.calibration.zero_is_known:
+            raise StartupError(NO_ZERO)
         if reason := refusal(self.servos, self._found):
             raise StartupError(reason)
         self._armed = True

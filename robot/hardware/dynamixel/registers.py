@@ -130,6 +130,7 @@ class Model:
         number: register MODEL_NUMBER.
         stall_current_ma: stall current at the usual supply, 1.47 A at 5 V for the XL330-M288 and 1.4 A at 12 V for the
             XL430-W250 [mA].
+        stall_torque_nm: stall torque at that supply [Nm].
         has_current: True if it measures and limits its current.
         watchdog_firmware: firmware from which it has the bus watchdog; e-manual, Bus Watchdog (98).
     """
@@ -137,6 +138,7 @@ class Model:
     name: str
     number: int
     stall_current_ma: int
+    stall_torque_nm: float
     has_current: bool
     watchdog_firmware: int
 
@@ -145,8 +147,8 @@ MODELS: Mapping[str, Model] = MappingProxyType(
     {
         model.name: model
         for model in (
-            Model("xl430-w250", 1060, 1400, has_current=False, watchdog_firmware=38),
-            Model("xl330-m288", 1200, 1470, has_current=True, watchdog_firmware=0),
+            Model("xl430-w250", 1060, 1400, 1.5, has_current=False, watchdog_firmware=38),
+            Model("xl330-m288", 1200, 1470, 0.52, has_current=True, watchdog_firmware=0),
         )
     }
 )

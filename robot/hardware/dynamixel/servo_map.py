@@ -14,6 +14,7 @@ import numpy as np
 
 from robot.calibration import TICKS_PER_TURN, Calibration, JointCalibration
 from robot.description.limits import JointBounds
+from robot.errors import StartupError
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
     MODELS,
@@ -40,7 +41,6 @@ class ServoMap:
 
     Args:
         calibration: joints, whose order is that of every array, and their servos.
-        models: joint -> name of its servo's model, one of ``robot.hardware.dynamixel.registers.MODELS``.
         bounds: limits of the joints, of which the velocities become the servos' profile velocities.
         limits: torque limits; None for the defaults.
 
@@ -54,25 +54,19 @@ class ServoMap:
         full_torque: share of full duty that each joint may use at most, shape (joints,).
     """
 
-    def __init__(
-        self,
-        calibration: Calibration,
-        models: Mapping[str, str],
-        bounds: JointBounds,
-        limits: GuardLimits | None = None,
-    ) -> None:
+    def __init__(self, calibration: Calibration, bounds: JointBounds, limits: GuardLimits | None = None) -> None:
         self.joints = calibration.joints
         self.names = tuple(joint.joint for joint in self.joints)
         self.ids = tuple(joint.servo_id for joint in self.joints)
         self.by_id = {joint.servo_id: joint for joint in self.joints}
-        self.models: dict[int, Model] = {joint.servo_id: MODELS[models[joint.joint]] for joint in self.joints}
+        self.models: dict[int, Model] = {joint.servo_id: model_of(joint) for joint in self.joints}
         self.profile_velocity = {
             joint.servo_id: _profile_velocity(joint, float(speed))
             for joint, speed in zip(self.joints, bounds.max_velocity, strict=True)
         }
         limits = limits or GuardLimits()
         self.full_torque = np.array(
-            [limits.gripper_torque_limit if joint.is_gripper else limits.torque_limit for joint in self.joints]
+            [limits.gripper_torque_limit if joint.servo.gripper else limits.torque_limit for joint in self.joints]
         )
         self._full_share: dict[int, float] = dict(zip(self.ids, self.full_torque.tolist(), strict=True))
         self._middle_ticks = {joint.servo_id: (joint.range_min + joint.range_max) / 2.0 for joint in self.joints}
@@ -138,6 +132,21 @@ class ServoMap:
             ends = joint.ticks_from_rad(float(lower)), joint.ticks_from_rad(float(upper))
             ranges[joint.servo_id] = min(ends), max(ends)
         return ranges
+
+
+def model_of(joint: JointCalibration) -> Model:
+    """Return the model of a joint's servo.
+
+    Raises:
+        StartupError: there is no such model.
+    """
+    model = MODELS.get(joint.servo.model)
+    if model is None:
+        raise StartupError(
+            f"the servo of joint {joint.joint} is a {joint.servo.model!r} in the arm's robot.toml; known are "
+            f"{', '.join(MODELS)}"
+        )
+    return model
 
 
 def _profile_velocity(joint: JointCalibration, speed_rad_s: float) -> int:

@@ -326,7 +326,7 @@ class ServoTorque:
     def _switch_on(self, servo_id: int) -> Steps[int]:
         """Switch torque on at the present position and at reduced torque; return the goal [ticks]."""
         found = self._found[servo_id]
-        if self._servos.by_id[servo_id].is_gripper and found.current_limit_ma is not None:
+        if self._servos.by_id[servo_id].servo.gripper and found.current_limit_ma is not None:
             mode = OperatingMode.CURRENT_BASED_POSITION
             if found.mode is not mode:
                 yield from write_verified(self._bus, servo_id, Register.OPERATING_MODE, mode)

@@ -16,7 +16,7 @@ from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.dynamixel.survey import CYCLES_BETWEEN
 from robot.hardware.interface import StatusFlag, run_to_end
 from robot.messages import GuardLimits, Mode, Order
-from tests.helpers.dynamixel import BOUNDS, METAL, NAMES, DynamixelRig, DynamixelsInUse, SteppedDynamixels
+from tests.helpers.dynamixel import BOUNDS, CALIBRATION, METAL, NAMES, DynamixelRig, DynamixelsInUse, SteppedDynamixels
 from tests.helpers.motions import smooth_move
 
 FULL = np.array([0.8] * 5 + [0.5])
@@ -132,8 +132,8 @@ def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> 
 
 
 def test_an_arm_without_calibration_is_read_but_never_enabled(dynamixels: SteppedDynamixels) -> None:
-    servos = DynamixelsInUse(dynamixels, replace(METAL, calibrated=False))
-    with pytest.raises(StartupError, match=r"no calibration that says where its zero is.*--calibration"):
+    servos = DynamixelsInUse(dynamixels, replace(METAL, calibration=replace(CALIBRATION, measured=False)))
+    with pytest.raises(StartupError, match=r"no calibration says where the joints' zero is.*--calibration"):
         servos.enable()
     assert dynamixels.writes() == 0
     assert servos.read().position_rad.shape == (6,)
@@ -151,7 +151,7 @@ def test_an_arm_whose_servos_have_another_calibration_is_never_enabled(dynamixel
 def test_an_uncalibrated_arm_that_is_found_holding_goes_on_holding(dynamixels: SteppedDynamixels) -> None:
     for servo in dynamixels.servo_bus.servos:
         servo.hold()
-    rig = DynamixelRig(dynamixels, hardware=replace(METAL, calibrated=False))
+    rig = DynamixelRig(dynamixels, hardware=replace(METAL, calibration=replace(CALIBRATION, measured=False)))
     rig.until_mode(Mode.FAULT)
     rig.run(1.0)
     assert rig.fault_code == FaultCode.STARTUP_REFUSED.value

@@ -18,9 +18,9 @@ from robot.hardware.dynamixel.readings import (
 from robot.hardware.dynamixel.registers import MOTION_BYTES
 from robot.hardware.dynamixel.servo_map import ServoMap
 from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, StatusFlag
-from tests.helpers.dynamixel import BOUNDS, CALIBRATION, MODELS
+from tests.helpers.dynamixel import BOUNDS, CALIBRATION
 
-SERVOS = ServoMap(CALIBRATION, MODELS, BOUNDS)
+SERVOS = ServoMap(CALIBRATION, BOUNDS)
 
 
 def frame(servo_id: int, ticks: int = 2048, error: int = 0, *, whole: bool = True) -> StatusFrame:

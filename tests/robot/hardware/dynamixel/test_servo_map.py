@@ -11,9 +11,9 @@ from robot.calibration import RAD_PER_TICK, TICKS_PER_TURN
 from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT
 from robot.hardware.dynamixel.servo_map import VELOCITY_CAP_TICKS_S, ServoMap
 from robot.messages import GuardLimits
-from tests.helpers.dynamixel import BOUNDS, CALIBRATION, MODELS, NAMES
+from tests.helpers.dynamixel import BOUNDS, CALIBRATION, NAMES
 
-SERVOS = ServoMap(CALIBRATION, MODELS, BOUNDS)
+SERVOS = ServoMap(CALIBRATION, BOUNDS)
 
 
 @given(st.sampled_from(SERVOS.ids), st.integers(-5, 5), st.data())
@@ -47,12 +47,12 @@ def test_a_servo_may_be_faster_than_its_joint_but_not_by_much() -> None:
 
 
 def test_no_servo_is_faster_than_the_cap() -> None:
-    fast = ServoMap(CALIBRATION, MODELS, replace(BOUNDS, max_velocity=np.full(6, 100.0)))
+    fast = ServoMap(CALIBRATION, replace(BOUNDS, max_velocity=np.full(6, 100.0)))
     assert max(fast.profile_velocity.values()) * TICKS_S_PER_VELOCITY_UNIT < VELOCITY_CAP_TICKS_S + 20
 
 
 def test_the_gripper_has_a_torque_limit_of_its_own() -> None:
-    servos = ServoMap(CALIBRATION, MODELS, BOUNDS, GuardLimits(torque_limit=0.7, gripper_torque_limit=0.4))
+    servos = ServoMap(CALIBRATION, BOUNDS, GuardLimits(torque_limit=0.7, gripper_torque_limit=0.4))
     assert servos.full_torque == pytest.approx([0.7] * 5 + [0.4])
     assert servos.full_share(6) == 0.4
 
@@ -63,7 +63,7 @@ def test_velocities_and_duties_have_the_joints_signs() -> None:
     mirrored = tuple(
         replace(joint, drive_mode=1) if joint.joint == "gripper" else joint for joint in CALIBRATION.joints
     )
-    servos = ServoMap(replace(CALIBRATION, joints=mirrored), MODELS, BOUNDS)
+    servos = ServoMap(replace(CALIBRATION, joints=mirrored), BOUNDS)
     assert servos.velocities_rad_s([10] * 6)[5] < 0.0
     assert servos.loads([FULL_PWM] * 6) == pytest.approx([1.0] * 5 + [-1.0])
     assert servos.currents_a([0.5] * 6) == pytest.approx([0.5] * 5 + [-0.5])

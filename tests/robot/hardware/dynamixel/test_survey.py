@@ -16,9 +16,9 @@ from robot.hardware.dynamixel.survey import (
     survey,
 )
 from robot.hardware.interface import run_to_end
-from tests.helpers.dynamixel import BOUNDS, CALIBRATION, MODELS, SteppedDynamixels
+from tests.helpers.dynamixel import BOUNDS, CALIBRATION, SteppedDynamixels
 
-SERVOS = ServoMap(CALIBRATION, MODELS, BOUNDS)
+SERVOS = ServoMap(CALIBRATION, BOUNDS)
 
 
 @pytest.fixture

@@ -19,6 +19,9 @@ from robot.hardware.dynamixel.torque import (
 from robot.hardware.interface import run_to_end
 from tests.helpers.dynamixel import CALIBRATION, DynamixelsInUse, SteppedDynamixels
 
+# By its weight and its gear's friction a joint sinks less than this (0.5 deg).
+DROOP_TICKS = 6
+
 IDS = (1, 2, 3, 4, 5, 6)
 START = {"shoulder_pan": 0.4, "shoulder_lift": -0.6, "elbow_flex": 1.1, "wrist_flex": -0.9, "wrist_roll": 2.0}
 
@@ -55,8 +58,8 @@ def test_torque_comes_on_without_a_jump(torque: ServoTorque, dynamixels: Stepped
         farthest = max(farthest, *(abs(now - was) for now, was in zip(positions(dynamixels), before, strict=True)))
     dynamixels.run(0.5)
     assert dynamixels.registers(Register.TORQUE_ENABLE) == [1] * 6
-    assert positions(dynamixels) == pytest.approx(before, abs=2)
-    assert farthest < 2
+    assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
+    assert farthest < DROOP_TICKS
 
 
 def test_the_goals_are_the_positions(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
@@ -70,7 +73,7 @@ def test_a_servo_that_counts_turns_holds_where_it_is(dynamixels: SteppedDynamixe
     before = positions(dynamixels)
     goals = enable(torque_of(dynamixels), dynamixels)
     dynamixels.run(0.5)
-    assert positions(dynamixels) == pytest.approx(before, abs=2)
+    assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
     assert goals[3] == pytest.approx(CALIBRATION.joints[2].ticks_from_rad(1.1), abs=1)
 
 
@@ -285,7 +288,7 @@ def test_an_overload_is_cleared_by_a_reboot_and_the_servo_holds_again(
     assert servo.value(Register.TORQUE_ENABLE) == 1
     assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
     assert servo.value(Register.GOAL_PWM) == round(0.8 * FULL_PWM)
-    assert positions(dynamixels) == pytest.approx(before, abs=2)
+    assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
 
 
 def test_an_overload_of_a_relaxed_servo_is_cleared_and_it_stays_relaxed(

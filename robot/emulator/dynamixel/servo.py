@@ -64,8 +64,8 @@ STIFFNESS = 32
 # An acceleration of 0 is unlimited.
 UNLIMITED_TICKS_S2 = 1e7
 
-# Duty of a stalled motor that counts as overload, and the time that it must last.
-OVERLOAD_PERMILLE = 950.0
+# Share of the stall current that counts as overload, and the time that it must last; the e-manual states neither.
+OVERLOAD_SHARE = 0.95
 OVERLOAD_S = 1.0
 
 FULL_PERMILLE = 1000.0
@@ -325,7 +325,7 @@ class DynamixelServo:
 
     def _protect(self, duration_s: float) -> None:
         self.motor.step(duration_s, self.plant.current_a)
-        overloaded = abs(self.plant.duty_permille) >= OVERLOAD_PERMILLE
+        overloaded = abs(self.plant.current_a) >= OVERLOAD_SHARE * STALL_CURRENT_A
         self._overload_s = self._overload_s + duration_s if overloaded else 0.0
         error = self._forced
         if self._overload_s > OVERLOAD_S:

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from tests.helpers.clients import FrameClient, frame_client
+from tests.helpers.clients import FrameClient, arm_client, frame_client
 from tests.helpers.dynamixel import KOCH
 from tests.helpers.server import RunningServer
 
@@ -46,9 +46,14 @@ async def test_the_arm_goes_to_each_of_its_named_states(client: FrameClient, nam
     assert {joint: at[joint] for joint in wanted} == pytest.approx(wanted, abs=ARRIVED)
 
 
-async def test_the_gripper_goes_to_its_named_states(client: FrameClient) -> None:
-    for name in ("open", "closed"):
-        result = await client.goal("/moveit_goal_named", {"data": name})
-        assert result["val"] == 1, result
-        wanted = KOCH.model.named_states["gripper"][name]["gripper"]
-        assert (await present(client))["gripper"] == pytest.approx(wanted, abs=ARRIVED)
+@pytest.mark.parametrize("name", ["open", "closed"])
+async def test_the_gripper_goes_to_its_named_states(server: RunningServer, client: FrameClient, name: str) -> None:
+    wanted = KOCH.model.named_states["gripper"][name]["gripper"]
+    async with arm_client(server.url) as connected:
+        command = {"command": {"position": wanted, "max_effort": 0.0}}
+        goal_id = await connected.send_goal(
+            "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command
+        )
+        result = await connected.result(goal_id)
+    assert result["result"], result
+    assert (await present(client))["gripper"] == pytest.approx(wanted, abs=ARRIVED)

@@ -9,6 +9,7 @@ is cleared goes on to its old goal.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping
 
 from robot.calibration import TICKS_PER_TURN
@@ -20,6 +21,7 @@ from robot.hardware.dynamixel.registers import (
     HARDWARE_ERRORS,
     LAYOUT,
     MAX_HOMING_OFFSET_IN_POSITION_MODE,
+    MOTION_ADDRESS,
     TICKS_S2_PER_ACCELERATION_UNIT,
     TICKS_S_PER_VELOCITY_UNIT,
     VOLT_PER_UNIT,
@@ -70,6 +72,10 @@ OVERLOAD_S = 1.0
 
 FULL_PERMILLE = 1000.0
 MOVING_TICKS_S = 10 * TICKS_S_PER_VELOCITY_UNIT
+
+# Measured registers: PRESENT_PWM to PRESENT_POSITION, and PRESENT_INPUT_VOLTAGE with PRESENT_TEMPERATURE.
+_MOTION = struct.Struct("<hhii")
+_CLIMATE = struct.Struct("<HB")
 
 # Reboot: time without an answer.
 REBOOT_S = 0.25
@@ -140,7 +146,9 @@ class DynamixelServo:
             Register.MAX_POSITION_LIMIT: position_limits_ticks[1],
             **_DEFAULTS[model.name],
         }
-        self._memory: bytes | None = None
+        self._memory = bytearray(MEMORY_BYTES)
+        for register, value in self._values.items():
+            self._store(register, value)
         self.power_up()
 
     def power_up(self, off_s: float = 0.0) -> None:
@@ -151,12 +159,9 @@ class DynamixelServo:
         """
         for register, layout in LAYOUT.items():
             if layout.area is not Area.EEPROM and register not in (Register.MODEL_NUMBER, Register.FIRMWARE_VERSION):
-                self._values[register] = 0
-        self._values[Register.STATUS_RETURN_LEVEL] = 2
-        self._values[Register.GOAL_PWM] = self.value(Register.PWM_LIMIT)
-        if self.model.has_current:
-            self._values[Register.GOAL_CURRENT] = self.value(Register.CURRENT_LIMIT)
-        self._memory = None
+                self._store(register, 0)
+        self._store(Register.STATUS_RETURN_LEVEL, 2)
+        self._reset_limits()
         self._off_s = off_s
         self._heard_s = self._overload_s = 0.0
         self._forced = 0
@@ -186,21 +191,21 @@ class DynamixelServo:
         """Return True for a register of this model."""
         return self.model.has_current or register not in _CURRENT_REGISTERS
 
-    def hold(self, goal_pwm: int | None = None, goal_current_ma: int | None = None) -> None:
+    def set(self, register: Register, value: int) -> None:
+        """Set a register other than the measured ones, read-only or not."""
+        self._store(register, value)
+        self._drive = self._drive_from_registers()
+
+    def hold(self, goal_pwm: int | None = None) -> None:
         """Hold the present position, as an arm process leaves a servo.
 
         Args:
             goal_pwm: register GOAL_PWM; None for its limit.
-            goal_current_ma: register GOAL_CURRENT; None for its limit [mA].
         """
-        self._memory = None
-        self._values[Register.GOAL_POSITION] = self.present_ticks
-        self._values[Register.TORQUE_ENABLE] = 1
+        self.set(Register.GOAL_POSITION, self.present_ticks)
         if goal_pwm is not None:
-            self._values[Register.GOAL_PWM] = goal_pwm
-        if goal_current_ma is not None:
-            self._values[Register.GOAL_CURRENT] = goal_current_ma
-        self._drive = self._drive_from_registers()
+            self.set(Register.GOAL_PWM, goal_pwm)
+        self.set(Register.TORQUE_ENABLE, 1)
 
     def fail(self, hardware_error: int) -> None:
         """Detect hardware errors, bits of HARDWARE_ERROR_STATUS, until the next reboot."""
@@ -213,22 +218,21 @@ class DynamixelServo:
 
     def step(self, duration_s: float) -> None:
         """Advance by ``duration_s`` [s]."""
-        self._memory = None
         self._off_s = max(0.0, self._off_s - duration_s)
         self.plant.step(duration_s, self._drive)
         self._heard_s += duration_s
         watchdog = self.value(Register.BUS_WATCHDOG)
         if watchdog > 0 and self.value(Register.TORQUE_ENABLE) and self._heard_s > watchdog * WATCHDOG_UNIT_S:
-            self._values[Register.BUS_WATCHDOG] = WATCHDOG_TRIPPED
-            self._values[Register.PROFILE_VELOCITY] = self._values[Register.PROFILE_ACCELERATION] = 0
+            self._store(Register.BUS_WATCHDOG, WATCHDOG_TRIPPED)
+            self._store(Register.PROFILE_VELOCITY, 0)
+            self._store(Register.PROFILE_ACCELERATION, 0)
             self._drive = self._drive_from_registers()
         self._protect(duration_s)
 
     def read(self, address: int, length: int) -> bytes:
         """Read memory; addresses without a register are zero."""
-        if self._memory is None:
-            self._memory = self._image()
-        return self._memory[address : address + length].ljust(length, b"\0")
+        self._measure()
+        return bytes(self._memory[address : address + length]).ljust(length, b"\0")
 
     def write(self, address: int, data: bytes) -> int:
         """Write whole registers as an instruction does, or none of them.
@@ -255,16 +259,28 @@ class DynamixelServo:
 
     def _take(self, wanted: Mapping[Register, int]) -> None:
         self.writes += 1
-        self._memory = None
-        self._values.update(wanted)
+        if all(self.value(register) == value for register, value in wanted.items()):
+            # Goals are written a hundred times a second, also while the arm rests.
+            return
+        for register, value in wanted.items():
+            self._store(register, value)
         self.servo_id = self.value(Register.ID)
         if Register.OPERATING_MODE in wanted:
-            self._values[Register.GOAL_PWM] = self.value(Register.PWM_LIMIT)
-            if self.model.has_current:
-                self._values[Register.GOAL_CURRENT] = self.value(Register.CURRENT_LIMIT)
-            self._values[Register.PROFILE_VELOCITY] = self._values[Register.PROFILE_ACCELERATION] = 0
+            self._reset_limits()
+            self._store(Register.PROFILE_VELOCITY, 0)
+            self._store(Register.PROFILE_ACCELERATION, 0)
             self._forget_turns()
         self._drive = self._drive_from_registers()
+
+    def _reset_limits(self) -> None:
+        """Set the limits of the torque to their greatest values."""
+        self._store(Register.GOAL_PWM, self.value(Register.PWM_LIMIT))
+        if self.model.has_current:
+            self._store(Register.GOAL_CURRENT, self.value(Register.CURRENT_LIMIT))
+
+    def _store(self, register: Register, value: int) -> None:
+        self._values[register] = value
+        self._memory[register : register + LAYOUT[register].size] = encode(register, value)
 
     def _refusal(self, register: Register, value: int) -> int:
         """Return the number of the error of a write, 0 for none."""
@@ -340,28 +356,24 @@ class DynamixelServo:
 
     def _detect(self, error: int) -> None:
         """Keep hardware errors until a reboot; those of SHUTDOWN switch torque off."""
-        self._memory = None
-        self._values[Register.HARDWARE_ERROR_STATUS] = self.value(Register.HARDWARE_ERROR_STATUS) | error
+        self._store(Register.HARDWARE_ERROR_STATUS, self.value(Register.HARDWARE_ERROR_STATUS) | error)
         if error & self.value(Register.SHUTDOWN) and self.value(Register.TORQUE_ENABLE):
-            self._values[Register.TORQUE_ENABLE] = 0
-            self._drive = self._drive_from_registers()
+            self.set(Register.TORQUE_ENABLE, 0)
 
-    def _image(self) -> bytes:
-        """Return the control table as bytes."""
+    def _measure(self) -> None:
+        """Bring the measured registers up to date."""
         plant = self.plant
-        measured = {
-            Register.MOVING: int(abs(plant.velocity_ticks_s) > MOVING_TICKS_S),
-            Register.PRESENT_PWM: round(plant.duty_permille / FULL_PERMILLE * FULL_PWM),
-            Register.PRESENT_CURRENT: self._current_or_load(),
-            Register.PRESENT_VELOCITY: round(plant.velocity_ticks_s / TICKS_S_PER_VELOCITY_UNIT),
-            Register.PRESENT_POSITION: self.present_ticks,
-            Register.PRESENT_INPUT_VOLTAGE: round(self.voltage_v / VOLT_PER_UNIT),
-            Register.PRESENT_TEMPERATURE: round(self.motor.temperature_c),
-        }
-        memory = bytearray(MEMORY_BYTES)
-        for register, value in {**self._values, **measured}.items():
-            memory[register : register + LAYOUT[register].size] = encode(register, value)
-        return bytes(memory)
+        self._memory[Register.MOVING] = int(abs(plant.velocity_ticks_s) > MOVING_TICKS_S)
+        _MOTION.pack_into(
+            self._memory,
+            MOTION_ADDRESS,
+            round(plant.duty_permille / FULL_PERMILLE * FULL_PWM),
+            self._current_or_load(),
+            round(plant.velocity_ticks_s / TICKS_S_PER_VELOCITY_UNIT),
+            self.present_ticks,
+        )
+        volts, degrees = round(self.voltage_v / VOLT_PER_UNIT), round(self.motor.temperature_c)
+        _CLIMATE.pack_into(self._memory, Register.PRESENT_INPUT_VOLTAGE, volts, degrees)
 
     def _current_or_load(self) -> int:
         """Return address 126: the XL330's current [mA], the XL430's estimated load [0.1 %]."""

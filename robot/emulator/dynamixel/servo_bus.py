@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from dynamixel_sdk import (
     BROADCAST_ID,
@@ -186,6 +187,8 @@ class InstructionParser:
         return instructions
 
 
+# An arm at rest repeats its replies, a moving one those to writes.
+@lru_cache(maxsize=64)
 def status_packet(servo_id: int, error: int, data: bytes = b"") -> bytes:
     """Build a servo's reply."""
     return packet(servo_id, INST_STATUS, bytes([error]) + data)

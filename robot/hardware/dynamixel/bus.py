@@ -94,6 +94,9 @@ class Bus:
         # The latest replies and their frames: those of an arm at rest repeat.
         self._replied: tuple[bytes, tuple[int, ...], int] = (b"", (), 0)
         self._replied_frames: dict[int, StatusFrame] = {}
+        self._written: dict[int, bytes] = {}
+        self._written_address = 0
+        self._written_packet: list[int] = []
 
     @classmethod
     def open(cls, port: str, baudrate: int = 1_000_000) -> Bus:
@@ -173,15 +176,18 @@ class Bus:
 
         Args:
             address: first register of the block.
-            data_by_id: bytes for each servo, all of one length.
+            data_by_id: bytes for each servo, all of one length; the dict must not be changed afterwards.
 
         Raises:
             PortLost: the port is gone.
             ValueError: the data differ in length, or cannot be sent.
         """
-        packet = instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, sync_write_parameters(address, data_by_id))
+        if data_by_id is not self._written or address != self._written_address:
+            parameters = sync_write_parameters(address, data_by_id)
+            self._written_packet = instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, parameters)
+            self._written, self._written_address = data_by_id, address
         self._await_quiet()
-        self._send(packet)
+        self._send(self._written_packet)
 
     def broadcast_torque_off(self) -> None:
         """Switch every servo's torque off at once, over replies in progress and without acknowledgement.

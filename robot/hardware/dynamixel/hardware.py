@@ -101,6 +101,9 @@ class DynamixelHardware(HardwareInterface):
         self._checks = RegisterChecks(self.servos)
         self._torque = ServoTorque(bus, self.servos, self._found, self._soft_ticks)
         self._armed = False
+        # The latest goals with the turns of their servos, and their blocks.
+        self._goals: list[float] = []
+        self._goal_blocks: dict[int, bytes] = {}
         self._share: list[float] = []
         self._shares: dict[int, float] = {}
 
@@ -139,14 +142,14 @@ class DynamixelHardware(HardwareInterface):
 
     def write_goals(self, goal_rad: Vector) -> None:
         """Write the goals, also unchanged ones: a servo may have missed them, and its watchdog waits for them."""
-        goals = self.servos.goals_ticks(goal_rad)
-        self.bus.sync_write(
-            Register.GOAL_POSITION,
-            {
+        goals = [*goal_rad.tolist(), *map(self._watch.turns_ticks, self.servos.ids)]
+        if goals != self._goals:
+            self._goals = goals
+            self._goal_blocks = {
                 servo: encode(Register.GOAL_POSITION, ticks - self._watch.turns_ticks(servo))
-                for servo, ticks in goals.items()
-            },
-        )
+                for servo, ticks in self.servos.goals_ticks(goal_rad).items()
+            }
+        self.bus.sync_write(Register.GOAL_POSITION, self._goal_blocks)
 
     def write_torque_shares(self, torque_share: Vector) -> None:
         """Write the torque limits that have changed."""

@@ -39,7 +39,7 @@ def test_the_sdk_is_told_of_an_error(port: DynamixelPort) -> None:
 
 
 def test_the_sdk_unstuffs_what_the_servos_stuff(port: DynamixelPort, dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(3)._values[Register.GOAL_POSITION] = -131073
+    dynamixels.servo(3).set(Register.GOAL_POSITION, -131073)
     assert SDK.read4ByteTxRx(port, 3, Register.GOAL_POSITION) == (2**32 - 131073, COMM_SUCCESS, 0)
 
 

@@ -262,7 +262,7 @@ def test_a_servo_that_was_stopped_alone_is_a_fault_that_can_be_reset(dynamixels:
     rig = DynamixelRig(dynamixels)
     rig.until_mode(Mode.HOLDING)
     rig.run(1.0)
-    dynamixels.servo(2)._values[Register.BUS_WATCHDOG] = -1
+    dynamixels.servo(2).set(Register.BUS_WATCHDOG, -1)
     rig.until_mode(Mode.FAULT)
     assert rig.fault_code == FaultCode.SERVO_SILENT.value
     assert rig.order(Order.RESET_FAULT).done

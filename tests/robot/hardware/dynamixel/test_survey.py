@@ -72,7 +72,7 @@ def test_a_dead_bus_is_told_with_advice_for_a_real_one_only(dynamixels: SteppedD
 
 
 def test_a_servo_of_another_model_is_refused(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(3)._values[Register.MODEL_NUMBER] = 1060
+    dynamixels.servo(3).set(Register.MODEL_NUMBER, 1060)
     with pytest.raises(StartupError, match=r"elbow_flex \(id 3\) is model 1060, not xl330-m288 \(1200\)"):
         surveyed(dynamixels)
 
@@ -130,7 +130,7 @@ def test_limits_of_another_calibration_are_a_warning(dynamixels: SteppedDynamixe
 
 
 def test_a_firmware_without_watchdog_is_a_warning(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(1)._values[Register.FIRMWARE_VERSION] = 37
+    dynamixels.servo(1).set(Register.FIRMWARE_VERSION, 37)
     found = surveyed(dynamixels)
     assert not found[1].has_watchdog
     assert found[3].has_watchdog

@@ -126,7 +126,7 @@ def test_every_servo_that_holds_has_its_profile_and_its_watchdog(
 
 
 def test_a_firmware_without_watchdog_is_driven_without(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(1)._values[Register.FIRMWARE_VERSION] = 37
+    dynamixels.servo(1).set(Register.FIRMWARE_VERSION, 37)
     enable(torque_of(dynamixels), dynamixels)
     assert dynamixels.registers(Register.BUS_WATCHDOG) == [0] + [WATCHDOG] * 5
 

@@ -15,7 +15,7 @@ from robot.hardware.dynamixel.readings import MISSES_UNTIL_SILENT
 from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.dynamixel.survey import CYCLES_BETWEEN
 from robot.hardware.interface import StatusFlag, run_to_end
-from robot.messages import GuardLimits, Mode, Order
+from robot.messages import GuardLimits, Mode, Order, Outcome
 from tests.helpers.dynamixel import BOUNDS, CALIBRATION, METAL, NAMES, DynamixelRig, DynamixelsInUse, SteppedDynamixels
 from tests.helpers.motions import smooth_move
 
@@ -67,6 +67,23 @@ def test_an_arm_follows_a_trajectory_and_is_relaxed_again(rig: DynamixelRig) -> 
     assert rig.state.position_rad[[2, 4]] == pytest.approx([-0.7, 1.5], abs=0.02)
     assert rig.order(Order.RELAX).done
     assert rig.torque() == [0] * 6
+
+
+def test_a_gripper_that_closes_on_something_has_gripped_it() -> None:
+    dynamixels = SteppedDynamixels(start_rad={"gripper": 1.2})
+    rig = DynamixelRig(dynamixels)
+    rig.until_mode(Mode.HOLDING)
+    rig.run(1.0)
+    gripper = CALIBRATION.joints[5]
+    dynamixels.servo(6).plant.block(gripper.ticks_from_rad(0.7) - gripper.homing_offset)
+    rig.execute(smooth_move({"gripper": (1.2, 0.2)}, 1.5), gripping=True)
+    rig.until(lambda: bool(rig.ended))
+    assert rig.ended[0].outcome is Outcome.GRIPPED
+    assert rig.fault_code == ""
+    rig.run(3.0)
+    assert rig.mode is Mode.HOLDING
+    # Squeezing for long takes half of the torque.
+    assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == round(0.25 * 1470)
 
 
 def test_relaxed_servos_have_no_goals(servos: DynamixelsInUse) -> None:

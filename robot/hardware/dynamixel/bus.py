@@ -221,6 +221,8 @@ class Bus:
         self.counters.discarded_bytes += max(surplus, 0)
         if missing or surplus:
             self._disturbed = True
+            # A reply that has not come yet may still come.
+            self._last_byte_s = self._clock()
         return frames
 
     def _collect(self, ids: Sequence[int], data_length: int) -> tuple[bytes, dict[int, StatusFrame]]:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 
 from robot.emulator.dynamixel.servo import ACCESS_ERROR, DATA_LIMIT_ERROR, REBOOT_S
@@ -9,6 +11,7 @@ from robot.hardware.dynamixel.bus import STEP_ATTEMPTS, Bus, Identity, ping, rea
 from robot.hardware.dynamixel.registers import MOTION_ADDRESS, MOTION_BYTES, Register, encode
 from robot.hardware.interface import run_to_end
 from tests.helpers.dynamixel import SteppedDynamixels
+from tests.helpers.emulator import SteppedClock
 
 IDS = (1, 2, 3, 4, 5, 6)
 
@@ -92,6 +95,46 @@ def test_replies_left_on_the_line_are_not_taken_for_the_next(bus: Bus, servos: S
     servos.port._input = status_packet(3, 0, bytes([1]))
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
     assert bus.counters.discarded_bytes == len(status_packet(3, 0, bytes([1])))
+
+
+class LatePort:
+    """Port of one servo that answers every instruction with the next of some replies, each after its time."""
+
+    port_name, baudrate, is_using = "late", 1_000_000, False
+    latency_s, quiet_s, discarded_bytes = 0.005, 0.003, 0
+
+    def __init__(self, clock: SteppedClock, replies: list[tuple[float, bytes]]) -> None:
+        self._clock = clock
+        self._replies = replies
+        self._coming: list[tuple[float, bytes]] = []
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name, as below
+        return
+
+    def closePort(self) -> None:  # noqa: N802
+        return
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802
+        delay_s, data = self._replies.pop(0)
+        self._coming.append((self._clock() + delay_s, data))
+        return len(packet)
+
+    def receive(self, timeout_s: float, /) -> bytes:
+        due_s = self._coming[0][0] if self._coming else float("inf")
+        if due_s > self._clock() + timeout_s:
+            self._clock.advance(timeout_s)
+            return b""
+        self._clock.now_s = max(due_s, self._clock())
+        return self._coming.pop(0)[1]
+
+
+def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
+    clock = SteppedClock()
+    replies = [(0.008, status_packet(3, 0, bytes([1]))), (0.001, status_packet(3, 0, bytes([0])))]
+    bus = Bus(LatePort(clock, replies), clock)
+    with pytest.raises(NoReply):
+        bus.read(3, Register.LED)
+    assert bus.read(3, Register.TORQUE_ENABLE) == 0
 
 
 def test_noise_is_counted(bus: Bus, servos: SteppedDynamixels) -> None:

@@ -17,7 +17,7 @@ from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
 from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
-from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from robot.hardware.config import DynamixelConfig, EmulatedConfig, EmulatedDynamixelConfig, FeetechConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface
 from robot.messages import ArmConfig, Command, Order
 
@@ -54,6 +54,14 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
             from robot.emulator.in_process import EmulatedServos
 
             return EmulatedServos(config.robot, config.hardware, bounds, config.guard_limits, clock)
+        case DynamixelConfig():
+            from robot.hardware.dynamixel.hardware import SerialDynamixels
+
+            return SerialDynamixels(config.hardware, bounds, config.guard_limits, clock)
+        case EmulatedDynamixelConfig():
+            from robot.emulator.dynamixel.in_process import EmulatedDynamixels
+
+            return EmulatedDynamixels(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 

@@ -7,10 +7,11 @@ asks for the end, or is gone, the arm is brought to its end state and the proces
 from __future__ import annotations
 
 import contextlib
+import socket
 import time
 from typing import Any, Protocol
 
-from robot.channel import Channel, channel_of_child
+from robot.channel import Channel, channel_of_child, leave_signals_to_server
 from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
@@ -169,8 +170,26 @@ def _rank(message: object) -> int:
 
 
 def main() -> None:
-    """Run the arm process: the first message is its configuration."""
-    channel = channel_of_child()
+    """Be the arm process of the server that has started this one."""
+    run_arm(channel_of_child())
+
+
+def run_forked(sock: socket.socket) -> None:
+    """Be the arm process of the server that has forked this one.
+
+    Args:
+        sock: this end of the channel.
+    """
+    leave_signals_to_server()
+    run_arm(Channel(sock))
+
+
+def run_arm(channel: Channel) -> None:
+    """Run an arm until its server ends it.
+
+    Args:
+        channel: channel to the server; the first message is the arm's configuration.
+    """
     config = channel.receive_first()
     if config is not None:
         ArmLoop(channel, checked(config), real_time=become_punctual()).run()

@@ -21,7 +21,7 @@ from server.access.authorization import Access
 from server.access.control_lease import ControlServices
 from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
-from server.arm.topics import ArmStateTopics, JointStates
+from server.arm.topics import ArmStateTopics, JointStates, states_are_observed
 from server.config import RecordingSettings, Settings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
@@ -116,7 +116,13 @@ class App:
             takes_goals_along=settings.goals.on_disconnect == "stop",
         )
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
-        self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
+        self._arm = Arm(
+            arm_config(settings, description),
+            self._on_state,
+            self._on_health,
+            arm_process,
+            observed=lambda: states_are_observed(graph),
+        )
         self._pool = (
             PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
             if inherited is None

@@ -127,7 +127,7 @@ class ArmLoop:
         """Handle the server's messages, and do steps of orders, until the tick is due.
 
         Returns:
-            Number of ticks that were skipped because the arm needed none; 0 when a message made it need them.
+            Number of ticks that were skipped because the arm needed none; fewer when a message made it need them.
         """
         skipped = self._supervisor.spare_ticks
         pacer.skip(skipped)
@@ -142,9 +142,9 @@ class ArmLoop:
                 time.sleep(max(0.0, idle_s))
             else:
                 self._handle(self._channel.receive(idle_s))
-            if skipped and not self._supervisor.spare_ticks:
-                pacer.hurry(skipped, time.monotonic())
-                skipped = 0
+            if (spare := self._supervisor.spare_ticks) < skipped:
+                pacer.hurry(skipped - spare, time.monotonic())
+                skipped = spare
         return skipped
 
     def _handle(self, messages: list[Any]) -> None:

@@ -64,6 +64,7 @@ class PlannerHost:
         self._address = address
         self._pool = PlannerPool(robot, active, memory_limit_bytes, questions, max_waiting=REQUESTS_OF_SERVER * servers)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
+        self._writers: set[asyncio.StreamWriter] = set()
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -78,11 +79,14 @@ class PlannerHost:
                 await self._pool.start()
                 await server.serve_forever()
         finally:
+            for writer in self._writers:
+                writer.close()
             await self._pool.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one server until it closes its connection; what it has asked for is cancelled then."""
         connection = _Connection(self._pool, writer, self._versions)
+        self._writers.add(writer)
         try:
             loaded = await self._pool.until_loaded()
             writer.write(encode(Hosted(self._pool.pids) if loaded else LoadFailed(str(self._pool.load_failure))))
@@ -91,8 +95,9 @@ class PlannerHost:
                 for message in decoder.feed(data):
                     connection.take(message)
         except (OSError, ValueError) as error:
-            log.warning("the connection of a server to the planners ends: %s", error)
+            log.debug("the connection of a server to the planners ends: %s", error)
         finally:
+            self._writers.discard(writer)
             connection.close()
             writer.close()
 
@@ -123,7 +128,7 @@ class _Connection:
                 self._objects += objects
             case Ask(number, request):
                 scene = self._whole_scene()
-                task = asyncio.create_task(self._answer(number, _bounded(request), scene), name="planners' request")
+                task = asyncio.create_task(self._answer(number, bounded(request), scene), name="planners' request")
                 self._tasks[number] = task
                 task.add_done_callback(lambda _: self._tasks.pop(number, None))
             case Cancel(number) if number in self._tasks:
@@ -155,7 +160,7 @@ class _Connection:
             self._writer.write(encode(Answered(number, answer)))
 
 
-def _bounded(request: Request) -> Request:
+def bounded(request: Request) -> Request:
     """Return the request with no more planning time than others can wait for."""
     if isinstance(request, PlanningProblem | CartesianProblem | IkQuestion):
         return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import robot
 from planners.geometry.collision import CollisionModel
 from planners.goals import PoseGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from planners.scene import Pose
-from robot.description import model
+from robot.description import robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-FOLDER = Path(robot.__file__).parent / "arms" / "fetch"
 TIP = "gripper_link"
 
 # Poses of the tip in the root link: position [m], and x, y, z, w. Before the robot, to its sides, above and below.
@@ -37,7 +34,7 @@ POSITION_M, ORIENTATION_RAD = 0.001, 0.005
 
 @pytest.fixture(scope="module")
 def fetch() -> RobotModel:
-    return model.load(FOLDER / "fetch.urdf", FOLDER / "fetch.srdf")
+    return robot_folder.built_in("fetch").model
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
+from planners.geometry.plain_urdf import plain_urdf
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
+from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import RobotModel
+from robot.errors import DescriptionError
 from robot.trajectory import Vector
 
 # A check's time grows with the corners: hulls of the SO-101's meshes have thousands and take five times as long.
@@ -114,13 +117,17 @@ def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]
     Raises:
         ShapeError: a shape cannot be loaded.
     """
-    # package:// names start above the package's own directory, relative names in it.
-    folders = [] if robot.mesh_directory is None else [str(robot.mesh_directory), str(robot.mesh_directory.parent)]
     try:
-        geometry = pin.buildGeomFromUrdfString(model, robot.urdf, pin.GeometryType.COLLISION, package_dirs=folders)
-    except (ValueError, RuntimeError) as error:
+        urdf = with_mesh_paths(plain_urdf(robot), robot.mesh_directory, robot.package_directories)
+        geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    except (DescriptionError, ValueError, RuntimeError) as error:
         raise ShapeError(robot.name, f"cannot be loaded: {error}") from error
     return list(geometry.geometryObjects)
+
+
+def frame_of_link(model: pin.Model, link: str) -> int:
+    """Return the index of a link's frame; a joint may have the link's name."""
+    return int(model.getFrameId(link, pin.FrameType.BODY))
 
 
 def link_name(model: pin.Model, shape: pin.GeometryObject) -> str:
@@ -146,7 +153,7 @@ def scaled(shape: coal.CollisionGeometry, factor: float) -> coal.Convex:
 
 def on_link(model: pin.Model, link: str, shape: coal.CollisionGeometry) -> pin.GeometryObject:
     """A shape in the frame of a link."""
-    frame_id = model.getFrameId(link)
+    frame_id = frame_of_link(model, link)
     frame = model.frames[frame_id]
     return pin.GeometryObject(link, frame.parentJoint, frame_id, frame.placement, shape)
 

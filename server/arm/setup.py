@@ -59,7 +59,7 @@ class Description:
         try:
             alone = settings.robot is None and settings.serial is None and settings.calibration is None
             if alone and settings.urdf is not None and settings.srdf is not None:
-                robot = model.load(settings.urdf, settings.srdf)
+                robot = model.load(settings.urdf, settings.srdf, settings.package_path)
                 _refuse_servo_settings(settings, robot.name)
                 return cls(robot.name, robot, HardwareTable(), None)
             return cls._of_folder(settings)
@@ -68,8 +68,12 @@ class Description:
 
     @classmethod
     def _of_folder(cls, settings: ArmSettings) -> Description:
-        folder = robot_folder.find(settings.robot or DEFAULT_ROBOT)
-        found = robot_folder.load(folder, urdf=settings.urdf, srdf=settings.srdf)
+        found = robot_folder.resolve(
+            settings.robot or DEFAULT_ROBOT,
+            urdf=settings.urdf,
+            srdf=settings.srdf,
+            package_directories=settings.package_path,
+        )
         hardware = found.hardware
         if hardware.kind == "ideal":
             _refuse_servo_settings(settings, found.title)

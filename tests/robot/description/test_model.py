@@ -104,15 +104,18 @@ def test_limits_beside_the_urdf_replace_its_own() -> None:
 BROKEN = {
     "no XML": ("<robot", SRDF, "URDF is not XML"),
     "another root": ("<html/>", SRDF, "<html>"),
-    "no limit": (URDF.replace('<limit lower="-1" upper="2" velocity="3"/>', ""), SRDF, "'ab' has no <limit>"),
+    "no limit": (URDF.replace('<limit lower="-1" upper="2" velocity="3"/>', ""), SRDF, "joint 'ab' has no <limit>"),
     "limits reversed": (URDF.replace('lower="-1"', 'lower="4"'), SRDF, "lower 4 must be below upper 2"),
     "limit not finite": (URDF.replace('lower="-1"', 'lower="nan"'), SRDF, "lower must be a finite number, not 'nan'"),
-    "velocity zero": (URDF.replace('velocity="3"', 'velocity="0"'), SRDF, "velocity must be above 0"),
+    "velocity zero": (URDF.replace('velocity="3"', 'velocity="0"'), SRDF, "velocity must be above 0, not 0"),
     "two roots": (URDF.replace('<link name="a"/>', '<link name="a"/><link name="z"/>'), SRDF, "exactly one root"),
     "link missing": (URDF.replace('<link name="b"/>', ""), SRDF, "'b', which does not exist"),
     "no group": (URDF, "<robot/>", "no <group>"),
-    "no chain": (URDF, SRDF.replace('base_link="a"', 'base_link="q"'), "'g': no chain leads from 'q' to 'c'"),
-    "unknown joint": (URDF, SRDF.replace('name="ab"', 'name="zz"'), "unknown joint 'zz'"),
+    "no chain": (
+        URDF,
+        SRDF.replace('base_link="a" tip_link="c"', 'base_link="c" tip_link="a"'),
+        "'g': no chain leads from 'c' to 'a'",
+    ),
 }
 
 

@@ -264,7 +264,7 @@ class App:
         return (
             f"armbridge is ready: {self._listener.url} (rosbridge), {shown}"
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
-            f"planners in processes {', '.join(str(pid) for pid in self._pool.pids)}"
+            f"planners in processes {', '.join(str(pid) for pid in self._pool.pids) or 'of their own, shared'}"
         )
 
 

@@ -130,6 +130,11 @@ def _check_settings(settings: Settings) -> None:
             raise ConfigurationError(
                 f"{section}.{name}: the arms of a classroom are simulated, and {value} is for one arm; leave it out"
             )
+    if settings.zenoh.mode != "off":
+        raise ConfigurationError(
+            f"zenoh.mode: must be off in a classroom, not {settings.zenoh.mode}: the servers' topics have the same names "
+            "and would mix"
+        )
 
 
 def _check_ports(host: str, students: Sequence[Student]) -> None:

@@ -13,6 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from server.classroom import supervisor as supervisor_module
+from server.classroom.supervisor import Member
 from tests.helpers.server import ROOT
 
 pytestmark = pytest.mark.real_time
@@ -120,3 +122,26 @@ def test_members_are_out_of_reach_of_the_terminals_ctrl_c(run: Callable[[str], p
     until(lambda: len(supervisor.children()) == 2)
     time.sleep(0.2)
     assert all(os.getsid(child.pid) == child.pid for child in supervisor.children())
+
+
+def test_a_member_that_cannot_be_started_is_tried_again_later_each_time(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    tries_s: list[float] = []
+    member = Member("one", lambda: None)
+    now_s = 0.0
+
+    def fail(_run: object) -> None:
+        tries_s.append(now_s)
+        raise OSError("no process is left")
+
+    monkeypatch.setattr(supervisor_module, "ForkedProcess", fail)
+    while now_s < 60.0:
+        member.reap(now_s)
+        member.start_if_due(now_s)
+        now_s += 0.1
+    waits_s = [later - earlier for earlier, later in zip(tries_s, tries_s[1:], strict=False)]
+    assert waits_s == sorted(waits_s)
+    assert max(waits_s) < 11.0
+    assert member.pid is None
+    assert "one cannot be started: no process is left" in caplog.text

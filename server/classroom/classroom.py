@@ -132,8 +132,8 @@ def _check_settings(settings: Settings) -> None:
             )
     if settings.zenoh.mode != "off":
         raise ConfigurationError(
-            f"zenoh.mode: must be off in a classroom, not {settings.zenoh.mode}: the servers' topics have the same names "
-            "and would mix"
+            f"zenoh.mode: must be off in a classroom, not {settings.zenoh.mode}: its servers have the same topics, "
+            "which would mix"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -140,7 +141,7 @@ def test_a_member_that_cannot_be_started_is_tried_again_later_each_time(
         member.reap(now_s)
         member.start_if_due(now_s)
         now_s += 0.1
-    waits_s = [later - earlier for earlier, later in zip(tries_s, tries_s[1:], strict=False)]
+    waits_s = [later - earlier for earlier, later in itertools.pairwise(tries_s)]
     assert waits_s == sorted(waits_s)
     assert max(waits_s) < 11.0
     assert member.pid is None

@@ -102,6 +102,8 @@ async def test_a_cancelled_request_gives_its_planner_to_the_next_server(
     servers: Servers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pool_host, "LONGEST_PLANNING_S", 3600.0)
+    # They have loaded then, and the next request is under way at once.
+    assert isinstance(await soon(servers[0].ask(EASY)), Plan)
     long = asyncio.create_task(servers[0].ask(broken(broken_planner.DEAF, allowed_time_s=3600.0)))
     await asyncio.sleep(0.2)
     long.cancel()

@@ -74,8 +74,8 @@ def constraints(position: tuple[float, ...], orientation: tuple[float, ...]) -> 
 def main() -> None:
     """Wave until a signal comes, then cancel every goal."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--host", default="127.0.0.1", help="name or address of the server")
-    parser.add_argument("--port", default=9090, type=int, help="port of the server (default: %(default)s)")
+    parser.add_argument("--host", default="127.0.0.1", help="the server (default: %(default)s)")
+    parser.add_argument("--port", default=9090, type=int, help="its port (default: %(default)s)")
     arguments = parser.parse_args()
     headers = {"Authorization": f"Bearer {os.environ['ARM_TOKEN']}"} if "ARM_TOKEN" in os.environ else None
     client = roslibpy.Ros(host=arguments.host, port=arguments.port, headers=headers)

@@ -25,7 +25,6 @@ import robot.control.loop
 import robot.emulator.in_process
 import robot.hardware.ideal
 from planners.pool_host import PlannerHost
-from protocol.registry import Registry
 from robot.processes import OF_SERVICE_MANAGER, StartedChild
 from server.app import Inherited, serve
 from server.arm.setup import Description, check_parameters
@@ -79,8 +78,6 @@ def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
     _check_ports(host, students)
     _make_folders(options.folder, students)
     write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)
-    # What the tables of messages take is loaded once as well.
-    Registry.load()
     with tempfile.TemporaryDirectory(prefix="armbridge") as private:
         inherited = Inherited(description, Path(private) / "planners")
         planner_host = _host_member(settings, options, inherited)
@@ -170,10 +167,11 @@ class _Readiness:
         self._began_s = time.monotonic()
 
     def __call__(self) -> None:
-        """Look which servers are ready by now; without effect once all are."""
+        """Look which servers are ready by now, until one is not; without effect once all are."""
         if not self._waited:
             return
-        self._waited = [student for student in self._waited if not self._ready(student)]
+        while self._waited and self._ready(self._waited[0]):
+            self._waited.pop(0)
         if not self._waited:
             log.info(
                 "the classroom is ready after %.1f s: %d arms on ports %d to %d; names, addresses and tokens are in %s",

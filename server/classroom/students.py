@@ -140,7 +140,7 @@ def write_list(file: Path, students: Sequence[Student], teacher_token: str, host
     try:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         with os.fdopen(descriptor, "w", newline="") as lines:
-            rows = csv.writer(lines)
+            rows = csv.writer(lines, lineterminator="\n")
             rows.writerow(COLUMNS)
             rows.writerows((each.name, f"{scheme}://{shown}:{each.port}", each.token) for each in students)
             rows.writerow((TEACHER, f"{scheme}://{shown}:{students[0].port}", teacher_token))

@@ -68,7 +68,7 @@ class Member:
             self._due_s = now_s + self._delay.after(0.0)
             log.warning("%s cannot be started: %s", self.name, error)
         else:
-            log.info("%s is process %d", self.name, self._process.pid)
+            log.info("%s: process %d", self.name, self._process.pid)
 
     def reap(self, now_s: float) -> None:
         """Notice the end of the process; it becomes due again, later each time."""

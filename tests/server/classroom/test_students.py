@@ -47,6 +47,8 @@ def test_the_list_has_a_line_for_each_with_name_address_and_token(tmp_path: Path
     write_list(tmp_path / LIST_FILE, students, TOKEN, HOST, tls=True)
     with (tmp_path / LIST_FILE).open(newline="") as lines:
         rows = list(csv.reader(lines))
+    # Lines as awk and cut take them, too.
+    assert b"\r" not in (tmp_path / LIST_FILE).read_bytes()
     assert rows[0] == ["name", "url", "token"]
     assert rows[1] == ["student01", "wss://127.0.0.1:9100", students[0].token]
     assert rows[-1] == ["teacher", "wss://127.0.0.1:9100", TOKEN]

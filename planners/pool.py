@@ -336,13 +336,28 @@ class PlannerPool:
         self.waiting_count = 0
 
     async def start(self) -> None:
-        """Start the processes; they load in the background, and requests sent meanwhile wait for them."""
-        for _ in range(self._size):
+        """Start the processes; they load in the background, and requests sent meanwhile wait for them.
+
+        The spare starts once another has loaded, which so has the cores for itself, as long as nothing else can plan.
+        """
+        for _ in range(self._size - 1):
             await self._spawn()
+        self._in_background(self._spawn_spare())
+
+    async def wait_until_loaded(self) -> str | None:
+        """Wait until a worker takes requests, or it is known why none can.
+
+        Returns:
+            The reason for which no worker can plan for the robot; None where one can, or may later.
+        """
+        while not self._ever_loaded and self.load_failure is None and not self._closing.is_set():
+            await self._changed.wait()
+        return self.load_failure if self._robot_refused else None
 
     async def close(self) -> None:
         """End every process."""
         self._closing.set()
+        self._wake_waiting()
         self._reserve.close()
         await asyncio.gather(*(worker.kill() for worker in self._workers))
         if self._tasks:
@@ -505,10 +520,18 @@ class PlannerPool:
             self._count_failed_start("ended while starting")
         self._in_background(self._replace(worker))
 
+    async def _spawn_spare(self) -> None:
+        if await self.wait_until_loaded() is None:
+            await self._spawn_one()
+
     async def _replace(self, worker: WorkerProcess) -> None:
         await worker.kill()
         log.warning("planner process %d ended (%s); starting another", worker.pid, worker.ending)
         await self._pause_after_failed_starts()
+        await self._spawn_one()
+
+    async def _spawn_one(self) -> None:
+        """Start a process, with pauses between the tries."""
         while not self._closing.is_set():
             try:
                 await self._spawn()

@@ -189,6 +189,7 @@ class App:
         monitor = BackgroundTask("monitor", self._monitor.run)
         diagnostics = BackgroundTask("diagnostics", self._diagnostics.run)
         memory = BackgroundTask("memory", self._memory.run)
+        message_types = BackgroundTask("message types", self._graph.message_types.compile_waiting)
         relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
         parts = [
             Part("the monitor", monitor.start, monitor.stop),
@@ -203,7 +204,11 @@ class App:
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._listener.open),
             Part("the arm's first state", self._wait_for_arm),
+            # Loaded meanwhile; whoever is told that the server is ready need not wait for them.
+            Part("the planners' first plans", self._wait_for_planners),
             Part("memory", memory.start, memory.stop),
+            # Ready without them: whoever comes first waits for a type of his own, at most 20 ms.
+            Part("message types", message_types.start, message_types.stop),
         ]
         if self._bridge is not None:
             bridge = BackgroundTask("zenoh", self._bridge.run)
@@ -220,6 +225,11 @@ class App:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
+
+    async def _wait_for_planners(self) -> None:
+        refusal = await self._pool.wait_until_loaded()
+        if refusal is not None:
+            raise StartError(f"the planners cannot load the robot: {refusal}")
 
     async def _close_clients(self) -> None:
         self._control.close()

@@ -100,8 +100,8 @@ def limit_flaws(
         if not joint.lower - tolerance_rad <= value <= joint.upper + tolerance_rad:
             yield PlanningFailure(
                 code,
-                f"the arm stands with joint {joint.name!r} at {value:.4g} rad, beyond its limits"
-                f" {joint.lower:.4g} to {joint.upper:.4g} rad",
+                f"the arm stands with joint {joint.name!r} at {value:.4g} {joint.unit}, beyond its limits"
+                f" {joint.lower:.4g} to {joint.upper:.4g} {joint.unit}",
                 {"joint": joint.name, "position_rad": value, "lower_rad": joint.lower, "upper_rad": joint.upper},
             )
 

@@ -100,7 +100,7 @@ def _joint_goal_flaws(robot: RobotModel, group: Group, goal: JointGoal) -> Itera
             yield invalid_goal(f"the goal of joint {name!r} is {value}, not a finite number", joint=name)
         joint = robot.joints[name]
         if not joint.lower - goal.tolerance_rad <= value <= joint.upper + goal.tolerance_rad:
-            yield _beyond_limits(f"the goal of joint {name!r}, {value:.4g} rad, is", robot, name, value)
+            yield _beyond_limits(f"the goal of joint {name!r}, {value:.4g} {joint.unit}, is", robot, name, value)
 
 
 def _constraint_flaws(robot: RobotModel, constraints: Constraints) -> Iterator[PlanningFailure]:
@@ -206,7 +206,7 @@ def _tolerance_flaws(what: str, value: float, unit: str, least: float | None = N
 def _beyond_limits(what: str, robot: RobotModel, name: str, value: float) -> PlanningFailure:
     joint = robot.joints[name]
     return invalid_goal(
-        f"{what} beyond its limits {joint.lower:.4g} to {joint.upper:.4g} rad",
+        f"{what} beyond its limits {joint.lower:.4g} to {joint.upper:.4g} {joint.unit}",
         joint=name,
         position_rad=value,
         lower_rad=joint.lower,

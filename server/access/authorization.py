@@ -175,6 +175,8 @@ TOPICS: Mapping[str, Rule] = {
     "/moveit_goal_cancel": CANCELLING,
     # The client that confirms may be another than the one that drives.
     "/moveit_goal_confirm": WORKING,
+    # The client that chooses the group is the one that drives.
+    "/moveit_goal_group": SWITCHING,
     "/moveit_goal_joints": GOAL,
     "/moveit_goal_named": GOAL,
     "/moveit_goal_pose": GOAL,

@@ -253,6 +253,13 @@ def test_the_goals_of_one_arm_of_two_move_its_joints_alone() -> None:
     assert left.joints == set(PAIR.groups["left_arm"].joints)
 
 
+def test_a_suggestion_for_joints_that_slide_is_in_metres(lifted: GoalTranslator) -> None:
+    asked = joint_state(name=["lift"], position=[0.9])
+    told = suggestion(asked, {"joint": "lift", "lower_rad": 0.0, "upper_rad": 0.3}, LIFTED)
+    assert told is not None
+    assert told.words == "within the limits, lift 0.300 m"
+
+
 def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:
     told = suggestion(whole_pose(TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
     assert told is not None

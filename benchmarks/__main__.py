@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from benchmarks import (
     busy_machine,
+    classroom,
     event_loop,
     floods,
     gateway,
@@ -23,6 +24,7 @@ from benchmarks import (
     planning_scene_services,
     planning_scenes,
     processes,
+    published_arms,
     recording,
     rosapi,
     servo_loop,
@@ -36,6 +38,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "goal_latency": goal_latency.run,
     "goal_files": goal_files.run,
     "planning": planning.run,
+    "published_arms": published_arms.run,
     "planner_processes": planner_processes.run,
     "planning_scenes": planning_scenes.run,
     "busy_machine": busy_machine.run,
@@ -51,6 +54,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "idle_connections": idle_connections.run,
     "floods": floods.run,
     "one_frame": one_frame.run,
+    "classroom": classroom.run,
     "soak": soak.run,
     "planning_scene_services": planning_scene_services.run,
 }

@@ -23,7 +23,7 @@ from planners.geometry.contacts import (
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.nearness import Nearest, NearPair
 from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import frame_of_link, link_name, placement, robot_shapes, scaled, solid
+from planners.geometry.shapes import frame_of_link, link_name, placement, robot_shapes, scaled, solid, urdf_shapes
 from planners.goals import ZERO
 from planners.problem import PlanningFailure
 from planners.scene import EMPTY_SCENE, AttachedObject, Point, Scene
@@ -209,8 +209,10 @@ class CollisionModel:
         self._robot = robot
         self._model = pin.buildModelFromXML(kinematic_urdf(robot))
         self._data = self._model.createData()
-        self._shapes = robot_shapes(robot, self._model)
-        self._exact = ExactShapes(robot, self._model)
+        # Loaded once: the meshes of an arm can take a second.
+        exact = None if robot.hulls else urdf_shapes(robot, self._model)
+        self._shapes = robot_shapes(robot, self._model, exact)
+        self._exact = ExactShapes(robot, self._model, exact)
         self._reach = Reach(self._model)
         self._links_reach_m = self._reach.of_shapes(self._shapes)
         self._frames_reach_m = self._reach.of_frames()

@@ -5,6 +5,8 @@ A link has one convex shape, or the URDF's own shapes with meshes replaced by hu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -98,14 +100,21 @@ def _directions(count: int) -> Vector:
     return np.vstack((np.eye(3), -np.eye(3), lattice))
 
 
-def robot_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
+def robot_shapes(
+    robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None
+) -> list[pin.GeometryObject]:
     """The shapes that are checked: solid and quick to check.
+
+    Args:
+        robot: its hulls, or else its URDF's shapes, meshes in hulls.
+        model: its joints.
+        exact: shapes of the URDF where these are loaded already.
 
     Raises:
         ShapeError: a shape of the URDF cannot be loaded, or there is none.
     """
     shapes = [on_link(model, link, convex(hull.vertices)) for link, hull in robot.hulls.items()]
-    shapes = shapes or _from_urdf(robot, model)
+    shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if exact is None else exact)]
     if not shapes:
         raise ShapeError(robot.name, "no link has a collision shape")
     return shapes
@@ -158,12 +167,12 @@ def on_link(model: pin.Model, link: str, shape: coal.CollisionGeometry) -> pin.G
     return pin.GeometryObject(link, frame.parentJoint, frame_id, frame.placement, shape)
 
 
-def _from_urdf(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
-    shapes = urdf_shapes(robot, model)
-    for shape in shapes:
-        if isinstance(shape.geometry, coal.BVHModelBase):
-            shape.geometry = enclosing(np.asarray(shape.geometry.vertices()))
-    return shapes
+def _solid(shape: pin.GeometryObject) -> pin.GeometryObject:
+    """Return a shape, or the hull in place of a mesh."""
+    if not isinstance(shape.geometry, coal.BVHModelBase):
+        return shape
+    hull = enclosing(np.asarray(shape.geometry.vertices()))
+    return pin.GeometryObject(shape.name, shape.parentJoint, shape.parentFrame, shape.placement, hull)
 
 
 def _corners(shape: coal.CollisionGeometry) -> Vector:

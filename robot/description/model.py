@@ -25,6 +25,9 @@ NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})
 OPEN_STATES = ("open", "opened")
 CLOSED_STATES = ("closed", "close")
 
+# Groups that are the gripper where no end effector says so, as Panda's.
+GRIPPER_GROUPS = ("gripper", "hand")
+
 
 @dataclass(frozen=True)
 class Gripper:
@@ -185,7 +188,7 @@ def parse(
         hulls=hulls or {},
         parts=parts or {},
         planning_frame=semantics.planning_frame,
-        gripper=_gripper(semantics, tree.joints),
+        gripper=_gripper(semantics, tree.joints, default_group),
         default_group=default_group,
         tip_link=semantics.groups[default_group].tip_link,
         held_joints={
@@ -203,23 +206,39 @@ def _default_group(semantics: Semantics) -> str:
     return "arm" if "arm" in semantics.groups else next(iter([*chains, *semantics.groups]))
 
 
-def _gripper(semantics: Semantics, joints: Mapping[str, Joint]) -> Gripper | None:
-    """Return the gripper of the first end effector with one or two joints, by its named states or its limits."""
-    for end in semantics.end_effectors:
-        group = semantics.groups.get(end.group)
-        if group is None or len(group.joints) not in (1, 2):
+def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gripper | None:
+    """Return the gripper: an end effector of one or two joints, or else such a group "gripper" or "hand".
+
+    Of several, it is that at the arm's tip. It is open and closed in its named states, or else at its limits.
+
+    Args:
+        semantics: groups, named states and end effectors.
+        joints: joints by name.
+        arm: group whose gripper it is.
+    """
+    groups = semantics.groups
+    hands = [end for end in semantics.end_effectors if end.group != arm]
+    at_tip = [end.group for end in hands if end.parent_link == groups[arm].tip_link]
+    chosen = at_tip or [end.group for end in hands if len(hands) == 1]
+    for name in chosen or GRIPPER_GROUPS:
+        members = groups[name].joints if name in groups else ()
+        if len(members) not in (1, 2) or set(members) & set(groups[arm].joints):
             continue
-        first = joints[group.joints[0]]
-        states = {name.lower(): state for name, state in semantics.named_states.get(end.group, {}).items()}
-        positions = {
-            place: next((states[name][first.name] for name in names if first.name in states.get(name, {})), limit)
-            for place, names, limit in (
-                ("open", OPEN_STATES, first.upper),
-                ("closed", CLOSED_STATES, first.lower),
-            )
-        }
-        return Gripper(group.joints, positions["open"], positions["closed"])
+        states = {state.lower(): values for state, values in semantics.named_states.get(name, {}).items()}
+        ends = {_ends(joints[member], states) for member in members}
+        # Two fingers move alike: a gripper has one position.
+        if len(ends) == 1:
+            return Gripper(members, *ends.pop())
     return None
+
+
+def _ends(joint: Joint, states: Mapping[str, Mapping[str, float]]) -> tuple[float, float]:
+    """Return where a joint of a gripper is when it is open and when it is closed [rad or m]."""
+    opened, closed = (
+        next((states[name][joint.name] for name in names if joint.name in states.get(name, {})), limit)
+        for names, limit in ((OPEN_STATES, joint.upper), (CLOSED_STATES, joint.lower))
+    )
+    return opened, closed
 
 
 def _text(path: Path) -> str:

@@ -4,7 +4,7 @@ from importlib import metadata
 
 import pytest
 
-from robot.description import model
+from robot.description import model, robot_folder
 from robot.description.example_robots import PACKAGE, example_names, find_example
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
@@ -40,7 +40,7 @@ needs_package = pytest.mark.skipif(not installed(), reason=f"{PACKAGE} is not in
 def read(name: str) -> RobotModel:
     example = find_example(name)
     assert example is not None
-    return model.load(example.urdf, example.srdf, example.packages)
+    return model.load(example.urdf, example.srdf, package_directories=example.packages)
 
 
 def robot_or_refusal(name: str) -> RobotModel | str:
@@ -84,6 +84,13 @@ def test_every_published_robot_is_read_or_refused_in_a_sentence(name: str) -> No
 def test_a_robot_without_srdf_is_refused_with_the_place_where_one_is_missed() -> None:
     with pytest.raises(DescriptionError, match=r"'ur10' has no SRDF"):
         find_example("ur10")
+
+
+@needs_package
+def test_a_published_robot_is_loaded_by_its_name_with_ideal_joints() -> None:
+    found = robot_folder.resolve("panda")
+    assert found.model.gripper == model.Gripper(("panda_finger_joint1",), 0.04, 0.0)
+    assert found.hardware.kind == "ideal"
 
 
 def test_a_name_that_the_package_does_not_have_is_not_found() -> None:

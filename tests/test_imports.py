@@ -27,6 +27,8 @@ ALLOWED = {
         "planners.files.problem_file",
         "planners.files.plan_command",
         "planners.pool",
+        "planners.pool_host",
+        "planners.shared_pool",
         "planners.servo.question",
     ),
     "planners": (
@@ -52,6 +54,8 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
     "planners/pool.py",
+    "planners/pool_host.py",
+    "planners/shared_pool.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 

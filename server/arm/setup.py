@@ -12,7 +12,14 @@ from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
-from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.hardware.config import (
+    DynamixelConfig,
+    EmulatedConfig,
+    EmulatedDynamixelConfig,
+    FeetechConfig,
+    HardwareConfig,
+    IdealConfig,
+)
 from robot.messages import ArmConfig
 from server.config import ArmSettings, EmulatorSettings, Settings
 from server.errors import ConfigurationError
@@ -118,8 +125,13 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     if description.calibration is None:
         _refuse_bus_options(emulator)
         return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled)
+    dynamixel = description.hardware.kind == "dynamixel"
     if settings.arm.serial is not None:
+        if dynamixel:
+            return DynamixelConfig(description.calibration, settings.arm.serial, description.hardware.baud)
         return FeetechConfig(description.calibration, settings.arm.serial)
+    if dynamixel:
+        return _emulated_dynamixels(settings, description.calibration)
     if emulator.write_log is not None:
         _check_place("emulator.write_log", emulator.write_log)
     if emulator.control is not None:
@@ -133,6 +145,18 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
         control=emulator.control,
         # Nothing can jump or fall when it is switched on: the half second that this takes is for real arms.
         driven=settings.arm.start_enabled,
+    )
+
+
+def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedDynamixelConfig:
+    emulator = settings.emulator
+    for name in ("write_log", "control"):
+        if (value := getattr(emulator, name)) is not None:
+            raise ConfigurationError(
+                f"emulator.{name}: emulated Dynamixel servos have none, so that {str(value)!r} cannot be used"
+            )
+    return EmulatedDynamixelConfig(
+        calibration, emulator.drop, emulator.corrupt, emulator.seed, driven=settings.arm.start_enabled
     )
 
 

@@ -184,7 +184,7 @@ def check_link(robot: RobotModel, link: str) -> PlanningFailure | None:
     message = f"the robot has no link {link!r}; it has: {known}"
     if not link:
         message = (
-            f"the group has no tip, for its joints are not one chain: name the link that the goal is for, of {known}"
+            f"the robot has no link '': a group whose joints are not one chain has no tip, so name one of: {known}"
         )
     return PlanningFailure(MoveItErrorCode.INVALID_LINK_NAME, message, {"link": link})
 

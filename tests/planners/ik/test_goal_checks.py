@@ -158,4 +158,4 @@ def test_joint_goal_may_exceed_a_limit_by_rounding_only(robot, arm):
 def test_a_goal_for_the_tip_of_a_group_that_has_none_is_told_to_name_a_link(robot, arm, goal):
     refusal = check_goal(robot, arm, dataclasses.replace(goal, link=""))
     assert refusal.code is MoveItErrorCode.INVALID_LINK_NAME
-    assert "no tip, for its joints are not one chain: name the link" in refusal.message
+    assert "a group whose joints are not one chain has no tip" in refusal.message

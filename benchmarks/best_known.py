@@ -14,7 +14,7 @@ from benchmarks.make_scenes import SCENES
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options, Outcome
 from planners.problem import Plan
-from robot.description import model
+from robot.description.robot_folder import built_in
 from tests.helpers.full_meshes import Judge
 from tests.helpers.resources import SHARED
 
@@ -40,7 +40,7 @@ def note(path: Path) -> None:
 
 def _outcomes(path: Path, ids: tuple[str, ...], seed: int) -> list[Outcome]:
     settings = {"seed": seed, "optimization_time_s": OPTIMIZATION_S, "allowed_time_s": ALLOWED_TIME_S}
-    file = problem_file.read(path, model.builtin())
+    file = problem_file.read(path, built_in("so101").model)
     return list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=ids, settings=settings))))
 
 

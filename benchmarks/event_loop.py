@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from benchmarks.figures import percentiles, print_table
 from planners.pool import NICENESS, PlannerPool
-from robot.description import model
+from robot.description.robot_folder import built_in
 from server.app import App
 from server.config_loader import load
 from tests.helpers.motions import EASY, LONG
@@ -86,7 +86,7 @@ def run() -> None:
 
 
 async def _compare(rows: list[list[str]]) -> None:
-    pool = PlannerPool(model.builtin())
+    pool = PlannerPool(built_in("so101").model)
     await pool.start()
     await pool.ask(EASY)
     loads: dict[str, Callable[[], contextlib.AbstractAsyncContextManager[None]]] = {

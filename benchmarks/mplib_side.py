@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from robot.description import model
 from robot.description.model import Hull, RobotModel
+from robot.description.robot_folder import built_in
 
 REQUIREMENTS = ("mplib==0.2.1", "numpy<2")
 ENVIRONMENT = Path(__file__).parents[1] / "build" / "mplib"
@@ -45,7 +45,7 @@ def installed() -> str:
 
 def plans(problem_path: Path, rrt_range: float) -> Iterator[dict[str, Any]]:
     """Return MPlib's answers to the joint problems of a file, with the CPU seconds of each."""
-    urdf, srdf = _description(ENVIRONMENT / "so101", model.builtin())
+    urdf, srdf = _description(ENVIRONMENT / "so101", built_in("so101").model)
     command = [*map(str, (_python(), PEER, problem_path, urdf, srdf)), "gripper_frame_link", str(rrt_range)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PLAN_S)
     for line in done.stdout.splitlines():

@@ -23,7 +23,7 @@ from benchmarks.figures import percentiles, print_table
 from planners import pool as pool_module
 from planners.pool import LOAD_TIMEOUT_S, OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
-from robot.description import model
+from robot.description.robot_folder import built_in
 from tests.helpers.broken_planner import FAULTS
 from tests.helpers.motions import EASY, LONG, STATE, broken
 
@@ -123,7 +123,7 @@ def _code(answer: Answer) -> str:
 
 async def _run(seconds: float, seed: int) -> None:
     pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
-    pool = PlannerPool(model.builtin(), memory_limit_bytes=MEMORY_LIMIT_BYTES)
+    pool = PlannerPool(built_in("so101").model, memory_limit_bytes=MEMORY_LIMIT_BYTES)
     campaign = Campaign(pool, random.Random(seed))
     process = psutil.Process()
     await pool.start()

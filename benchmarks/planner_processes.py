@@ -16,7 +16,7 @@ from planners import pool as pool_module
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool, WorkerProcess
 from planners.problem import Answer, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
-from robot.description import model
+from robot.description.robot_folder import built_in
 from tests.helpers import broken_planner
 from tests.helpers.motions import EASY, LONG, STATE, broken
 
@@ -37,7 +37,7 @@ def run() -> None:
 async def _worker() -> WorkerProcess:
     loaded = asyncio.Event()
     worker = WorkerProcess(
-        model.builtin(), MEMORY_LIMIT_BYTES, lambda _worker, _refusal: loaded.set(), lambda _worker: None
+        built_in("so101").model, MEMORY_LIMIT_BYTES, lambda _worker, _refusal: loaded.set(), lambda _worker: None
     )
     await worker.start()
     await asyncio.wait_for(loaded.wait(), 30.0)
@@ -118,7 +118,7 @@ async def _cancel(worker: WorkerProcess, after_s: float) -> float:
 async def _kills() -> list[float]:
     """Cancel requests that hang in native code; the next request waits for the spare process only."""
     pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
-    pool = PlannerPool(model.builtin())
+    pool = PlannerPool(built_in("so101").model)
     await pool.start()
     times_s = []
     for _ in range(KILLS):

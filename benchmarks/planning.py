@@ -11,7 +11,7 @@ from benchmarks.figures import percentiles, print_table
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningFailure, PlanningProblem
-from robot.description import model
+from robot.description.robot_folder import built_in
 
 PROBLEMS = 450
 SEED = 5
@@ -29,7 +29,7 @@ BLOCKED_LINES = (
 def blocked_problem(number: int, attempts: int) -> PlanningProblem:
     """Return a joint goal that needs a search, seeded by its number."""
     start, end = BLOCKED_LINES[number % len(BLOCKED_LINES)]
-    arm = model.builtin().groups["arm"].joints
+    arm = built_in("so101").model.groups["arm"].joints
     start_rad = {**dict(zip(arm, start, strict=True)), "gripper": 0.0}
     goal = JointGoal(dict(zip(arm, end, strict=True)))
     return PlanningProblem("arm", start_rad, goal, 0.3, 0.3, attempts=attempts, seed=number)
@@ -39,7 +39,7 @@ class Draw:
     """Random problems for the built-in arm."""
 
     def __init__(self) -> None:
-        self._robot = model.builtin()
+        self._robot = built_in("so101").model
         self._rng = np.random.default_rng(SEED)
         self._names = [joint.name for joint in self._robot.movable_joints]
         self._lower = np.array([joint.lower for joint in self._robot.movable_joints])
@@ -63,7 +63,7 @@ class Draw:
 
 def run() -> None:
     """Plan random problems; group them by kind of goal and by outcome."""
-    planner, draw = Planner(model.builtin()), Draw()
+    planner, draw = Planner(built_in("so101").model), Draw()
     times_s: dict[str, list[float]] = defaultdict(list)
     for number in range(PROBLEMS):
         problem = draw.problem(number)

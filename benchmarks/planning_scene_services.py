@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.figures import percentiles, print_table
 from protocol.codecs import json
 from protocol.registry import Registry
-from robot.description import model
+from robot.description.robot_folder import built_in
 from robot.messages import ArmState, Mode
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
@@ -48,7 +48,7 @@ def run() -> None:
 
 
 async def _measure() -> None:
-    robot, graph, client = model.builtin(), Graph(Registry.load()), Node("client", remote=True)
+    robot, graph, client = built_in("so101").model, Graph(Registry.load()), Node("client", remote=True)
     arm = _StandingArm(tuple(joint.name for joint in robot.movable_joints))
     current = CurrentState(arm, robot)
     scene = SceneInterface(graph, robot, SceneState(robot), AssumedStates(robot), current, MoveItParameters())

@@ -23,7 +23,7 @@ from planners.files import plan_command, problem_file
 from planners.files.plan_command import Outcome
 from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
-from robot.description import model
+from robot.description.robot_folder import built_in
 from tests.helpers.full_meshes import Judge
 from tests.helpers.resources import SHARED
 
@@ -113,7 +113,7 @@ def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
     entries = {entry["id"]: entry for key in _LISTS for entry in fields.get(key, [])}
     mesh = any(thing.get("type") == "mesh" for thing in fields["objects"])
     judge = _judge(path) if SHARED.is_dir() else None
-    file = problem_file.read(path, model.builtin())
+    file = problem_file.read(path, built_in("so101").model)
     options = plan_command.Options([path], every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
     for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
         entry = entries[outcome.file_problem.id]

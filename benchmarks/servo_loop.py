@@ -27,8 +27,8 @@ from planners.pool import PlannerPool
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
-from robot.description import model
 from robot.description.limits import within_calibration
+from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
 from robot.trajectory import rest_to_rest
@@ -36,8 +36,8 @@ from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator
 
-CALIBRATION = Calibration.nominal()
-ROBOT = within_calibration(model.builtin(), CALIBRATION)
+CALIBRATION = Calibration.nominal(built_in("so101").hardware.servos)
+ROBOT = within_calibration(built_in("so101").model, CALIBRATION)
 
 SECONDS = 10.0
 START_TIMEOUT_S = 15.0

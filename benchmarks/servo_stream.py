@@ -26,16 +26,16 @@ from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
 from robot.control.streaming import TIME_TO_FULL_ACCELERATION_S
-from robot.description import model
 from robot.description.limits import JointBounds, within_calibration
+from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, Commanded
 from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator
 
-CALIBRATION = Calibration.nominal()
-ROBOT = within_calibration(model.builtin(), CALIBRATION)
+CALIBRATION = Calibration.nominal(built_in("so101").hardware.servos)
+ROBOT = within_calibration(built_in("so101").model, CALIBRATION)
 JOINTS = ROBOT.groups["arm"].joints
 TIP = ROBOT.groups["arm"].tip_link
 

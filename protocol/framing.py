@@ -20,12 +20,18 @@ from protocol.operations import Fragment
 # the rest may be still to come.
 _START = re.compile(rb'\{(?=[ \t\r\n]*+(?:["}]|\Z))')
 
-# Nothing below is tried twice: all quantifiers are possessive. The rest of a text whose quote has been passed; what
-# contains no brace that counts; and, so that a long list of small objects is read quickly, whole objects as well.
-_TEXT = rb'(?:[^"\\]++|\\.)*+'
+# Nothing below is tried twice: groups are atomic. The rest of a text whose quote has been passed; what has no brace
+# that counts; and, so that a long list of small objects is read quickly, whole objects as well. Repeated groups are
+# bounded, and matched again where they end: each time costs 100 bytes while the match lasts. They are not possessive,
+# as single characters are: where such a group can end in several ways, Python 3.11.2 takes the wrong end (CPython's
+# issue 106052).
+_SOME = rb"{0,1000}"
+_TEXT = rb'(?>(?:[^"\\]++|\\.)' + _SOME + rb")"
 _NO_BRACES = rb'[^"{}]++|"' + _TEXT + rb'"'
 _INSIDE_TEXT = re.compile(_TEXT, re.DOTALL)
-_OUTSIDE_TEXT = re.compile(rb"(?:" + _NO_BRACES + rb"|\{(?:" + _NO_BRACES + rb")*+\})*+", re.DOTALL)
+_OUTSIDE_TEXT = re.compile(
+    rb"(?>(?:" + _NO_BRACES + rb"|\{(?>(?:" + _NO_BRACES + rb")" + _SOME + rb")\})" + _SOME + rb")", re.DOTALL
+)
 
 _QUOTE, _OPEN = b'"{'
 
@@ -166,8 +172,8 @@ class _ObjectEnd:
 
     def _skip(self, data: bytearray) -> bool:
         """Go to the next mark that counts; False when there is none, or it cannot be told yet what it is."""
-        match = (_INSIDE_TEXT if self._in_text else _OUTSIDE_TEXT).match(data, self.position)
-        if match is not None:
+        pattern = _INSIDE_TEXT if self._in_text else _OUTSIDE_TEXT
+        while (match := pattern.match(data, self.position)) is not None and match.end() > self.position:
             self.position = match.end()
         # A text stops at a backslash only when what it escapes has not come yet.
         return self.position < len(data) and (not self._in_text or data[self.position] == _QUOTE)

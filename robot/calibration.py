@@ -14,11 +14,12 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from robot import files
+from robot.description.servo_table import MAX_SERVO_ID, ServoSpec
 from robot.errors import CalibrationError
 
 TICKS_PER_TURN = 4096
@@ -39,59 +40,27 @@ MAX_ZERO_OFFSET_RAD = 0.5
 # Wider ranges come near the seam between tick 4095 and 0, where positions jump by a turn.
 WIDEST_RANGE_TICKS = 4000
 
-# 254 is the broadcast id.
-MAX_SERVO_ID = 253
-
-GRIPPER_JOINT = "gripper"
-
-# lerobot turns this joint freely while it records the others, and writes 0..4095 for it.
-FREE_TURNING_JOINT = "wrist_roll"
-
-# lerobot's names of the SO-101 follower: since January 2026, and before.
-ROBOT_NAMES = ("so_follower", "so101_follower")
-
-
-@dataclass(frozen=True)
-class JointSpec:
-    """Joint of the SO-101 as in its URDF (so101_new_calib); limits in rad."""
-
-    name: str
-    servo_id: int
-    lower_rad: float
-    upper_rad: float
-
-
-SO101_JOINTS = (
-    JointSpec("shoulder_pan", 1, -1.91986, 1.91986),
-    JointSpec("shoulder_lift", 2, -1.74533, 1.74533),
-    JointSpec("elbow_flex", 3, -1.69, 1.69),
-    JointSpec("wrist_flex", 4, -1.65806, 1.65806),
-    JointSpec("wrist_roll", 5, -2.74385, 2.84121),
-    JointSpec(GRIPPER_JOINT, 6, -0.174533, 1.74533),
-)
-_GRIPPER = SO101_JOINTS[-1]
-
 
 @dataclass(frozen=True)
 class JointCalibration:
     """Calibration of one joint: conversion between ticks and radians.
 
-    An arm joint turns by its ticks: ``q = (ticks - middle) * 2 pi / 4096 + zero_offset_rad``. The gripper's
-    range spans the URDF's, closed to open: ``q = lower + (ticks - range_min) / (range_max - range_min) *
-    (upper - lower)``, and ``drive_mode`` 1 swaps its ends. lerobot ignores ``drive_mode`` of arm joints in
-    degrees, and so does this class.
+    A joint whose zero is a tick turns by its ticks: ``q = sign * (ticks - tick) * 2 pi / 4096 + angle_rad +
+    zero_offset_rad``. The range of one whose zero is given by its ``ends`` spans the URDF's: ``q = lower + (ticks -
+    range_min) / (range_max - range_min) * (upper - lower)``, and ``drive_mode`` 1 swaps its ends, as the sign -1 does.
+    lerobot ignores ``drive_mode`` of joints in degrees, and so does this class.
 
     Attributes:
-        joint: name in the URDF.
+        servo: the joint and its servo, as the robot's folder describes them.
         servo_id: id on the bus.
         drive_mode: 0, or 1 for a mirrored gripper.
         homing_offset: register HOMING_OFFSET at calibration [ticks]; the servo applies it itself.
         range_min: lowest position reached by hand [ticks].
         range_max: highest position reached by hand [ticks].
-        zero_offset_rad: trim added to an arm joint's position [rad].
+        zero_offset_rad: trim added to the position of a joint whose zero is a tick [rad].
     """
 
-    joint: str
+    servo: ServoSpec
     servo_id: int
     drive_mode: int
     homing_offset: int
@@ -100,9 +69,9 @@ class JointCalibration:
     zero_offset_rad: float = 0.0
 
     @property
-    def is_gripper(self) -> bool:
-        """True for the joint that opens and closes the jaw."""
-        return self.joint == GRIPPER_JOINT
+    def joint(self) -> str:
+        """Name of the joint in the URDF."""
+        return self.servo.joint
 
     @property
     def lower_rad(self) -> float:
@@ -136,49 +105,75 @@ class JointCalibration:
         return velocity_rad_s / self._rad_per_tick
 
     @property
+    def _mirrored(self) -> bool:
+        """True when the range's higher tick is the joint's lower limit."""
+        return (self.drive_mode == 1) != (self.servo.sign < 0)
+
+    @property
     def _zero_ticks(self) -> float:
-        """Tick at ``_zero_rad``: the closed end of the gripper, the middle of an arm joint."""
-        if self.is_gripper:
-            return self.range_max if self.drive_mode else self.range_min
-        return (self.range_min + self.range_max) / 2.0
+        """Tick at ``_zero_rad``."""
+        if self.servo.zero == "ends":
+            return self.range_max if self._mirrored else self.range_min
+        return (self.range_min + self.range_max) / 2.0 if self.servo.zero.tick is None else self.servo.zero.tick
 
     @property
     def _zero_rad(self) -> float:
-        return _GRIPPER.lower_rad if self.is_gripper else self.zero_offset_rad
+        if self.servo.zero == "ends":
+            return self.servo.lower_rad
+        return self.servo.zero.angle_rad + self.zero_offset_rad
 
     @property
     def _rad_per_tick(self) -> float:
-        if not self.is_gripper:
-            return RAD_PER_TICK
-        scale = (_GRIPPER.upper_rad - _GRIPPER.lower_rad) / (self.range_max - self.range_min)
-        return -scale if self.drive_mode else scale
+        if self.servo.zero != "ends":
+            return self.servo.sign * RAD_PER_TICK
+        scale = (self.servo.upper_rad - self.servo.lower_rad) / (self.range_max - self.range_min)
+        return -scale if self._mirrored else scale
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of an arm: its joints from base to gripper."""
+    """Calibration of an arm.
+
+    Attributes:
+        joints: its joints from base to gripper.
+        measured: False for one that was assumed rather than read from a file.
+    """
 
     joints: tuple[JointCalibration, ...]
+    measured: bool = field(default=True, compare=False)
+
+    @property
+    def zero_is_known(self) -> bool:
+        """True when the place of every joint's zero was measured, or is given by the robot's folder."""
+        return self.measured or not any(joint.servo.needs_calibration for joint in self.joints)
 
     @classmethod
-    def nominal(cls) -> Calibration:
-        """Build the calibration of an ideal arm: every range centred, and a little wider than the URDF's limits."""
-        return cls(tuple(_nominal(spec) for spec in SO101_JOINTS))
+    def nominal(cls, servos: Sequence[ServoSpec]) -> Calibration:
+        """Build the calibration of a flawless arm: every range centred, and a little wider than the URDF's limits.
+
+        Args:
+            servos: the arm's servos.
+        """
+        return cls(tuple(_nominal(servo) for servo in servos), measured=False)
 
     @classmethod
-    def load(cls, path: Path) -> Calibration:
+    def load(cls, path: Path, servos: Sequence[ServoSpec]) -> Calibration:
         """Read a calibration file of lerobot (June 2025 or later).
+
+        Args:
+            path: the file.
+            servos: the arm's servos.
 
         Raises:
             CalibrationError: the file cannot be read, has the older schema, or does not describe this arm.
         """
         table = _read_table(path)
-        names = [spec.name for spec in SO101_JOINTS]
+        names = [servo.joint for servo in servos]
         if missing := [name for name in names if name not in table]:
             raise CalibrationError(str(path), missing[0], f"the joint is missing; the file has {sorted(table)}")
         if unknown := [name for name in table if name not in names]:
-            raise CalibrationError(str(path), unknown[0], f"the SO-101 has no such joint, but {names}")
-        joints = tuple(_joint(str(path), name, table[name]) for name in names)
+            raise CalibrationError(str(path), unknown[0], f"the arm has no such joint, but {names}")
+        joints = tuple(_joint(str(path), servo, table[servo.joint]) for servo in servos)
         _check_ids(str(path), joints)
         return cls(joints)
 
@@ -189,9 +184,9 @@ class Calibration:
             zero_offset_rad: offset to add to a joint's position, by joint [rad]; joints not named keep theirs.
 
         Raises:
-            CalibrationError: there is no such joint, it is the gripper, or the trim is too large.
+            CalibrationError: there is no such joint, its ends are its zero, or the trim is too large.
         """
-        names = [joint.joint for joint in self.joints if not joint.is_gripper]
+        names = [joint.joint for joint in self.joints if joint.servo.zero != "ends"]
         for name, offset_rad in zero_offset_rad.items():
             if name not in names:
                 raise CalibrationError("zero_offset_rad", name, f"must be one of the arm's joints, {', '.join(names)}")
@@ -199,11 +194,12 @@ class Calibration:
                 raise CalibrationError(
                     "zero_offset_rad", name, f"must be within +-{MAX_ZERO_OFFSET_RAD} rad, not {offset_rad}"
                 )
-        return Calibration(
-            tuple(
+        return replace(
+            self,
+            joints=tuple(
                 replace(joint, zero_offset_rad=zero_offset_rad.get(joint.joint, joint.zero_offset_rad))
                 for joint in self.joints
-            )
+            ),
         )
 
     def warnings(self) -> tuple[str, ...]:
@@ -212,15 +208,16 @@ class Calibration:
             f"{joint.joint} has a range of {joint.range_max - joint.range_min} ticks, more than {WIDEST_RANGE_TICKS}: "
             "its sweep went across the seam between 4095 and 0; calibrate anew from the middle of the joint's range"
             for joint in self.joints
-            if joint.joint != FREE_TURNING_JOINT and joint.range_max - joint.range_min > WIDEST_RANGE_TICKS
+            if not joint.servo.turns_freely and joint.range_max - joint.range_min > WIDEST_RANGE_TICKS
         )
 
 
-def find_calibration(name_or_path: str, environment: Mapping[str, str]) -> Path:
+def find_calibration(name_or_path: str, folders: Sequence[str], environment: Mapping[str, str]) -> Path:
     """Find a calibration file.
 
     Args:
         name_or_path: path of the file, or the arm's lerobot id.
+        folders: lerobot's names of such arms, the newest first.
         environment: the process's environment variables.
 
     Raises:
@@ -228,8 +225,10 @@ def find_calibration(name_or_path: str, environment: Mapping[str, str]) -> Path:
     """
     if _is_path(name_or_path):
         return Path(name_or_path)
-    candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(environment)]
+    candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(folders, environment)]
     found = [path for path in candidates if path.is_file()]
+    if not folders:
+        raise CalibrationError(name_or_path, "", "is no file, and lerobot has no calibrations of this arm: name a file")
     if not found:
         places = " or ".join(str(path) for path in candidates)
         raise CalibrationError(name_or_path, "", f"is no file, and lerobot has none of that id: {places}")
@@ -238,29 +237,36 @@ def find_calibration(name_or_path: str, environment: Mapping[str, str]) -> Path:
     return found[0]
 
 
-def new_calibration_path(name_or_path: str, environment: Mapping[str, str]) -> Path:
+def new_calibration_path(name_or_path: str, folders: Sequence[str], environment: Mapping[str, str]) -> Path:
     """Return the file of a new calibration: the path, or the file in which lerobot looks for that id.
 
     Args:
         name_or_path: path of the file, or the arm's lerobot id.
+        folders: lerobot's names of such arms, the newest first.
         environment: the process's environment variables.
+
+    Raises:
+        CalibrationError: an id of an arm that lerobot does not know.
     """
     if _is_path(name_or_path):
         return Path(name_or_path)
-    return lerobot_directories(environment)[0] / f"{name_or_path}.json"
+    if not folders:
+        raise CalibrationError(name_or_path, "", "is no path, and lerobot has no place for this arm: name a .json file")
+    return lerobot_directories(folders, environment)[0] / f"{name_or_path}.json"
 
 
-def lerobot_directories(environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Return the directories in which lerobot keeps calibrations of this arm, the newer one first.
+def lerobot_directories(folders: Sequence[str], environment: Mapping[str, str]) -> tuple[Path, ...]:
+    """Return the directories in which lerobot keeps calibrations of such arms, the newest first.
 
     Args:
+        folders: lerobot's names of such arms, the newest first.
         environment: the process's environment variables.
     """
     cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
     huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
     home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"
     directory = Path(environment.get("HF_LEROBOT_CALIBRATION") or f"{home}/calibration").expanduser()
-    return tuple(directory / "robots" / name for name in ROBOT_NAMES)
+    return tuple(directory / "robots" / name for name in folders)
 
 
 @contextlib.contextmanager
@@ -312,14 +318,17 @@ def save(calibration: Calibration, path: Path) -> None:
         raise CalibrationError(str(path), "", f"cannot be written: {error}") from error
 
 
-def _nominal(spec: JointSpec) -> JointCalibration:
+def _nominal(servo: ServoSpec) -> JointCalibration:
     middle = MAX_TICK / 2.0
-    overtravel_rad = 0.0 if spec.name == GRIPPER_JOINT else NOMINAL_OVERTRAVEL_RAD
-    half_width = ((spec.upper_rad - spec.lower_rad) / 2.0 + overtravel_rad) / RAD_PER_TICK
-    range_min, range_max = math.floor(middle - half_width), math.ceil(middle + half_width)
-    if spec.name == FREE_TURNING_JOINT:
+    overtravel_rad = 0.0 if servo.zero == "ends" else NOMINAL_OVERTRAVEL_RAD
+    half_width = ((servo.upper_rad - servo.lower_rad) / 2.0 + overtravel_rad) / RAD_PER_TICK
+    if servo.zero != "ends" and servo.zero.tick is not None:
+        middle_rad = (servo.lower_rad + servo.upper_rad) / 2.0
+        middle = servo.zero.tick + servo.sign * (middle_rad - servo.zero.angle_rad) / RAD_PER_TICK
+    range_min, range_max = max(math.floor(middle - half_width), 0), min(math.ceil(middle + half_width), MAX_TICK)
+    if servo.turns_freely:
         range_min, range_max = 0, MAX_TICK
-    return JointCalibration(spec.name, spec.servo_id, 0, 0, range_min, range_max)
+    return JointCalibration(servo, servo.servo_id, 0, 0, range_min, range_max)
 
 
 def _read_table(path: Path) -> Mapping[str, object]:
@@ -338,7 +347,8 @@ def _read_table(path: Path) -> Mapping[str, object]:
     return table
 
 
-def _joint(file: str, name: str, entry: object) -> JointCalibration:
+def _joint(file: str, servo: ServoSpec, entry: object) -> JointCalibration:
+    name = servo.joint
     if not isinstance(entry, dict):
         raise CalibrationError(file, name, "must be an object with id, drive_mode, homing_offset and the range")
 
@@ -359,7 +369,7 @@ def _joint(file: str, name: str, entry: object) -> JointCalibration:
             f"must be below range_max {range_max}, not {range_min}: calibrate the arm anew",
         )
     return JointCalibration(
-        joint=name,
+        servo=servo,
         servo_id=number("id", 0, MAX_SERVO_ID),
         drive_mode=number("drive_mode", 0, 1),
         homing_offset=number("homing_offset", -MAX_HOMING_OFFSET, MAX_HOMING_OFFSET),

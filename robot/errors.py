@@ -10,11 +10,15 @@
         - NoReply (servo_id), also a TimeoutError
     - CalibrationError (file, field)
     - DescriptionError (source): a URDF or SRDF that does not describe an arm
+        - RobotFileError (problems): a robot.toml, or what it names, with everything that is wrong with it
     - StartupError: servos that cannot be taken over in their present state
     - OrderRefused: an order that the arm cannot carry out in its present state
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
 
 
 class RobotError(Exception):
@@ -108,6 +112,18 @@ class DescriptionError(RobotError):
     def __init__(self, source: str, problem: str) -> None:
         super().__init__(f"{source} {problem}")
         self.source = source
+
+
+class RobotFileError(DescriptionError):
+    """Folder of a robot that does not describe one.
+
+    Attributes:
+        problems: everything that is wrong, a sentence each.
+    """
+
+    def __init__(self, path: Path, problems: Sequence[str]) -> None:
+        super().__init__(str(path), "; ".join(problems))
+        self.problems = tuple(problems)
 
 
 class StartupError(RobotError):

@@ -11,6 +11,7 @@ from importlib import metadata
 from server.commands.arm import add_calibrate_parser, add_doctor_parser, add_relax_parser, add_scan_parser
 from server.commands.config import add_config_parser, add_systemd_unit_parser
 from server.commands.plan import add_plan_parser
+from server.commands.robot import add_robot_parser
 from server.commands.serve import add_emulate_parser, add_replay_parser, add_serve_parser
 from server.commands.terminal import EXIT_CODES
 from server.config_keys import unknown
@@ -22,6 +23,7 @@ COMMANDS = (
     add_calibrate_parser,
     add_doctor_parser,
     add_relax_parser,
+    add_robot_parser,
     add_plan_parser,
     add_replay_parser,
     add_emulate_parser,
@@ -46,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="armbridge",
-        description="Drive an SO-101 robot arm from any rosbridge client, without ROS. A new arm: scan, calibrate, "
+        description="Drive a robot arm from any rosbridge client, without ROS. A new SO-101: scan, calibrate, "
         "doctor, then serve.",
         epilog=f"{EXIT_CODES} armbridge COMMAND --help explains a command.",
     )

@@ -131,16 +131,22 @@ class ArmSettings(SettingsSection):
 
     serial: str | None = None
     """serial device, URL or ``auto``; None for the simulated arm."""
+    robot: str | None = None
+    """the arm: the name of a built-in one, or a folder with a robot.toml; None for the SO-101."""
     calibration: Path | None = None
-    """a lerobot calibration file, or the id under which lerobot keeps one; None for the nominal one."""
+    """a lerobot calibration file, the id under which lerobot keeps one, or ``nominal`` for servos that need none, as
+    emulated ones; without one a real arm is not enabled.
+    """
     zero_offset_rad: dict[str, float] = Field(default_factory=dict)
     """by joint, a trim of its zero [rad]."""
     urdf: Path | None = None
-    """the robot's URDF; None for the built-in SO-101. Without a serial port or a calibration it is an ideal arm, whose
-    joints follow their goals.
+    """a URDF in place of the robot's. Without a robot, a serial port or a calibration it is an ideal arm, whose joints
+    follow their goals.
     """
     srdf: Path | None = None
     """the SRDF that goes with it."""
+    package_path: list[Path] = Field(default_factory=list)
+    """folders in which the packages of ``package://`` are looked for, ahead of ROS_PACKAGE_PATH."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)

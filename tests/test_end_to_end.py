@@ -20,12 +20,11 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
-from robot.calibration import Calibration
-from robot.description import model
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, page_is_built
 from server.recording.replay import Recording
 from tests.helpers.clients import FrameClient, frame_client, goal_is, status_state
+from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.server import RunningServer, read_write_log
 
 pytestmark = pytest.mark.real_time
@@ -99,7 +98,7 @@ async def assert_arrived(client: FrameClient, write_log: Path, position_rad: lis
     states = await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 2)
     latest = dict(zip(states[-1]["name"], states[-1]["position"], strict=True))
     present = read_write_log(write_log)[-1]["present"]
-    for joint, goal_rad in zip(Calibration.nominal().joints[:5], position_rad, strict=True):
+    for joint, goal_rad in zip(nominal_calibration().joints[:5], position_rad, strict=True):
         servo_rad = joint.rad_from_ticks(present[str(joint.servo_id)])
         assert servo_rad == pytest.approx(goal_rad, abs=ARRIVED_RAD)
         assert latest[joint.joint] == pytest.approx(servo_rad, abs=0.01)
@@ -107,9 +106,9 @@ async def assert_arrived(client: FrameClient, write_log: Path, position_rad: lis
 
 def assert_no_goal_jumped(write_log: Path) -> None:
     """Torque comes on at the goal, and no goal then moves faster than its joint may."""
-    robot = model.builtin()
+    robot = so101()
     goals = [entry for entry in read_write_log(write_log) if entry["address"] == 41]
-    for joint in Calibration.nominal().joints:
+    for joint in nominal_calibration().joints:
         servo = str(joint.servo_id)
         writes = [entry for entry in goals if servo in entry["data"]]
         first = next(entry for entry in writes if entry["torque"][servo] == 1)

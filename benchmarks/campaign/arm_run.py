@@ -18,13 +18,13 @@ from benchmarks.campaign.result import Result
 from benchmarks.campaign.scenario import CALIBRATION, MOVING_S, Event, Scenario, random_goal
 from benchmarks.campaign.write_log import Entry
 from robot.arm import Arm
-from robot.description import model
 from robot.description.limits import within_calibration
+from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
 from tests.helpers.motions import smooth_move
 
-ROBOT = within_calibration(model.builtin(), CALIBRATION)
+ROBOT = within_calibration(built_in("so101").model, CALIBRATION)
 
 START_TIMEOUT_S = 15.0
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from benchmarks.campaign.scenario import CALIBRATION
 from benchmarks.campaign.write_log import Entry, pairs
 from robot.control.controller import STEP_MARGIN
-from robot.description import model
 from robot.description.limits import JointBounds, within_calibration
+from robot.description.robot_folder import built_in
 from robot.hardware.clock import MAX_TICK_S
 from robot.messages import ArmState
 
@@ -34,7 +34,7 @@ HEARD_LATE_S = 0.15
 
 _JOINTS = {joint.servo_id: joint for joint in CALIBRATION.joints}
 _NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
-_BOUNDS = JointBounds.of(within_calibration(model.builtin(), CALIBRATION), _NAMES)
+_BOUNDS = JointBounds.of(within_calibration(built_in("so101").model, CALIBRATION), _NAMES)
 
 
 def _ticks_s(servo: int) -> float:

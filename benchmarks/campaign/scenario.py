@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
 
-from robot.calibration import SO101_JOINTS, Calibration
+from robot.calibration import Calibration
+from robot.description.robot_folder import built_in
 from robot.messages import EmergencyPolicy, EndState, Order
 
-CALIBRATION = Calibration.nominal()
+CALIBRATION = Calibration.nominal(built_in("so101").hardware.servos)
 JOINTS = CALIBRATION.joints
 
 # Far from each other, so that one servo's position cannot be taken for another's, and clear of the ends.
@@ -139,7 +140,7 @@ def _events(happening: Happening, chance: random.Random) -> tuple[Event, ...]:
 
 def _ticks_near(servo: int, away_rad: float) -> int:
     """Return a tick at a distance from the start pose, inside the joint's range."""
-    lower, upper = SO101_JOINTS[servo].lower_rad, SO101_JOINTS[servo].upper_rad
+    lower, upper = CALIBRATION.joints[servo].servo.lower_rad, CALIBRATION.joints[servo].servo.upper_rad
     return JOINTS[servo].ticks_from_rad(max(lower, min(upper, START_RAD[servo] + away_rad)))
 
 

@@ -25,10 +25,14 @@ MAX_CONTAINERS = 400_000
 # Stands for the key under which an object is open that was cut; no message has a field of this name.
 KEY = "\x00cut"
 
-# Nothing is tried twice: all quantifiers are possessive. Anything that holds no bracket of its own, and whole lists and
-# objects without others inside.
-_FLAT = rb'[^"\[\]{}]++|"(?:[^"\\]++|\\.)*+"'
-_SKIPPED = re.compile(rb"(?:" + _FLAT + rb"|\[(?:" + _FLAT + rb")*+\]|\{(?:" + _FLAT + rb")*+\})*+", re.DOTALL)
+# Nothing is tried twice: groups are atomic, and bounded for their memory, as in :mod:`protocol.framing`. Anything that
+# holds no bracket of its own, and whole lists and objects without others inside.
+_SOME = rb"{0,1000}"
+_FLAT = rb'[^"\[\]{}]++|"(?>(?:[^"\\]++|\\.)' + _SOME + rb')"'
+_FLAT_ALL = rb"(?>(?:" + _FLAT + rb")" + _SOME + rb")"
+_SKIPPED = re.compile(
+    rb"(?>(?:" + _FLAT + rb"|\[" + _FLAT_ALL + rb"\]|\{" + _FLAT_ALL + rb"\})" + _SOME + rb")", re.DOTALL
+)
 _TO_NEXT_MARK = re.compile(rb'[^"\[\]{},]*+')
 _BLANKS = re.compile(rb"[ \t\r\n]*+")
 
@@ -197,6 +201,7 @@ def _string_end(text: bytes, begin: int) -> int:
 
 
 def _end(pattern: re.Pattern[bytes], text: bytes, begin: int, end: int) -> int:
-    match = pattern.match(text, begin, end)
-    # All three patterns match nothing as well.
-    return begin if match is None else match.end()
+    """Return the end of what a pattern matches, again and again where its repetitions are bounded."""
+    while (match := pattern.match(text, begin, end)) is not None and match.end() > begin:
+        begin = match.end()
+    return begin

@@ -10,15 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from robot.calibration import (
-    FREE_TURNING_JOINT,
     MAX_HOMING_OFFSET,
     MAX_TICK,
     TICKS_PER_TURN,
     Calibration,
     JointCalibration,
-    JointSpec,
 )
 from robot.commissioning.scan import ServoReport
+from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 from robot.hardware.feetech.bus import Bus, read, write_verified
 from robot.hardware.feetech.registers import Register
@@ -65,11 +64,11 @@ class Sweep:
             self.highest[servo_id] = max(self.highest[servo_id], position)
 
 
-def calibrate(joints: Sequence[JointSpec], sweep: Sweep, offsets: Mapping[int, int], *, recentre: bool) -> Calibration:
+def calibrate(servos: Sequence[ServoSpec], sweep: Sweep, offsets: Mapping[int, int], *, recentre: bool) -> Calibration:
     """Compute the calibration from a sweep.
 
     Args:
-        joints: joints of the arm.
+        servos: servos of the arm.
         sweep: ranges of all its servos.
         offsets: register HOMING_OFFSET during the sweep, by servo id [ticks].
         recentre: True for new homing offsets, which must then be written to the servos; False to keep theirs.
@@ -77,7 +76,7 @@ def calibrate(joints: Sequence[JointSpec], sweep: Sweep, offsets: Mapping[int, i
     Raises:
         CalibrationError: a joint was not swept, or its range would cross the seam.
     """
-    return Calibration(tuple(_joint(joint, sweep, offsets[joint.servo_id], recentre=recentre) for joint in joints))
+    return Calibration(tuple(_joint(servo, sweep, offsets[servo.servo_id], recentre=recentre) for servo in servos))
 
 
 @dataclass(frozen=True)
@@ -143,18 +142,18 @@ def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
         yield from write_verified(bus, servo_id, Register.LOCK, 1)
 
 
-def _joint(spec: JointSpec, sweep: Sweep, offset: int, *, recentre: bool) -> JointCalibration:
-    servo_id = spec.servo_id
+def _joint(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> JointCalibration:
+    servo_id = servo.servo_id
     middle = sweep.middle[servo_id]
     new_offset = _centring_offset(middle + offset) if recentre else offset
     shift = (middle + offset - new_offset) % TICKS_PER_TURN - middle if recentre else 0
-    if spec.name == FREE_TURNING_JOINT:
-        _check_free_middle(spec.name, middle + shift)
+    if servo.turns_freely:
+        _check_free_middle(servo.joint, middle + shift)
         lowest, highest = 0, MAX_TICK
     else:
         lowest, highest = sweep.lowest[servo_id] + shift, sweep.highest[servo_id] + shift
-        _check_range(spec.name, lowest, highest, recentre=recentre)
-    return JointCalibration(spec.name, servo_id, 0, new_offset, lowest, highest)
+        _check_range(servo.joint, lowest, highest, recentre=recentre)
+    return JointCalibration(servo, servo_id, 0, new_offset, lowest, highest)
 
 
 def _centring_offset(encoder_ticks: int) -> int:

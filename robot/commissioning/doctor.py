@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from robot.calibration import SO101_JOINTS, Calibration
+from robot.calibration import Calibration
 from robot.commissioning.calibrate import differences
 from robot.commissioning.scan import ScanResult, ServoReport, explain_missing, read_telemetry
 from robot.commissioning.timing import CycleTimes, measure_reads
+from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.bus import SERVO_IDS, Bus, write_verified
 from robot.hardware.feetech.registers import (
@@ -83,14 +84,15 @@ class Finding:
     remedy: str = ""
 
 
-def judge_scan(result: ScanResult, calibration: Calibration | None) -> list[Finding]:
+def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Calibration | None) -> list[Finding]:
     """Judge the result of a scan.
 
     Args:
         result: result of the scan.
+        joints: servos of the arm.
         calibration: calibration of the arm; None if it is not known.
     """
-    findings = [_servos(result)]
+    findings = [_servos(result, joints)]
     if result.servos:
         servos = result.servos
         findings += [
@@ -130,8 +132,8 @@ def judge_long_reads(address: int, length: int, silent_ids: Sequence[int]) -> Fi
     )
 
 
-def _servos(result: ScanResult) -> Finding:
-    problems = explain_missing(result, SO101_JOINTS)
+def _servos(result: ScanResult, joints: Sequence[ServoSpec]) -> Finding:
+    problems = explain_missing(result, joints)
     if problems:
         return Finding("servos", Verdict.PROBLEM, "; ".join(problems), "See docs/hardware.md, By symptom.")
     return Finding("servos", Verdict.GOOD, f"servos {_list(sorted(result.ids))} answer")

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from robot.calibration import JointSpec
+from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import (
@@ -144,7 +144,7 @@ def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
     raise NoReply(servo_id, attempts)
 
 
-def explain_missing(result: ScanResult, joints: Sequence[JointSpec]) -> list[str]:
+def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str]:
     """Explain missing and unsteady servos with the likely cause, a sentence each; none when all is well.
 
     Args:
@@ -163,12 +163,12 @@ def explain_missing(result: ScanResult, joints: Sequence[JointSpec]) -> list[str
     if all(present):
         return said
     missing = ", ".join(
-        f"{joint.servo_id} ({joint.name})" for joint, there in zip(joints, present, strict=True) if not there
+        f"{joint.servo_id} ({joint.joint})" for joint, there in zip(joints, present, strict=True) if not there
     )
     return [f"no answer from servo {missing}: {_cause(result, joints, present)}", *said]
 
 
-def _cause(result: ScanResult, joints: Sequence[JointSpec], present: list[bool]) -> str:
+def _cause(result: ScanResult, joints: Sequence[ServoSpec], present: list[bool]) -> str:
     if not any(present):
         return (
             "none answers, so look at what they share: is the power supply on, the adapter's jumper on B, and the baud "
@@ -178,5 +178,5 @@ def _cause(result: ScanResult, joints: Sequence[JointSpec], present: list[bool])
         return "only the id that new servos have answers: set the servos' ids (lerobot-setup-motors does)"
     first = present.index(False)
     if not any(present[first:]):
-        return f"all from {joints[first].name} on are silent: check the cable that leads to it"
+        return f"all from {joints[first].joint} on are silent: check the cable that leads to it"
     return "servos behind it answer, so the cable is sound: its id or baud rate is another, or it is defective"

@@ -53,7 +53,7 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
         case EmulatedConfig():
             from robot.emulator.in_process import EmulatedServos
 
-            return EmulatedServos(config.hardware, bounds, config.guard_limits, clock)
+            return EmulatedServos(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 

@@ -56,6 +56,14 @@ class ForwardPlacements:
             placed[step.child] = place
         return placed
 
+    def axis(self, link: str) -> Vector:
+        """Return the axis of the joint above a link in the link's frame, a unit vector, shape (3,).
+
+        Raises:
+            KeyError: no such link, or the root link.
+        """
+        return self._by_child[link].axis
+
     def joint_transform(self, link: str, positions_rad: Mapping[str, float]) -> tuple[str, Vector]:
         """Return the parent of a link and the link's transform to it, shape (4, 4) [m].
 

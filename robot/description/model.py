@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,8 @@ from numpy.typing import NDArray
 from robot.errors import DescriptionError
 
 MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
+
+NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})
 
 # Time to the velocity limit for a joint without an acceleration limit: gentle for any servo arm.
 DEFAULT_TIME_TO_FULL_SPEED_S = 0.4
@@ -33,6 +34,7 @@ class Joint:
     upper: float
     max_velocity: float
     max_acceleration: float
+    max_jerk: float | None = None
 
     @property
     def movable(self) -> bool:
@@ -48,6 +50,40 @@ class Group:
     joints: tuple[str, ...]
     base_link: str
     tip_link: str
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """Gripper of an arm.
+
+    Attributes:
+        joints: its joints, one or two that mirror each other.
+        open: position of each joint when it is open [rad or m].
+        closed: position of each joint when it is closed [rad or m].
+    """
+
+    joints: tuple[str, ...]
+    open: float
+    closed: float
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of a joint from beside its URDF; None where the URDF's count.
+
+    Attributes:
+        lower: lower limit [rad or m].
+        upper: upper limit [rad or m].
+        max_velocity: [rad/s or m/s].
+        max_acceleration: [rad/s^2 or m/s^2].
+        max_jerk: [rad/s^3 or m/s^3].
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    max_velocity: float | None = None
+    max_acceleration: float | None = None
+    max_jerk: float | None = None
 
 
 @dataclass(frozen=True)
@@ -79,6 +115,11 @@ class RobotModel:
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
         parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
             the link's frame; for the cases in which a hull is too wide.
+        gripper: the gripper; None for an arm without one.
+        default_group: group of goals that name none.
+        tip_link: link that pose goals of this group move.
+        held_joints: joint -> position at which it stays, for joints that are not driven [rad or m].
+        package_directories: folders of packages that ``package://`` names.
     """
 
     name: str
@@ -92,6 +133,11 @@ class RobotModel:
     mesh_directory: Path | None = None
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    gripper: Gripper | None = None
+    default_group: str = ""
+    tip_link: str = ""
+    held_joints: Mapping[str, float] = field(default_factory=dict)
+    package_directories: tuple[Path, ...] = ()
 
     @property
     def root_link(self) -> str:
@@ -103,27 +149,24 @@ class RobotModel:
         """Joints with a position, in the order of the URDF."""
         return tuple(joint for joint in self.joints.values() if joint.movable)
 
-
-def builtin() -> RobotModel:
-    """Load the SO-101 follower that is shipped with the package."""
-    folder = resources.files("robot.description")
-    hulls = json.loads((folder / "so101_hulls.json").read_text())["links"]
-    parts = json.loads((folder / "so101_parts.json").read_text())["links"]
-    return parse(
-        (folder / "so101.urdf").read_text(),
-        (folder / "so101.srdf").read_text(),
-        hulls={name: _hull(shape) for name, shape in hulls.items()},
-        parts={name: tuple(np.array(vertices) for vertices in shapes) for name, shapes in parts.items()},
-    )
+    @property
+    def driven_joints(self) -> tuple[Joint, ...]:
+        """Movable joints that are driven, in the order of the URDF."""
+        return tuple(joint for joint in self.movable_joints if joint.name not in self.held_joints)
 
 
-def load(urdf_path: Path, srdf_path: Path) -> RobotModel:
+def load(urdf_path: Path, srdf_path: Path, limits: Mapping[str, JointLimits] = NO_LIMITS) -> RobotModel:
     """Read a robot from files.
+
+    Args:
+        urdf_path: the URDF, whose folder its relative mesh paths begin at.
+        srdf_path: the SRDF.
+        limits: limits by joint that replace the URDF's.
 
     Raises:
         DescriptionError: a file cannot be read or does not describe an arm.
     """
-    return parse(_text(urdf_path), _text(srdf_path), mesh_directory=urdf_path.resolve().parent)
+    return parse(_text(urdf_path), _text(srdf_path), mesh_directory=urdf_path.resolve().parent, limits=limits)
 
 
 def parse(
@@ -133,30 +176,37 @@ def parse(
     mesh_directory: Path | None = None,
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
+    limits: Mapping[str, JointLimits] = NO_LIMITS,
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
 
-    Joints with the names of the SO-101's also get the limits of its servos, since the velocity limits of the URDFs in
-    circulation are placeholders of 10 rad/s.
+    Args:
+        urdf: text of the URDF.
+        srdf: text of the SRDF.
+        mesh_directory: base of relative mesh paths.
+        hulls: as of :class:`RobotModel`.
+        parts: likewise.
+        limits: limits by joint that replace the URDF's.
 
     Raises:
         DescriptionError: a text does not parse, or misses what planning needs.
     """
     robot = _root(urdf, "URDF")
     semantics = _root(srdf, "SRDF")
-    limits = _servo_limits()
     joints = {joint.name: joint for joint in (_joint(element, limits) for element in robot.iterfind("joint"))}
     if not any(joint.movable for joint in joints.values()):
         *others, last = MOVABLE_TYPES
         raise DescriptionError("URDF", f"has no movable joint: no <joint> has the type {', '.join(others)} or {last}")
     links = _links_from_root(robot, joints)
+    groups = _groups(semantics, joints)
+    default_group = "arm" if "arm" in groups else next(iter(groups))
     return RobotModel(
         name=robot.get("name", "robot"),
         urdf=urdf,
         srdf=srdf,
         links=links,
         joints=joints,
-        groups=_groups(semantics, joints),
+        groups=groups,
         named_states=_named_states(semantics, joints),
         disabled_pairs=frozenset(
             frozenset((_attribute(pair, "link1", "SRDF"), _attribute(pair, "link2", "SRDF")))
@@ -165,6 +215,8 @@ def parse(
         mesh_directory=mesh_directory,
         hulls=hulls or {},
         parts=parts or {},
+        default_group=default_group,
+        tip_link=groups[default_group].tip_link,
     )
 
 
@@ -205,28 +257,17 @@ def _number(element: ET.Element, name: str, where: str) -> float:
     return value
 
 
-def _hull(shape: Mapping[str, list[list[float]]]) -> Hull:
-    return Hull(np.asarray(shape["vertices"], dtype=np.float64), np.asarray(shape["triangles"], dtype=np.int32))
-
-
-def _servo_limits() -> Mapping[str, Mapping[str, float]]:
-    text = (resources.files("robot.description") / "so101_limits.json").read_text()
-    table: Mapping[str, Mapping[str, float]] = json.loads(text)["joints"]
-    return table
-
-
-def _joint(element: ET.Element, servo_limits: Mapping[str, Mapping[str, float]]) -> Joint:
+def _joint(element: ET.Element, all_limits: Mapping[str, JointLimits]) -> Joint:
     name = _attribute(element, "name", "URDF")
     kind = _attribute(element, "type", "URDF")
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
         raise DescriptionError("URDF", f"joint {name!r} needs <parent> and <child>")
     lower, upper, velocity, acceleration = 0.0, 0.0, 0.0, 0.0
+    limits = all_limits.get(name, JointLimits())
     if kind in MOVABLE_TYPES:
-        lower, upper, velocity = _limits(element, name, kind)
-        servo = servo_limits.get(name, {})
-        velocity = min(velocity, servo.get("max_velocity", math.inf))
-        acceleration = servo.get("max_acceleration", velocity / DEFAULT_TIME_TO_FULL_SPEED_S)
+        lower, upper, velocity = _limits(element, name, kind, limits)
+        acceleration = limits.max_acceleration or velocity / DEFAULT_TIME_TO_FULL_SPEED_S
     return Joint(
         name=name,
         type=kind,
@@ -236,21 +277,23 @@ def _joint(element: ET.Element, servo_limits: Mapping[str, Mapping[str, float]])
         upper=upper,
         max_velocity=velocity,
         max_acceleration=acceleration,
+        max_jerk=limits.max_jerk,
     )
 
 
-def _limits(element: ET.Element, name: str, kind: str) -> tuple[float, float, float]:
+def _limits(element: ET.Element, name: str, kind: str, limits: JointLimits) -> tuple[float, float, float]:
     """Read lower, upper and velocity limit of a movable joint; a continuous joint may turn half a turn either way."""
     where = f"URDF joint {name!r} <limit>"
     limit = element.find("limit")
     if limit is None:
         raise DescriptionError("URDF", f"joint {name!r} has no <limit>")
-    velocity = _number(limit, "velocity", where)
+    velocity = limits.max_velocity or _number(limit, "velocity", where)
     if velocity <= 0.0:
         raise DescriptionError(where, f"velocity must be above 0, not {velocity:g}")
     if kind == "continuous":
         return -math.pi, math.pi, velocity
-    lower, upper = _number(limit, "lower", where), _number(limit, "upper", where)
+    lower = _number(limit, "lower", where) if limits.lower is None else limits.lower
+    upper = _number(limit, "upper", where) if limits.upper is None else limits.upper
     if lower >= upper:
         raise DescriptionError(where, f"lower {lower:g} must be below upper {upper:g}")
     return lower, upper, velocity

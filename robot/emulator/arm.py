@@ -1,22 +1,15 @@
-"""Emulated SO-101: six servos at a pose, and the weight of the links on the three joints that carry it. Pure."""
+"""Emulated arm: its servos at a pose, and the weight of its links on them. Pure."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from robot.calibration import Calibration, JointCalibration
+from robot.description.gravity import LinkWeights
+from robot.description.model import RobotModel
 from robot.emulator.plant import Plant
 from robot.emulator.servo import Servo
-
-# Static torque of the links with nothing in the jaw, from the masses in the URDF [Nm]: the upper arm with all that
-# hangs on its end, the forearm with the hand, and the hand.
-UPPER_ARM_NM = 0.39
-FOREARM_NM = 0.336
-HAND_NM = 0.117
-
-# The upper arm's centre of gravity is above the shoulder at minus this angle of shoulder_lift [rad].
-UPPER_ARM_LEAN_RAD = 0.22
 
 # Far less than the stall torque of 1.62 Nm suggests: friction in the gear carries most of a resting joint's weight.
 # The droop is then 1 deg at a stretched shoulder with lerobot's gain, as measured without backlash.
@@ -38,9 +31,22 @@ def build_servos(calibration: Calibration, start_rad: Sequence[float]) -> list[S
     return [_servo(joint, position) for joint, position in zip(calibration.joints, start_rad, strict=True)]
 
 
-def weight_of(calibration: Calibration, servos: Sequence[Servo]) -> Callable[[], None]:
-    """Return a function that loads the servos with the links' weight at the present pose."""
+# A joint that turns by less changes its weight by less than the servo's load resolves [rad].
+WEIGHED_AGAIN_RAD = 0.005
+
+
+def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[Servo]) -> Callable[[], None]:
+    """Return a function that loads the servos with the links' weight at the present pose.
+
+    Args:
+        robot: description of the arm.
+        calibration: joints of the servos.
+        servos: in the order of the calibration.
+    """
+    weights = LinkWeights(robot)
     joints = list(zip(calibration.joints, servos, strict=True))
+    still = {joint.name: robot.held_joints.get(joint.name, 0.0) for joint in robot.movable_joints}
+    weighed: dict[str, float] = {}
 
     def weigh() -> None:
         """Load the servos with the weight at the present pose."""
@@ -48,30 +54,18 @@ def weight_of(calibration: Calibration, servos: Sequence[Servo]) -> Callable[[],
             joint.joint: joint.rad_from_ticks(servo.plant.position_ticks - joint.homing_offset)
             for joint, servo in joints
         }
-        duty_permille = holding_duty_permille(position_rad)
+        if all(
+            abs(position - weighed.get(name, math.inf)) < WEIGHED_AGAIN_RAD for name, position in position_rad.items()
+        ):
+            return
+        weighed.update(position_rad)
+        torques_nm = weights.holding_torques({**still, **position_rad})
         for joint, servo in joints:
-            servo.plant.gravity_permille = duty_permille.get(joint.joint, 0.0)
+            # The plant counts in ticks, which may fall while the joint's position rises.
+            sign = math.copysign(1.0, joint.rad_s_from_ticks_s(1.0))
+            servo.plant.gravity_permille = sign * DUTY_PERMILLE_PER_NM * torques_nm[joint.joint]
 
     return weigh
-
-
-def holding_duty_permille(position_rad: Mapping[str, float]) -> dict[str, float]:
-    """Compute the motor duty that balances the links' weight, for each joint that carries some.
-
-    Args:
-        position_rad: joint name to position [rad], of shoulder_lift, elbow_flex and wrist_flex at least.
-
-    Returns:
-        Joint name to signed duty [0.1 %].
-    """
-    upper_arm = position_rad["shoulder_lift"]
-    forearm = upper_arm + position_rad["elbow_flex"]
-    hand = forearm + position_rad["wrist_flex"]
-    wrist_nm = -HAND_NM * math.cos(hand)
-    elbow_nm = wrist_nm - FOREARM_NM * math.cos(forearm)
-    shoulder_nm = elbow_nm - UPPER_ARM_NM * math.sin(upper_arm + UPPER_ARM_LEAN_RAD)
-    torque_nm = {"shoulder_lift": shoulder_nm, "elbow_flex": elbow_nm, "wrist_flex": wrist_nm}
-    return {joint: DUTY_PERMILLE_PER_NM * value for joint, value in torque_nm.items()}
 
 
 def _servo(joint: JointCalibration, start_rad: float) -> Servo:

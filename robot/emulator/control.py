@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from robot.calibration import FREE_TURNING_JOINT, MAX_TICK, Calibration, JointCalibration
+from robot.calibration import MAX_TICK, Calibration, JointCalibration
 from robot.emulator.faults import PROBABILITIES
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.servo import Servo
@@ -509,7 +509,7 @@ def sweep(calibration: Calibration) -> tuple[TimedCommand, ...]:
     The joint that turns freely stays in the middle.
     """
     joints = calibration.joints
-    swept = [joint for joint in joints if joint.joint != FREE_TURNING_JOINT]
+    swept = [joint for joint in joints if not joint.servo.turns_freely]
     across_s = max(joint.range_max - joint.range_min for joint in swept) / HAND_TICKS_S
     at_lower_s = LEAD_S + across_s / 2.0 + REST_S
     at_upper_s = at_lower_s + across_s + REST_S

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from robot.description.limits import JointBounds
+from robot.description.model import RobotModel
 from robot.emulator.arm import build_servos, weight_of
 from robot.emulator.control import MAX_COMMAND_BYTES, Emulation, answer
 from robot.emulator.faults import Faults
@@ -44,6 +45,7 @@ class EmulatedServos:
     """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed.
 
     Args:
+        robot: description of the arm, for the weight of its links.
         config: calibration, faults and start of the servos.
         bounds: soft limits of the joints.
         guard_limits: torque limits.
@@ -57,7 +59,12 @@ class EmulatedServos:
     """
 
     def __init__(
-        self, config: EmulatedConfig, bounds: JointBounds, guard_limits: GuardLimits, clock: Callable[[], float]
+        self,
+        robot: RobotModel,
+        config: EmulatedConfig,
+        bounds: JointBounds,
+        guard_limits: GuardLimits,
+        clock: Callable[[], float],
     ) -> None:
         self._config = config
         self._bounds = bounds
@@ -77,7 +84,7 @@ class EmulatedServos:
         chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
         faults = Faults(drop=config.drop, corrupt=config.corrupt, random=chance)
         log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
-        weight = weight_of(config.calibration, servos)
+        weight = weight_of(robot, config.calibration, servos)
         self.bus = ServoBus(servos, faults, clock(), log, weight, wire_time=False)
         self._port = (
             CommandedPort(self.bus, clock, ControlSocket(config.control))

@@ -26,6 +26,8 @@ from types import FrameType, MappingProxyType
 
 from robot.calibration import Calibration
 from robot.control.pacing import take_priority
+from robot.description import robot_folder
+from robot.description.robot_folder import RobotFolder
 from robot.emulator.arm import build_servos, weight_of
 from robot.emulator.control import (
     MAX_COMMAND_BYTES,
@@ -44,6 +46,7 @@ from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
 from robot.emulator.servo import SUPPLY_V, Servo
 from robot.emulator.servo_bus import Reply, ServoBus
 from robot.emulator.write_log import WriteLog
+from robot.errors import DescriptionError
 
 READ_BYTES = 4096
 
@@ -211,8 +214,6 @@ LINGER_S = 1.0
 
 
 # Positions of option --start.
-JOINTS = 6
-
 STDIN, STDOUT = 0, 1
 
 
@@ -234,11 +235,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--start",
         type=_positions,
-        default=[0.0] * JOINTS,
-        metavar="Q1,..,Q6",
+        default=[],
+        metavar="Q1,..,QN",
         help="joint positions at power-up in rad, base to gripper; default all 0",
     )
-    add("--calibration", type=Path, metavar="FILE", help="lerobot calibration of the arm (default: an ideal arm)")
+    add(
+        "--robot",
+        type=_robot,
+        default="so101",
+        metavar="NAME_OR_FOLDER",
+        help="arm with Feetech servos: a built-in one, or the folder of its robot.toml (so101)",
+    )
+    add("--calibration", type=Path, metavar="FILE", help="lerobot calibration of the arm (default: a flawless arm)")
     add("--write-log", type=Path, metavar="FILE", help="record every write here, one JSON line each")
     add("--link", type=Path, metavar="PATH", help="make a symbolic link to the terminal here")
     script = parser.add_mutually_exclusive_group()
@@ -272,14 +280,16 @@ def build_bus(options: argparse.Namespace, resources: ExitStack, now_s: float, *
         OSError: the log cannot be written.
     """
     calibration = _calibration(options)
-    servos = build_servos(calibration, options.start)
+    servos = build_servos(calibration, options.start or [0.0] * len(calibration.joints))
     for servo in servos:
         _configure(servo, options)
     log = None
     if options.write_log:
         log = WriteLog(options.write_log)
         resources.callback(log.close)
-    return ServoBus(servos, _faults(options), now_s, log, weight_of(calibration, servos), wire_time=wire_time)
+    return ServoBus(
+        servos, _faults(options), now_s, log, weight_of(options.robot.model, calibration, servos), wire_time=wire_time
+    )
 
 
 def build_rehearsal(options: argparse.Namespace, bus: ServoBus) -> Rehearsal:
@@ -430,7 +440,8 @@ def _end_on_signals(*, controlled: bool) -> None:
 
 
 def _calibration(options: argparse.Namespace) -> Calibration:
-    return Calibration.load(options.calibration) if options.calibration else Calibration.nominal()
+    servos = options.robot.hardware.servos
+    return Calibration.load(options.calibration, servos) if options.calibration else Calibration.nominal(servos)
 
 
 def _faults(options: argparse.Namespace) -> Faults:
@@ -469,6 +480,18 @@ def _number(highest: float) -> Callable[[str], float]:
         return value
 
     return number
+
+
+def _robot(name_or_folder: str) -> RobotFolder:
+    try:
+        found = robot_folder.load(robot_folder.find(name_or_folder))
+    except DescriptionError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    if found.hardware.kind != "feetech":
+        raise argparse.ArgumentTypeError(
+            f"{found.title} has no Feetech servos, but hardware.kind {found.hardware.kind}"
+        )
+    return found
 
 
 def _positions(text: str) -> list[float]:

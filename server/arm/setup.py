@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot.calibration import Calibration, find_calibration
-from robot.description import model
+from robot.description import model, robot_folder
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
+from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
 from robot.messages import ArmConfig
@@ -21,43 +22,64 @@ from server.moveit.parameters import MoveItParameters
 MAX_SOCKET_PATH_BYTES = 107
 
 
+# Calibration of servos that need none.
+NOMINAL = "nominal"
+
+# Arm of settings that name none.
+DEFAULT_ROBOT = "so101"
+
+
 @dataclass(frozen=True)
 class Description:
     """The arm by its files.
 
     Attributes:
+        title: name of the arm for people.
         robot: the robot, within its calibration if it has one.
-        calibration: its servos; None for an ideal arm, which has none.
-        calibration_file: where the calibration was read; None for that of a nominal arm.
+        hardware: its servos.
+        calibration: of the servos; None for an ideal arm, which has none.
+        calibration_file: where the calibration was read; None for a nominal one.
     """
 
+    title: str
     robot: RobotModel
+    hardware: HardwareTable
     calibration: Calibration | None
     calibration_file: Path | None = None
 
     @classmethod
     def read(cls, settings: ArmSettings) -> Description:
-        """Read the files named in the settings, or the built-in ones.
+        """Read the files named in the settings, or those of the built-in arm.
 
-        Another robot's URDF alone means an ideal arm: only a serial port or a calibration say that it has servos.
+        A URDF alone means an ideal arm: only a robot's folder, a serial port or a calibration say that it has servos.
 
         Raises:
             ConfigurationError: a file that cannot be used, or one that the arm has no use for.
         """
         try:
-            if settings.urdf is not None and settings.srdf is not None:
+            alone = settings.robot is None and settings.serial is None and settings.calibration is None
+            if alone and settings.urdf is not None and settings.srdf is not None:
                 robot = model.load(settings.urdf, settings.srdf)
-                if settings.serial is None and settings.calibration is None:
-                    _refuse_trims(settings)
-                    return cls(robot, None)
-            else:
-                robot = model.builtin()
-            file = find_calibration(str(settings.calibration), os.environ) if settings.calibration else None
-            read = Calibration.load(file) if file else Calibration.nominal()
-            calibration = read.with_zero_offsets(settings.zero_offset_rad)
-            return cls(within_calibration(robot, calibration), calibration, file)
+                _refuse_servo_settings(settings, robot.name)
+                return cls(robot.name, robot, HardwareTable(), None)
+            return cls._of_folder(settings)
         except RobotError as error:
             raise ConfigurationError(str(error)) from error
+
+    @classmethod
+    def _of_folder(cls, settings: ArmSettings) -> Description:
+        folder = robot_folder.find(settings.robot or DEFAULT_ROBOT)
+        found = robot_folder.load(folder, urdf=settings.urdf, srdf=settings.srdf)
+        hardware = found.hardware
+        if hardware.kind == "ideal":
+            _refuse_servo_settings(settings, found.title)
+            return cls(found.title, found.model, hardware, None)
+        named, file = settings.calibration, None
+        if named is not None and str(named) != NOMINAL:
+            file = find_calibration(str(named), hardware.calibrations, os.environ)
+        read = Calibration.nominal(hardware.servos) if file is None else Calibration.load(file, hardware.servos)
+        calibration = replace(read, measured=named is not None).with_zero_offsets(settings.zero_offset_rad)
+        return cls(found.title, within_calibration(found.model, calibration), hardware, calibration, file)
 
 
 def arm_config(settings: Settings, description: Description) -> ArmConfig:
@@ -110,13 +132,18 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     )
 
 
-def _refuse_trims(settings: ArmSettings) -> None:
+def _refuse_servo_settings(settings: ArmSettings, title: str) -> None:
     if settings.zero_offset_rad:
         joint = next(iter(settings.zero_offset_rad))
         raise ConfigurationError(
             f"arm.zero_offset_rad.{joint}: the ideal arm has no servos whose zero could be trimmed; name the arm's "
-            "port (arm.serial) or calibration (arm.calibration)"
+            "robot (arm.robot), port (arm.serial) or calibration (arm.calibration)"
         )
+    for key, value in (("serial", settings.serial), ("calibration", settings.calibration)):
+        if value is not None:
+            raise ConfigurationError(
+                f"arm.{key}: {title} is an ideal arm: its robot.toml names no servos that {str(value)!r} could apply to"
+            )
 
 
 def _refuse_bus_options(emulator: EmulatorSettings) -> None:
@@ -124,7 +151,7 @@ def _refuse_bus_options(emulator: EmulatorSettings) -> None:
     for name in type(emulator).model_fields:
         if (value := getattr(emulator, name)) != getattr(default, name):
             raise ConfigurationError(
-                f"emulator.{name}: the ideal arm (arm.urdf without arm.serial or arm.calibration) has no servo bus "
+                f"emulator.{name}: the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus "
                 f"that {value!r} could apply to"
             )
 

@@ -8,9 +8,12 @@ import json
 import os
 import textwrap
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from robot.calibration import FREE_TURNING_JOINT, SO101_JOINTS, Calibration, new_calibration_path, reserved, save
+import numpy as np
+
+from robot.calibration import Calibration, new_calibration_path, reserved, save
 from robot.commissioning.calibrate import Difference, Sweep, calibrate, differences, write_to_servos
 from robot.commissioning.doctor import (
     EXPERIMENTS,
@@ -25,8 +28,8 @@ from robot.commissioning.doctor import (
 )
 from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, read_telemetry, scan
 from robot.commissioning.timing import measure_cycles, measure_reads
-from robot.description import model
-from robot.description.limits import JointBounds, within_calibration
+from robot.description.limits import JointBounds
+from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.port import resolve_port
@@ -37,18 +40,18 @@ from robot.hardware.interface import run_to_end, status_names
 from server.commands.options import (
     Subparsers,
     add_calibration,
+    add_robot,
     add_serial,
     guarded,
     open_bus,
     read_calibration,
+    read_hardware,
 )
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 
 HEADINGS = (
     "id", "joint", "model", "firmware", "V", "degC", "mode", "position", "limits", "offset", "torque", "complaints",
 )  # fmt: skip
-IDS = tuple(joint.servo_id for joint in SO101_JOINTS)
-NAMES = {joint.servo_id: joint.name for joint in SO101_JOINTS}
 
 
 def add_scan_parser(subparsers: Subparsers) -> None:
@@ -60,6 +63,7 @@ def add_scan_parser(subparsers: Subparsers) -> None:
         "position, angle limits, homing offset [ticks], and whether torque is on. Only reads; nothing moves.",
         epilog=EXIT_CODES,
     )
+    add_robot(parser)
     add_serial(parser)
     parser.add_argument("--all-bauds", action="store_true", help="look at every baud rate, not only at 1000000")
     parser.set_defaults(run=run_scan)
@@ -71,31 +75,32 @@ def run_scan(options: argparse.Namespace) -> int:
 
 
 def _scan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    port = resolve_port(options.serial)
+    servos, port = read_hardware(options).servos, resolve_port(options.serial)
+    names = {servo.servo_id: servo.joint for servo in servos}
     complaints: list[str] = []
     for baudrate in BAUDRATES if options.all_bauds else BAUDRATES[:1]:
         terminal.say(f"scanning {port} at {baudrate} baud ...")
         with contextlib.closing(Bus.open(port, baudrate)) as bus:
-            result = scan(bus, IDS)
+            result = scan(bus, tuple(names))
         if result.servos:
-            terminal.tell(table(HEADINGS, [_row(servo) for servo in result.servos]))
-        complaints += _complaints(result, baudrate)
+            terminal.tell(table(HEADINGS, [_row(servo, names) for servo in result.servos]))
+        complaints += _complaints(result, servos, baudrate)
     for complaint in complaints:
         terminal.say(complaint)
     return ExitCode.PROBLEMS if complaints else ExitCode.DONE
 
 
-def _complaints(result: ScanResult, baudrate: int) -> list[str]:
+def _complaints(result: ScanResult, servos: Sequence[ServoSpec], baudrate: int) -> list[str]:
     if baudrate == BAUDRATES[0]:
-        return explain_missing(result, SO101_JOINTS)
+        return explain_missing(result, servos)
     return [f"servo {servo_id} listens at {baudrate} baud: set it to {BAUDRATES[0]}" for servo_id in sorted(result.ids)]
 
 
-def _row(servo: ServoReport) -> list[object]:
+def _row(servo: ServoReport, names: Mapping[int, str]) -> list[object]:
     telemetry = servo.telemetry
     return [
         servo.servo_id,
-        NAMES.get(servo.servo_id, "?"),
+        names.get(servo.servo_id, "?"),
         servo.model,
         f"{servo.firmware[0]}.{servo.firmware[1]}",
         f"{telemetry.voltage_v:.1f}",
@@ -119,13 +124,14 @@ def add_calibrate_parser(subparsers: Subparsers) -> None:
         "calibrate",
         help="record the arm's middle pose and joint ranges in a calibration file of lerobot's format",
         description="Switches torque off, asks you to hold the arm with every joint in the middle of its range, then "
-        f"to move every joint but {FREE_TURNING_JOINT} from stop to stop, and writes a file like lerobot's. "
+        "to move every joint that has stops from one to the other, and writes a file like lerobot's. "
         "Nothing is written to the servos unless you say --write-servos.",
         epilog=EXIT_CODES,
     )
     parser.add_argument(
         "file", metavar="NAME_OR_PATH", help="where to write: a file, or an id for lerobot's calibration directory"
     )
+    add_robot(parser)
     add_serial(parser)
     parser.add_argument(
         "--write-servos",
@@ -143,25 +149,27 @@ def run_calibrate(options: argparse.Namespace) -> int:
 
 
 def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    path = new_calibration_path(options.file, os.environ)
+    hardware = read_hardware(options)
+    path = new_calibration_path(options.file, hardware.calibrations, os.environ)
     with reserved(path, overwrite=options.overwrite):
-        return _calibrate_to(path, options, terminal)
+        return _calibrate_to(path, hardware.servos, options, terminal)
 
 
-def _calibrate_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+def _calibrate_to(path: Path, servos: Sequence[ServoSpec], options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    ids = tuple(servo.servo_id for servo in servos)
     with contextlib.closing(open_bus(options)) as bus:
         terminal.say("looking at the servos ...")
-        result = scan(bus, IDS)
-        if missing := explain_missing(result, SO101_JOINTS):
+        result = scan(bus, ids)
+        if missing := explain_missing(result, servos):
             raise StartupError("; ".join(missing))
         if not options.yes and not terminal.confirm("Torque will be switched off and the arm sinks: hold it. Go on?"):
             return ExitCode.FAILED
-        if relax_arm(bus, terminal) is not ExitCode.DONE:
+        if relax_arm(bus, servos, terminal) is not ExitCode.DONE:
             return ExitCode.FAILED
         offsets = {servo.servo_id: servo.homing_offset_ticks for servo in result.servos}
-        sweep = _sweep(bus, terminal)
-        calibration = calibrate(SO101_JOINTS, sweep, offsets, recentre=options.write_servos)
-        changes = differences(calibration, scan(bus, IDS).servos)
+        sweep = _sweep(bus, servos, terminal)
+        calibration = calibrate(servos, sweep, offsets, recentre=options.write_servos)
+        changes = differences(calibration, scan(bus, ids).servos)
         if options.write_servos:
             _write(bus, changes, terminal)
         elif changes:
@@ -173,17 +181,17 @@ def _calibrate_to(path: Path, options: argparse.Namespace, terminal: Terminal) -
     return ExitCode.DONE
 
 
-def _sweep(bus: Bus, terminal: Terminal) -> Sweep:
+def _sweep(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> Sweep:
+    ids = tuple(servo.servo_id for servo in servos)
+    free = "".join(f" but {servo.joint}" for servo in servos if servo.turns_freely)
+    gripper = "".join(f", the {servo.joint} from closed to open" for servo in servos if servo.gripper)
     terminal.await_enter("Hold the arm with every joint in the middle of its range")
-    sweep = Sweep({servo_id: read_telemetry(bus, servo_id).position_ticks for servo_id in IDS})
-    terminal.say(
-        f"Move every joint but {FREE_TURNING_JOINT} slowly from stop to stop, the gripper from closed to open. "
-        "Press Enter when the ranges grow no more."
-    )
+    sweep = Sweep({servo_id: read_telemetry(bus, servo_id).position_ticks for servo_id in ids})
+    terminal.say(f"Move every joint{free} slowly from stop to stop{gripper}. Press Enter when the ranges grow no more.")
     while not terminal.entered():
-        frames = bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+        frames = bus.sync_read(ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
         sweep.add({servo_id: parse_telemetry(frame.data).position_ticks for servo_id, frame in frames.items()})
-        terminal.show_live(_sweep_table(sweep))
+        terminal.show_live(_sweep_table(servos, sweep))
         time.sleep(SWEEP_PERIOD_S)
     return sweep
 
@@ -197,10 +205,10 @@ def _write(bus: Bus, changes: list[Difference], terminal: Terminal) -> None:
     run_to_end(write_to_servos(bus, changes))
 
 
-def _sweep_table(sweep: Sweep) -> str:
+def _sweep_table(servos: Sequence[ServoSpec], sweep: Sweep) -> str:
     rows = [
-        (joint.name, *(by_id[joint.servo_id] for by_id in (sweep.lowest, sweep.present, sweep.highest)))
-        for joint in SO101_JOINTS
+        (servo.joint, *(by_id[servo.servo_id] for by_id in (sweep.lowest, sweep.present, sweep.highest)))
+        for servo in servos
     ]
     return table(("joint", "lowest", "present", "highest"), rows)
 
@@ -225,9 +233,6 @@ DEFAULT_CYCLES = 300
 LONG_READ_ADDRESS = 56
 LONG_READ_BYTES = 31
 
-# The gripper: nothing falls when it is relaxed, and a finger stops it.
-DEFAULT_SERVO = 6
-
 LINE_WIDTH = 100
 
 
@@ -241,6 +246,7 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
         "switch one servo's torque (see --servo) or move it by 2 degrees.",
         epilog=EXIT_CODES,
     )
+    add_robot(parser)
     add_serial(parser)
     add_calibration(parser)
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
@@ -251,9 +257,8 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--servo",
         type=int,
-        choices=IDS,
-        default=DEFAULT_SERVO,
-        help=f"servo that may be driven; it must be relaxed ({DEFAULT_SERVO}, the gripper)",
+        metavar="ID",
+        help="servo that may be driven; it must be relaxed (the last one: the gripper, of which nothing falls)",
     )
     parser.set_defaults(run=run_doctor)
 
@@ -267,16 +272,21 @@ def run_doctor(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    calibration = read_calibration(options)
+    calibration, servos = read_calibration(options), read_hardware(options).servos
+    ids = tuple(servo.servo_id for servo in servos)
+    driven = ids[-1] if options.servo is None else options.servo
+    if driven not in ids:
+        terminal.say(f"armbridge: --servo must be one of {', '.join(map(str, ids))}, not {driven}")
+        return ExitCode.USAGE
     with contextlib.closing(open_bus(options)) as bus:
         terminal.say("looking at the servos ...")
-        result = scan(bus, IDS)
-        findings = judge_scan(result, calibration)
+        result = scan(bus, ids)
+        findings = judge_scan(result, servos, calibration)
         present = tuple(servo.servo_id for servo in result.servos)
         if present:
             findings += _measure(bus, present, options.cycles, terminal)
-        if options.servo in present and not options.read_only:
-            findings += _experiment(ServoRig(bus, options.servo, present), terminal, yes=options.yes)
+        if driven in present and not options.read_only:
+            findings += _experiment(ServoRig(bus, driven, present), terminal, yes=options.yes)
     terminal.tell(_as_json(findings) if options.json else _as_text(findings))
     problems = any(finding.verdict is Verdict.PROBLEM for finding in findings)
     return ExitCode.PROBLEMS if problems else ExitCode.DONE
@@ -338,6 +348,7 @@ def add_relax_parser(subparsers: Subparsers) -> None:
         "The arm sinks: support it. While a server is running, call its service /arm/relax instead.",
         epilog=EXIT_CODES,
     )
+    add_robot(parser)
     add_serial(parser)
     parser.set_defaults(run=run_relax)
 
@@ -348,38 +359,44 @@ def run_relax(options: argparse.Namespace) -> int:
 
 
 def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    servos = read_hardware(options).servos
     with contextlib.closing(open_bus(options)) as bus:
-        return relax_arm(bus, terminal)
+        return relax_arm(bus, servos, terminal)
 
 
-def relax_arm(bus: Bus, terminal: Terminal) -> ExitCode:
+def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> ExitCode:
     """Relax whatever holds; says which servos may still be driven.
+
+    Args:
+        bus: an open bus.
+        servos: servos of the arm.
+        terminal: tells.
 
     Raises:
         PortLost: the port is gone.
     """
-    holding, silent = _look(bus)
+    holding, silent = _look(bus, servos)
     if not holding and not silent:
         terminal.say("torque is off on all servos")
         return ExitCode.DONE
-    if len(silent) == len(SO101_JOINTS):
+    if len(silent) == len(servos):
         terminal.say("no servo answers: see armbridge scan")
         return ExitCode.FAILED
     terminal.say("relaxing: support the arm ...")
-    servos = _servos()
-    driven = run_to_end(relax(bus, servos, holding))
+    servo_map = _servo_map(servos)
+    driven = run_to_end(relax(bus, servo_map, holding))
     if driven:
-        listed = ", ".join(servos.label(servo_id) for servo_id in driven)
+        listed = ", ".join(servo_map.label(servo_id) for servo_id in driven)
         terminal.say(f"{listed} may still be driven: torque off could not be verified. Cut the servos' supply.")
         return ExitCode.PROBLEMS
     terminal.say("torque is off on all servos")
     return ExitCode.DONE
 
 
-def _look(bus: Bus) -> tuple[dict[int, int], list[int]]:
+def _look(bus: Bus, servos: Sequence[ServoSpec]) -> tuple[dict[int, int], list[int]]:
     """Torque limits of the servos that hold, by id [0.1 %], and the servos that do not answer."""
     holding, silent = {}, []
-    for joint in SO101_JOINTS:
+    for joint in servos:
         try:
             if bus.read(joint.servo_id, Register.TORQUE_ENABLE):
                 holding[joint.servo_id] = bus.read(joint.servo_id, Register.TORQUE_LIMIT)
@@ -388,7 +405,7 @@ def _look(bus: Bus) -> tuple[dict[int, int], list[int]]:
     return holding, silent
 
 
-def _servos() -> ServoMap:
-    calibration = Calibration.nominal()
-    names = tuple(joint.joint for joint in calibration.joints)
-    return ServoMap(calibration, JointBounds.of(within_calibration(model.builtin(), calibration), names))
+def _servo_map(servos: Sequence[ServoSpec]) -> ServoMap:
+    """Return the servos by joint; their ranges do not matter where torque goes off."""
+    ones = np.ones(len(servos))
+    return ServoMap(Calibration.nominal(servos), JointBounds(-np.pi * ones, np.pi * ones, ones, ones))

@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from robot.calibration import Calibration, find_calibration
-from robot.errors import PortBusy, RobotError
+from robot.description import robot_folder
+from robot.description.servo_table import HardwareTable
+from robot.errors import DescriptionError, PortBusy, RobotError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.port import AUTO, resolve_port
+from server.arm.setup import DEFAULT_ROBOT
 from server.commands.terminal import ExitCode, Terminal
 from server.config import Settings
 from server.config_loader import load_with_sources
@@ -38,6 +41,31 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
 
 
+def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT) -> None:
+    """Describe ``--robot``."""
+    names = ", ".join(robot_folder.built_in_names())
+    parser.add_argument(
+        "--robot",
+        metavar="NAME_OR_FOLDER",
+        default=default,
+        help=f"the arm: a built-in one ({names}), or the folder of its robot.toml ({DEFAULT_ROBOT})",
+    )
+
+
+def read_hardware(options: argparse.Namespace) -> HardwareTable:
+    """Read the hardware of the robot that the options name, which has Feetech servos.
+
+    Raises:
+        DescriptionError: there is no such robot, or it has other servos.
+    """
+    hardware = robot_folder.load(robot_folder.find(options.robot)).hardware
+    if hardware.kind != "feetech":
+        raise DescriptionError(
+            f"robot {options.robot!r}", f"has hardware of the kind {hardware.kind}: this command needs Feetech servos"
+        )
+    return hardware
+
+
 def open_bus(options: argparse.Namespace) -> Bus:
     """Open the bus that the options name.
 
@@ -55,7 +83,8 @@ def read_calibration(options: argparse.Namespace) -> Calibration | None:
     """
     if options.calibration is None:
         return None
-    return Calibration.load(find_calibration(options.calibration, os.environ))
+    hardware = read_hardware(options)
+    return Calibration.load(find_calibration(options.calibration, hardware.calibrations, os.environ), hardware.servos)
 
 
 def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
@@ -78,6 +107,7 @@ _KEYS = {
     "port": ("server", "port"),
     "log_level": ("server", "log_level"),
     "serial": ("arm", "serial"),
+    "robot": ("arm", "robot"),
     "calibration": ("arm", "calibration"),
     "insecure": ("access", "insecure"),
     "urdf": ("arm", "urdf"),
@@ -124,12 +154,13 @@ def _add_arm_options(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
     )
+    add_robot(parser, default=None)
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
     parser.add_argument(
         "--urdf",
         type=Path,
         metavar="FILE",
-        help="another robot's URDF; without --serial and --calibration its arm is an ideal one",
+        help="a URDF in place of the robot's; without --robot, --serial and --calibration its arm is an ideal one",
     )
     parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
 

@@ -6,10 +6,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from robot.description import model
+from robot.description import model, robot_folder
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from server.commands.options import Subparsers
+from server.commands.options import Subparsers, add_robot
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.errors import ConfigurationError
 
@@ -37,7 +37,8 @@ def add_plan_parser(subparsers: Subparsers) -> None:
     )
     plan.add_argument("--json", type=Path, metavar="OUT", help="write trajectories and error codes as JSON")
     plan.add_argument("--plot", type=Path, metavar="OUT.png", help="draw positions and velocities (needs matplotlib)")
-    plan.add_argument("--urdf", type=Path, metavar="FILE", help="the robot's URDF, instead of the built-in SO-101's")
+    add_robot(plan)
+    plan.add_argument("--urdf", type=Path, metavar="FILE", help="a URDF in place of the robot's")
     plan.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
     plan.add_argument(
         "--time", type=float, dest="allowed_time_s", metavar="S", help="give up after so many seconds a problem"
@@ -59,7 +60,7 @@ def run_plan(options: argparse.Namespace) -> int:
         options.problems, options.all, tuple(options.id), options.json, options.plot, settings, options.scheduler
     )
     try:
-        robot = _robot(options.urdf, options.srdf)
+        robot = _robot(options.robot, options.urdf, options.srdf)
     except (ConfigurationError, DescriptionError) as error:
         Terminal().say(f"armbridge: {error}")
         return ExitCode.USAGE
@@ -70,9 +71,9 @@ def run_plan(options: argparse.Namespace) -> int:
         return ExitCode.FAILED
 
 
-def _robot(urdf: Path | None, srdf: Path | None) -> RobotModel:
+def _robot(name: str, urdf: Path | None, srdf: Path | None) -> RobotModel:
     if urdf is None and srdf is None:
-        return model.builtin()
+        return robot_folder.load(robot_folder.find(name)).model
     if urdf is None or srdf is None:
         raise ConfigurationError("--urdf and --srdf must be given together")
     return model.load(urdf, srdf)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 from planners.pool import PlannerPool
 from robot.arm import Arm
-from robot.calibration import GRIPPER_JOINT
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
@@ -133,9 +132,8 @@ class MoveItInterface:
         # Goals and commands of MoveIt's clients.
         self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve, arm, pool, lambda: self.queue.busy)
         self._gripper = None
-        joint = robot.joints.get(GRIPPER_JOINT)
-        # The gripper of another arm is not known by its description.
-        if joint is not None and joint.movable:
+        if robot.gripper is not None:
+            joint = robot.joints[robot.gripper.joints[0]]
             scalings = moveit.max_velocity_scaling, moveit.max_acceleration_scaling
             torque_limit = settings.arm.guards.gripper_torque_limit
             self._gripper = Gripper(arm, joint, *scalings, time_limits, torque_limit)

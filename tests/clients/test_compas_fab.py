@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from robot.description import model
 from tests.helpers.clients import heard_by
+from tests.helpers.robots import so101
 from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("compas_fab_scenario.py")
@@ -82,7 +82,7 @@ def test_both_actions_execute(answers: dict[str, Any], dialect: str) -> None:
 
 
 def test_meshes_come_over_http_from_the_port_of_rosbridge(tmp_path: Path) -> None:
-    robot = model.builtin()
+    robot = so101()
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets" / "sign.obj").write_text(TRIANGLE)
     (tmp_path / "arm.urdf").write_text(robot.urdf.replace("</robot>", f"{MESH_LINK}{MESH_JOINT}</robot>"))

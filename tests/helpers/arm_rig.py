@@ -7,10 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S, Pacer
 from robot.control.supervisor import Supervisor
-from robot.description import model
 from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
@@ -32,6 +30,7 @@ from robot.messages import (
 )
 from robot.trajectory import Trajectory
 from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.robots import nominal_calibration, so101
 
 
 def reading(position_rad: Any, **told: Any) -> Measured:
@@ -62,8 +61,8 @@ def run(steps: Steps[Result]) -> Result:
             return result
 
 
-CALIBRATION = Calibration.nominal()
-ROBOT = within_calibration(model.builtin(), CALIBRATION)
+CALIBRATION = nominal_calibration()
+ROBOT = within_calibration(so101(), CALIBRATION)
 NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
 BOUNDS = JointBounds.of(ROBOT, NAMES)
 

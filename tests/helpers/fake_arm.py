@@ -10,11 +10,11 @@ from typing import cast
 import numpy as np
 
 from robot.arm import Arm, ArmStream
-from robot.description import model
 from robot.messages import ArmState, ChangePace, Mode, MotionEnded, Outcome, Setpoint
 from robot.trajectory import Trajectory
+from tests.helpers.robots import so101
 
-ROBOT = model.builtin()
+ROBOT = so101()
 JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 HOME = dict.fromkeys(JOINTS, 0.0)
 

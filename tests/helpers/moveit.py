@@ -37,13 +37,13 @@ from server.moveit.scene.planning_scene import SceneDraft
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.services.move_group_services import offer_services
 from tests.helpers.fake_arm import JOINTS, FakeArm, settle
-from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
+from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF, so101
 
 if TYPE_CHECKING:
     from planners.pipeline import Planner
 
 REGISTRY = Registry.load()
-ROBOT = model.builtin()
+ROBOT = so101()
 BENT = dict.fromkeys(JOINTS, 0.2)
 FORWARD = ForwardPlacements(ROBOT)
 Quaternion = tuple[float, float, float, float]

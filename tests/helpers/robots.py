@@ -1,11 +1,28 @@
-"""Robots beside the built-in arm: one with seven joints, and the built-in one with one mesh more."""
+"""The SO-101, one with a mesh more, and an arm with seven joints."""
 
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
-from robot.description import model
+from robot.calibration import Calibration
+from robot.description import robot_folder
+from robot.description.model import RobotModel
+
+SO101 = robot_folder.built_in("so101")
+SO101_SERVOS = SO101.hardware.servos
+
+
+def so101() -> RobotModel:
+    """The SO-101's description."""
+    return SO101.model
+
+
+def nominal_calibration() -> Calibration:
+    """The calibration of a flawless SO-101."""
+    return replace(Calibration.nominal(SO101_SERVOS), measured=True)
+
 
 SEVEN_JOINT_URDF = """
 <robot name="seven">
@@ -67,7 +84,7 @@ def meshed_arm(folder: Path, mesh: str) -> dict[str, str]:
     """
     visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
     joint = '<joint name="held" type="fixed"><parent link="base_link"/><child link="meshed"/></joint>'
-    arm = model.builtin()
+    arm = so101()
     urdf, srdf = folder / "arm.urdf", folder / "arm.srdf"
     urdf.write_text(arm.urdf.replace("</robot>", f'<link name="meshed">{visual}</link>{joint}</robot>'))
     srdf.write_text(arm.srdf)

@@ -12,13 +12,13 @@ from planners.ik.constraints import Joints
 from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
 from planners.problem import RateLimits
-from robot.description import model
 from tests.helpers import resources
+from tests.helpers.robots import so101
 
 
 @pytest.fixture(scope="session")
 def robot():
-    return model.builtin()
+    return so101()
 
 
 @pytest.fixture(scope="session")

@@ -11,9 +11,9 @@ import pytest
 
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
-from robot.description import model
 from tests.helpers import resources
 from tests.helpers.full_meshes import Judge
+from tests.helpers.robots import so101
 
 # Of each list of a file, every so manieth problem: all of them are the benchmark's.
 SHARE = 3
@@ -53,7 +53,7 @@ def straight(start, goal, duration_s: float):
 def test_hard_problems_of_the_benchmark_are_solved_and_valid(name: str, problem: str) -> None:
     path = SCENES_OF_BENCHMARK / f"{name}.json"
     fields = json.loads(path.read_text())
-    file = problem_file.read(path, model.builtin())
+    file = problem_file.read(path, so101())
     (outcome,) = plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=(problem,))))
     (answer,) = plan_command.as_json([outcome], file.joint_names)
     (entry,) = (entry for entry in fields["position_problems"] if entry["id"] == problem)
@@ -65,7 +65,7 @@ def test_hard_problems_of_the_benchmark_are_solved_and_valid(name: str, problem:
 def test_a_share_of_the_shared_problems_is_planned_and_valid(name: str) -> None:
     path, fields = fields_of(name)
     entries = {entry["id"]: entry for key in LISTS for entry in fields[key][::SHARE]}
-    file = problem_file.read(path, model.builtin())
+    file = problem_file.read(path, so101())
     outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=tuple(entries)))))
     wrong = {outcome.asked.id: outcome.code.name for outcome in outcomes if not outcome.expected}
     assert not wrong

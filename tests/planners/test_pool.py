@@ -51,6 +51,7 @@ from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 from tests.helpers.resources import no_descriptors_left
+from tests.helpers.robots import so101
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
 
@@ -58,7 +59,7 @@ TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),)
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def worker() -> AsyncIterator[WorkerProcess]:
     loaded = asyncio.Event()
-    made = WorkerProcess(model.builtin(), 1 << 30, lambda _worker, _refusal: loaded.set(), lambda _worker: None)
+    made = WorkerProcess(so101(), 1 << 30, lambda _worker, _refusal: loaded.set(), lambda _worker: None)
     await made.start()
     await asyncio.wait_for(loaded.wait(), 60.0)
     yield made
@@ -205,7 +206,7 @@ async def pool() -> AsyncIterator[PlannerPool]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(ROOT))
         patch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.broken_planner")
-        made = made_of(model.builtin())
+        made = made_of(so101())
         await made.start()
         assert made.idle_count == 0
         yield made
@@ -359,7 +360,7 @@ async def test_more_requests_than_may_wait_are_refused(both_idle: PlannerPool) -
 
 
 async def test_a_robot_that_no_worker_can_load_is_told() -> None:
-    broken_robot = made_of(dataclasses.replace(model.builtin(), urdf="<robot/>"))
+    broken_robot = made_of(dataclasses.replace(so101(), urdf="<robot/>"))
     await broken_robot.start()
     answer = await broken_robot.ask(EASY)
     await broken_robot.close()
@@ -386,7 +387,7 @@ async def test_after_failed_starts_requests_wait_for_the_next_worker_that_loads(
 async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
     monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.no_such_module")
-    pool = made_of(model.builtin())
+    pool = made_of(so101())
     await pool.start()
     answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
     assert isinstance(answer, PlanningFailure)
@@ -436,7 +437,7 @@ async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.M
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     # It lives, but never says that it has loaded anything.
     monkeypatch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.echo_child")
-    pool = made_of(model.builtin())
+    pool = made_of(so101())
     await pool.start()
     async with asyncio.timeout(60.0):
         while pool.load_failure is None:
@@ -484,7 +485,7 @@ class StarvedWorker:
 
 def with_worker(worker: StarvedWorker) -> PlannerPool:
     """A pool that has this worker and no process."""
-    pool = made_of(model.builtin())
+    pool = made_of(so101())
     pool._put_back(worker)
     return pool
 

@@ -32,7 +32,7 @@ def test_a_worker_starts_without_what_a_plain_goal_does_not_need(loaded_by_a_wor
 @pytest.fixture(scope="module")
 def loaded_by_a_worker() -> list[str]:
     return output_of(
-        "import sys; from planners import worker; from robot.description import model; worker.Planner(model.builtin());"
+        "import sys; from planners import worker; from robot.description import model; worker.Planner(so101());"
         "print(*sys.modules)"
     )
 
@@ -72,7 +72,7 @@ from tests.helpers.motions import broken
 from robot.description import model
 async def serve():
     pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
-    pool = PlannerPool(model.builtin())
+    pool = PlannerPool(so101())
     await pool.start()
     asking = asyncio.create_task(pool.ask(broken({broken_planner.NATIVE_LOOP!r})))
     while pool.idle_count != 1:

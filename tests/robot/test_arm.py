@@ -16,9 +16,7 @@ import numpy as np
 import pytest
 
 from robot.arm import RESTART_LINES, Arm, start_arm_process
-from robot.calibration import Calibration
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
-from robot.description import model
 from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, ChangePace, Mode, Order, Outcome, Pace
@@ -26,10 +24,11 @@ from robot.processes import RestartDelay, StartedChild
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
 from tests.helpers.resources import no_descriptors_left
+from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.server import EmulatorControl, read_write_log
 
-CALIBRATION = Calibration.nominal()
-ROBOT = within_calibration(model.builtin(), CALIBRATION)
+CALIBRATION = nominal_calibration()
+ROBOT = within_calibration(so101(), CALIBRATION)
 CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
 
 # Bound of a wait for what takes milliseconds on a quiet machine.

@@ -21,12 +21,12 @@ import pytest_asyncio
 
 from robot.arm import Arm
 from robot.calibration import Calibration, find_calibration
-from robot.description import model
 from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
 from robot.messages import ArmConfig, ArmState, EmergencyPolicy, GuardLimits, Mode, MotionEnded, Order, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, so101
 from tests.helpers.scripted_servos import ScriptedServos
 from tests.robot.conftest import RunningEmulator, ScriptedPeer
 
@@ -101,7 +101,7 @@ class Place:
         return smooth_move({joint: (self.held(joint), self.held(joint) + way_rad)}, duration_s)
 
 
-NOMINAL = Calibration.nominal()
+NOMINAL = nominal_calibration()
 START_RAD = (0.1, -0.5, 0.4, 0.2, 0.1, 0.3)
 START = dict(zip((joint.joint for joint in NOMINAL.joints), START_RAD, strict=True))
 
@@ -114,7 +114,7 @@ SLOW_S = 6.0
 
 
 def place_with(hardware: HardwareConfig, calibration: Calibration = NOMINAL, *, may_fall: bool = True) -> Place:
-    robot = within_calibration(model.builtin(), calibration)
+    robot = within_calibration(so101(), calibration)
     config = ArmConfig(robot, hardware, on_emergency_stop=EmergencyPolicy.HOLD, guard_limits=PATIENT)
     return Place(config, may_fall)
 
@@ -143,7 +143,7 @@ async def place(request: pytest.FixtureRequest) -> AsyncIterator[Place]:
         made = place_with(FeetechConfig(NOMINAL, bus.port))
     elif named:
         port, _, file = named.partition(",")
-        calibration = Calibration.load(find_calibration(file, os.environ))
+        calibration = Calibration.load(find_calibration(file, SO101.hardware.calibrations, os.environ), SO101_SERVOS)
         made = place_with(FeetechConfig(calibration, port), calibration, may_fall=False)
     else:
         pytest.skip("no real arm is named by --arm PORT,CALIBRATION")

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
-from robot.calibration import Calibration
-from robot.description import model
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint
 from robot.processes import StartedChild
+from tests.helpers.robots import nominal_calibration, so101
 
-CONFIG = ArmConfig(model.builtin(), FeetechConfig(Calibration.nominal(), "/dev/does-not-exist"))
+CONFIG = ArmConfig(so101(), FeetechConfig(nominal_calibration(), "/dev/does-not-exist"))
 
 
 class ProcessRig:

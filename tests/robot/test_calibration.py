@@ -4,7 +4,6 @@ import json
 import math
 import os
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import pytest
 from hypothesis import given
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 
 from robot.calibration import (
     RAD_PER_TICK,
-    SO101_JOINTS,
     Calibration,
     JointCalibration,
     find_calibration,
@@ -22,27 +20,29 @@ from robot.calibration import (
     save,
 )
 from robot.errors import CalibrationError
+from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED_FACTS = REPOSITORY.parent / "shared" / "data" / "so101_facts.json"
 
 TICKS = st.integers(0, 4095)
+FOLDERS = SO101.hardware.calibrations
 GRIPPER_LOWER, GRIPPER_UPPER = -0.174533, 1.74533
 
 
 @st.composite
 def calibrated_joints(draw):
-    spec = draw(st.sampled_from(SO101_JOINTS))
+    spec = draw(st.sampled_from(SO101_SERVOS))
     range_min = draw(st.integers(0, 3000))
     range_max = draw(st.integers(range_min + 500, 4095))
     zero = draw(st.floats(-0.2, 0.2))
-    return JointCalibration(spec.name, spec.servo_id, draw(st.integers(0, 1)), 0, range_min, range_max, zero)
+    return JointCalibration(spec, spec.servo_id, draw(st.integers(0, 1)), 0, range_min, range_max, zero)
 
 
 def lerobot_file(tmp_path, **changes):
     table = {
-        spec.name: {"id": spec.servo_id, "drive_mode": 0, "homing_offset": 7, "range_min": 900, "range_max": 3100}
-        for spec in SO101_JOINTS
+        spec.joint: {"id": spec.servo_id, "drive_mode": 0, "homing_offset": 7, "range_min": 900, "range_max": 3100}
+        for spec in SO101_SERVOS
     }
     for where, value in changes.items():
         joint, _, key = where.partition("__")
@@ -82,20 +82,20 @@ def test_limits_hold_exactly_the_positions_of_the_range(joint, ticks):
 
 
 def test_an_arm_joint_is_at_zero_in_the_middle_of_its_range():
-    elbow = JointCalibration("elbow_flex", 3, 0, 0, 793, 2995)
+    elbow = JointCalibration(SO101_SERVOS[2], 3, 0, 0, 793, 2995)
     assert elbow.rad_from_ticks(1894) == 0.0
     assert elbow.rad_from_ticks(1894 + 1024) == pytest.approx(math.pi / 2)
 
 
 def test_a_zero_offset_shifts_an_arm_joint():
-    elbow = JointCalibration("elbow_flex", 3, 0, 0, 793, 2995, zero_offset_rad=0.13)
+    elbow = JointCalibration(SO101_SERVOS[2], 3, 0, 0, 793, 2995, zero_offset_rad=0.13)
     assert elbow.rad_from_ticks(1894) == pytest.approx(0.13)
 
 
 def test_drive_mode_mirrors_the_gripper_and_no_arm_joint():
-    arm = [JointCalibration("wrist_flex", 4, mode, 0, 900, 3100) for mode in (0, 1)]
+    arm = [JointCalibration(SO101_SERVOS[3], 4, mode, 0, 900, 3100) for mode in (0, 1)]
     assert arm[0].rad_from_ticks(1000) == arm[1].rad_from_ticks(1000)
-    plain, mirrored = (JointCalibration("gripper", 6, mode, 0, 2030, 3454) for mode in (0, 1))
+    plain, mirrored = (JointCalibration(SO101_SERVOS[5], 6, mode, 0, 2030, 3454) for mode in (0, 1))
     assert plain.rad_from_ticks(2030) == mirrored.rad_from_ticks(3454) == pytest.approx(GRIPPER_LOWER)
     assert plain.rad_from_ticks(3454) == mirrored.rad_from_ticks(2030) == pytest.approx(GRIPPER_UPPER)
     assert mirrored.rad_s_from_ticks_s(100.0) < 0.0
@@ -103,11 +103,11 @@ def test_drive_mode_mirrors_the_gripper_and_no_arm_joint():
 
 def test_a_position_that_is_no_number_is_refused():
     with pytest.raises(ValueError, match="NaN"):
-        Calibration.nominal().joints[0].ticks_from_rad(math.nan)
+        nominal_calibration().joints[0].ticks_from_rad(math.nan)
 
 
 def test_the_nominal_arm_reaches_the_limits_of_the_urdf_and_is_centred():
-    for joint, spec in zip(Calibration.nominal().joints, SO101_JOINTS, strict=True):
+    for joint, spec in zip(nominal_calibration().joints, SO101_SERVOS, strict=True):
         assert joint.range_min + joint.range_max == 4095
         assert joint.lower_rad <= spec.lower_rad + 1e-9
         assert joint.upper_rad >= spec.upper_rad - 1e-9
@@ -115,18 +115,10 @@ def test_the_nominal_arm_reaches_the_limits_of_the_urdf_and_is_centred():
             assert joint.upper_rad - joint.lower_rad <= spec.upper_rad - spec.lower_rad + 0.1 + 2 * RAD_PER_TICK
 
 
-def test_the_joint_table_agrees_with_the_urdf_of_the_project():
-    urdf = ET.parse(REPOSITORY / "robot" / "description" / "so101.urdf").getroot()
-    limits = {joint.get("name"): joint.find("limit") for joint in urdf.iterfind("joint")}
-    for spec in SO101_JOINTS:
-        assert float(limits[spec.name].get("lower")) == spec.lower_rad
-        assert float(limits[spec.name].get("upper")) == spec.upper_rad
-
-
 def test_a_file_of_lerobot_is_read_in_the_order_of_the_arm(tmp_path):
-    calibration = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=866))
-    assert [joint.joint for joint in calibration.joints] == [spec.name for spec in SO101_JOINTS]
-    assert calibration.joints[2] == JointCalibration("elbow_flex", 3, 0, 7, 866, 3100)
+    calibration = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=866), SO101_SERVOS)
+    assert [joint.joint for joint in calibration.joints] == [spec.joint for spec in SO101_SERVOS]
+    assert calibration.joints[2] == JointCalibration(SO101_SERVOS[2], 3, 0, 7, 866, 3100)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +139,7 @@ def test_a_file_of_lerobot_is_read_in_the_order_of_the_arm(tmp_path):
 def test_a_file_that_cannot_be_right_is_refused_with_its_field(tmp_path, change, field, sentence):
     path = lerobot_file(tmp_path, **change)
     with pytest.raises(CalibrationError, match=sentence) as caught:
-        Calibration.load(path)
+        Calibration.load(path, SO101_SERVOS)
     assert (caught.value.file, caught.value.field) == (str(path), field)
     assert str(path) in str(caught.value)
 
@@ -163,7 +155,7 @@ def test_the_schema_before_june_2025_is_refused_by_name(tmp_path, old):
     path = tmp_path / "old.json"
     path.write_text(json.dumps(old))
     with pytest.raises(CalibrationError, match="before June 2025"):
-        Calibration.load(path)
+        Calibration.load(path, SO101_SERVOS)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "7", "\x00"])
@@ -171,26 +163,26 @@ def test_a_file_that_is_no_json_object_is_refused(tmp_path, text):
     path = tmp_path / "broken.json"
     path.write_text(text)
     with pytest.raises(CalibrationError):
-        Calibration.load(path)
+        Calibration.load(path, SO101_SERVOS)
 
 
 def test_a_file_that_does_not_exist_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match="cannot be read"):
-        Calibration.load(tmp_path / "nowhere.json")
+        Calibration.load(tmp_path / "nowhere.json", SO101_SERVOS)
 
 
 def test_the_elbow_of_every_measured_arm_spans_the_urdf_within_a_degree():
     if not SHARED_FACTS.exists():
         pytest.skip(f"{SHARED_FACTS} is not there")
-    elbow = SO101_JOINTS[2]
+    elbow = SO101_SERVOS[2]
     for name, ranges in json.loads(SHARED_FACTS.read_text())["calibration_samples"]["rows"].items():
-        joint = JointCalibration("elbow_flex", 3, 0, 0, *ranges["elbow_flex"])
+        joint = JointCalibration(SO101_SERVOS[2], 3, 0, 0, *ranges["elbow_flex"])
         assert joint.upper_rad == pytest.approx(elbow.upper_rad, abs=math.radians(1.0)), name
         assert joint.lower_rad == pytest.approx(elbow.lower_rad, abs=math.radians(1.0)), name
 
 
 def test_a_zero_trim_moves_the_joints_it_names_and_no_other():
-    plain = Calibration.nominal()
+    plain = nominal_calibration()
     trimmed = plain.with_zero_offsets({"elbow_flex": 0.13})
     moved = [
         new.rad_from_ticks(2000) - old.rad_from_ticks(2000)
@@ -210,13 +202,13 @@ def test_a_zero_trim_moves_the_joints_it_names_and_no_other():
 )
 def test_a_zero_trim_that_makes_no_sense_is_refused(trim, words):
     with pytest.raises(CalibrationError, match=words):
-        Calibration.nominal().with_zero_offsets(trim)
+        nominal_calibration().with_zero_offsets(trim)
 
 
 def test_a_range_of_nearly_a_turn_is_warned_of_except_where_it_is_usual(tmp_path):
-    wide = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=10, elbow_flex__range_max=4090))
+    wide = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=10, elbow_flex__range_max=4090), SO101_SERVOS)
     assert [warning.split()[0] for warning in wide.warnings()] == ["elbow_flex"]
-    assert Calibration.nominal().warnings() == ()
+    assert nominal_calibration().warnings() == ()
 
 
 @pytest.fixture
@@ -225,29 +217,29 @@ def home(tmp_path):
 
 
 def test_a_path_is_taken_as_it_is(home):
-    assert str(find_calibration("arms/left.json", home)) == "arms/left.json"
+    assert str(find_calibration("arms/left.json", FOLDERS, home)) == "arms/left.json"
 
 
 @pytest.mark.parametrize("robot", ["so_follower", "so101_follower"])
 def test_an_id_is_found_under_both_names_that_lerobot_gave_the_robot(home, tmp_path, robot):
     path = tmp_path / "robots" / robot / "left.json"
-    save(Calibration.nominal(), path)
-    assert find_calibration("left", home) == path
+    save(nominal_calibration(), path)
+    assert find_calibration("left", FOLDERS, home) == path
 
 
 def test_an_id_unknown_to_lerobot_is_refused_with_the_paths_tried(home, tmp_path):
     with pytest.raises(CalibrationError, match=r"so_follower/left\.json or .*so101_follower/left\.json"):
-        find_calibration("left", home)
+        find_calibration("left", FOLDERS, home)
 
 
 def test_two_calibrations_of_one_id_are_refused_only_if_they_differ(home):
-    first, second = (directory / "left.json" for directory in lerobot_directories(home))
-    save(Calibration.nominal(), first)
-    save(Calibration.nominal(), second)
-    assert find_calibration("left", home) == first
+    first, second = (directory / "left.json" for directory in lerobot_directories(FOLDERS, home))
+    save(nominal_calibration(), first)
+    save(nominal_calibration(), second)
+    assert find_calibration("left", FOLDERS, home) == first
     second.write_text("{}")
     with pytest.raises(CalibrationError, match="ambiguous"):
-        find_calibration("left", home)
+        find_calibration("left", FOLDERS, home)
 
 
 @pytest.mark.parametrize(
@@ -260,13 +252,13 @@ def test_two_calibrations_of_one_id_are_refused_only_if_they_differ(home):
     ],
 )
 def test_the_directory_follows_lerobots_environment_variables(environment, start):
-    assert all(str(directory).startswith(start) for directory in lerobot_directories(environment))
+    assert all(str(directory).startswith(start) for directory in lerobot_directories(FOLDERS, environment))
 
 
 def test_what_is_saved_loads_as_the_same_calibration(tmp_path):
     path = tmp_path / "new" / "arm.json"
-    save(Calibration.nominal(), path)
-    assert Calibration.load(path) == Calibration.nominal()
+    save(nominal_calibration(), path)
+    assert Calibration.load(path, SO101_SERVOS) == nominal_calibration()
     assert list(json.loads(path.read_text())["gripper"]) == [
         "id",
         "drive_mode",
@@ -283,7 +275,7 @@ def test_a_file_that_is_being_calibrated_is_refused_with_the_process(tmp_path):
         refused = pytest.raises(CalibrationError, match=rf"in use by armbridge \(process {os.getpid()}\)")
         with refused, reserved(path, overwrite=True):
             pass
-        save(Calibration.nominal(), path)
+        save(nominal_calibration(), path)
     with pytest.raises(CalibrationError, match="is there already"), reserved(path, overwrite=False):
         pass
     with reserved(path, overwrite=True):
@@ -298,19 +290,19 @@ def test_a_place_that_cannot_be_reserved_is_refused(tmp_path):
 
 def test_a_calibration_that_cannot_be_written_leaves_the_one_before(tmp_path):
     path = tmp_path / "arm.json"
-    save(Calibration.nominal(), path)
+    save(nominal_calibration(), path)
     (tmp_path / ".arm.json.new").mkdir()
     with pytest.raises(CalibrationError, match="cannot be written"):
-        save(Calibration.nominal().with_zero_offsets({"elbow_flex": 0.1}), path)
-    assert Calibration.load(path) == Calibration.nominal()
+        save(nominal_calibration().with_zero_offsets({"elbow_flex": 0.1}), path)
+    assert Calibration.load(path, SO101_SERVOS) == nominal_calibration()
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(CalibrationError, match="cannot be written"):
-        save(Calibration.nominal(), tmp_path / "file" / "arm.json")
+        save(nominal_calibration(), tmp_path / "file" / "arm.json")
 
 
 def test_a_new_calibration_of_an_id_goes_where_lerobot_looks_first(home):
-    assert new_calibration_path("left", home) == lerobot_directories(home)[0] / "left.json"
-    assert str(new_calibration_path("./left.json", home)) == "left.json"
+    assert new_calibration_path("left", FOLDERS, home) == lerobot_directories(FOLDERS, home)[0] / "left.json"
+    assert str(new_calibration_path("./left.json", FOLDERS, home)) == "left.json"

@@ -7,11 +7,11 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from robot.calibration import Calibration
 from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.robots import nominal_calibration
 from tests.helpers.server import ServerOnBus, server_on_bus
 
-JOINTS = {joint.joint: joint for joint in Calibration.nominal().joints}
+JOINTS = {joint.joint: joint for joint in nominal_calibration().joints}
 FAST = {"MOVEIT__MAX_VELOCITY_SCALING": "1.0", "MOVEIT__MAX_ACCELERATION_SCALING": "1.0"}
 
 

@@ -49,6 +49,11 @@ from robot.hardware.interface import (
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
+NO_ZERO = (
+    "no calibration says where the joints' zero is, and motions would go elsewhere than planned: calibrate the arm "
+    "(armbridge calibrate NAME) and name the calibration (arm.calibration, --calibration NAME)"
+)
+
 # A servo that has missed this many reads in a row is read less often: waiting for it costs half of a period. As many as
 # make its reading stale, so that it never counts as lost because it was not read.
 MISSES_UNTIL_SILENT = 10
@@ -182,7 +187,13 @@ class FeetechHardware(HardwareInterface):
         return driven
 
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
-        """Switch torque on; see :mod:`robot.hardware.feetech.torque`."""
+        """Switch torque on; see :mod:`robot.hardware.feetech.torque`.
+
+        Raises:
+            StartupError: as there, and for a real arm whose zero nothing tells.
+        """
+        if not self._simulated and not self._calibration.zero_is_known:
+            raise StartupError(NO_ZERO)
         goals = yield from torque.enable(self.bus, self.servos, self._limits, self._ids(joints))
         self._checks.expect(torque.full_torque(self.servos))
         return self.servos.rad_from_ticks(goals)

@@ -58,7 +58,7 @@ class ServoMap:
         self._around_goal = {servo: (block[:GOAL_AT], block[GOAL_AT + 2 :]) for servo, block in blocks.items()}
         limits = limits or GuardLimits()
         full, gripper = round(limits.torque_limit * PERMILLE), round(limits.gripper_torque_limit * PERMILLE)
-        self.full_torque = np.array([gripper if joint.is_gripper else full for joint in self.joints])
+        self.full_torque = np.array([gripper if joint.servo.gripper else full for joint in self.joints])
 
     def label(self, servo_id: int) -> str:
         """Return a servo's joint and id for people."""

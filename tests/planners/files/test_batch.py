@@ -16,8 +16,8 @@ import pytest
 from planners.errors import BatchError
 from planners.files import batch, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.description import model
 from tests.helpers.resources import make_pair
+from tests.helpers.robots import so101
 from tests.helpers.server import free_port
 from tests.planners.files.dask_cluster import DaskCluster
 
@@ -90,7 +90,7 @@ def test_problems_of_a_worker_that_dies_are_planned_by_another(mortal_cluster: D
     mortal_cluster.kill(mortal_cluster.workers[0])
     _, lines, errors = command.end()
     assert errors == []
-    assert len(json.loads(answers.read_text())) == len(problem_file.read(GAP, model.builtin()).problems)
+    assert len(json.loads(answers.read_text())) == len(problem_file.read(GAP, so101()).problems)
     assert not any("CRASH" in line for line in lines)
 
 
@@ -161,14 +161,14 @@ def test_workers_with_another_armbridge_are_named_with_both_versions(cluster: Da
 
 
 def test_a_worker_that_joined_late_with_another_armbridge_plans_nothing() -> None:
-    setup = pickle.loads(batch._packed_setup(problem_file.read(GAP, model.builtin())))
+    setup = pickle.loads(batch._packed_setup(problem_file.read(GAP, so101())))
     with pytest.raises(BatchError, match="another armbridge"):
         batch.answer(setup, b"", "0.0.1")
 
 
 def test_a_worker_keeps_a_planner_for_each_thread_and_file() -> None:
-    first, second = (pickle.loads(batch._packed_setup(problem_file.read(GAP, model.builtin()))) for _ in range(2))
-    other = pickle.loads(batch._packed_setup(problem_file.read(CLUTTER, model.builtin())))
+    first, second = (pickle.loads(batch._packed_setup(problem_file.read(GAP, so101()))) for _ in range(2))
+    other = pickle.loads(batch._packed_setup(problem_file.read(CLUTTER, so101())))
     planner, refusal = batch._planner(first, 1)
     assert refusal is None
     assert batch._planner(batch.Setup(first.digest, second.robot, second.scene), 1)[0] is planner

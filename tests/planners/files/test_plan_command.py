@@ -13,8 +13,8 @@ from planners.errors import PlottingError
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import EXIT_EXPECTED, EXIT_UNEXPECTED, EXIT_USAGE, Options
 from planners.problem import MoveItErrorCode
-from robot.description import model
 from robot.trajectory import Trajectory
+from tests.helpers.robots import so101
 
 MOTION = Trajectory(
     ("a", "b"), np.array([0.0, 1.0]), np.array([[0.0, 0.0], [1.0, 2.0]]), np.zeros((2, 2)), np.zeros((2, 2))
@@ -51,7 +51,7 @@ def test_without_matplotlib_the_error_says_what_to_install(monkeypatch) -> None:
         plan_command.check_available()
 
 
-ROBOT = model.builtin()
+ROBOT = so101()
 ARM = ROBOT.groups["arm"].joints
 REVERSED = tuple(reversed(ARM))
 HOME, NEAR = [0.0] * 5, [0.1, 0.2, 0.3, 0.4, 0.5]

@@ -40,6 +40,7 @@ from planners.scene import (
     Sphere,
 )
 from robot.description import model
+from tests.helpers.robots import so101
 
 TURNED = Pose((0.1, 0.2, 0.3), (0.0, 0.0, 1.0, 0.0))
 SHAPES = {
@@ -96,7 +97,7 @@ def test_a_shape_without_its_dimensions_is_refused() -> None:
         SceneFields.model_validate({"objects": [{"id": "a", "type": "box", "dimensions": [0.3, 0.1]}]})
 
 
-ROBOT = model.builtin()
+ROBOT = so101()
 ARM = ROBOT.groups["arm"].joints
 TIP = "gripper_frame_link"
 FAILED = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "no way")

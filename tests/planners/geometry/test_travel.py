@@ -8,10 +8,11 @@ from planners.geometry.kinematics import Reach, approach, kinematic_urdf
 from planners.geometry.shapes import outline, robot_shapes
 from planners.scene import EMPTY_SCENE
 from robot.description import model
+from tests.helpers.robots import so101
 from tests.planners.scenes import around_the_arm
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
-ARMS = {"so101": model.builtin, "crane": lambda: model.parse(CRANE_URDF, CRANE_SRDF)}
+ARMS = {"so101": so101, "crane": lambda: model.parse(CRANE_URDF, CRANE_SRDF)}
 
 
 class Arm:

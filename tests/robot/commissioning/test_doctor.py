@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from robot.calibration import SO101_JOINTS, Calibration
 from robot.commissioning.doctor import (
     EXPERIMENTS,
     GENTLE_TORQUE,
@@ -23,15 +22,16 @@ from robot.commissioning.timing import CycleTimes
 from robot.errors import StartupError
 from robot.hardware.feetech.registers import Register, Telemetry
 from robot.hardware.interface import StatusFlag
+from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 from tests.helpers.server import read_write_log
 
-NOMINAL = Calibration.nominal()
+NOMINAL = nominal_calibration()
 TELEMETRY = Telemetry(2048, 0, 0, 5.0, 32, 0, False, 2048, 0.0)
 TIMES = CycleTimes(300, 0.002, 0.0021, 0.0003, 0, 1800)
 
 
 def report(spec, **changes):
-    joint = next(joint for joint in NOMINAL.joints if joint.joint == spec.name)
+    joint = next(joint for joint in NOMINAL.joints if joint.joint == spec.joint)
     telemetry = replace(TELEMETRY, **{key: changes.pop(key) for key in list(changes) if hasattr(TELEMETRY, key)})
     limits = joint.range_min, joint.range_max
     sound = ServoReport(spec.servo_id, 777, (3, 10), 0, limits, joint.homing_offset, 12, 0, 8.0, 0, telemetry)
@@ -40,8 +40,8 @@ def report(spec, **changes):
 
 def findings(**changes):
     """The findings about an arm whose third servo is not as it should be, by check."""
-    servos = tuple(report(spec, **changes if spec.servo_id == 3 else {}) for spec in SO101_JOINTS)
-    return {finding.check: finding for finding in judge_scan(ScanResult(servos), NOMINAL)}
+    servos = tuple(report(spec, **changes if spec.servo_id == 3 else {}) for spec in SO101_SERVOS)
+    return {finding.check: finding for finding in judge_scan(ScanResult(servos), SO101_SERVOS, NOMINAL)}
 
 
 def test_an_arm_that_is_well_is_good_in_everything():
@@ -91,14 +91,14 @@ def test_bad_times_are_found(changes, check, verdict):
 
 
 def test_a_missing_servo_is_a_problem_and_an_empty_bus_is_only_that():
-    (found,) = judge_scan(ScanResult(()), None)
+    (found,) = judge_scan(ScanResult(()), SO101_SERVOS, None)
     assert found.verdict is Verdict.PROBLEM
     assert "power supply" in found.says
 
 
 def test_without_a_calibration_its_check_stays_open():
-    servos = tuple(report(spec) for spec in SO101_JOINTS)
-    assert judge_scan(ScanResult(servos), None)[-1].verdict is Verdict.OPEN
+    servos = tuple(report(spec) for spec in SO101_SERVOS)
+    assert judge_scan(ScanResult(servos), SO101_SERVOS, None)[-1].verdict is Verdict.OPEN
 
 
 def test_servos_that_do_not_answer_long_reads_are_named():

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from robot.calibration import SO101_JOINTS
 from robot.commissioning.scan import ScanResult, explain_missing, scan
+from tests.helpers.robots import SO101_SERVOS
 
 IDS = (1, 2, 3, 4, 5, 6)
 
@@ -13,7 +13,7 @@ def found(*ids, garbled_bytes=0):
 
 
 def explained(*ids):
-    return " ".join(explain_missing(found(*ids), SO101_JOINTS)[:1])
+    return " ".join(explain_missing(found(*ids), SO101_SERVOS)[:1])
 
 
 def test_a_scan_lists_every_servo_with_what_it_measures(bus):
@@ -24,7 +24,7 @@ def test_a_scan_lists_every_servo_with_what_it_measures(bus):
     }
     assert all(servo.telemetry.voltage_v == pytest.approx(5.0) for servo in result.servos)
     assert (result.unsteady_ids, result.garbled_bytes) == ((), 0)
-    assert explain_missing(result, SO101_JOINTS) == []
+    assert explain_missing(result, SO101_SERVOS) == []
 
 
 def test_a_scan_writes_nothing(start_emulator, write_log):
@@ -38,7 +38,7 @@ def test_a_servo_that_is_cut_off_is_missing_from_the_scan_and_named(bus, emulato
     emulator.command(offline=[4])
     result = scan(bus, IDS)
     assert sorted(result.ids) == [1, 2, 3, 5, 6]
-    assert explain_missing(result, SO101_JOINTS)[0].startswith("no answer from servo 4 (wrist_flex): servos behind it")
+    assert explain_missing(result, SO101_SERVOS)[0].startswith("no answer from servo 4 (wrist_flex): servos behind it")
 
 
 def test_a_scan_finds_everybody_though_replies_get_lost(bus, emulator):
@@ -55,5 +55,5 @@ def test_the_cause_is_looked_for_where_the_silence_begins():
 
 
 def test_garbled_replies_are_explained_by_a_common_id():
-    said = explain_missing(found(1, 2, 4, 5, 6, garbled_bytes=6), SO101_JOINTS)
+    said = explain_missing(found(1, 2, 4, 5, 6, garbled_bytes=6), SO101_SERVOS)
     assert any("same id" in sentence for sentence in said)

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.control.checks import CONFIG_RANGES, GUARD_RANGES, checked, refusal
-from robot.description import model
 from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmConfig, GuardLimits
 from tests.helpers.arm_rig import NAMES
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import so101
 
-CONFIG = ArmConfig(model.builtin(), IdealConfig())
+CONFIG = ArmConfig(so101(), IdealConfig())
 ALL_RANGES = {**CONFIG_RANGES, **GUARD_RANGES}
 
 
@@ -45,7 +45,7 @@ def test_a_number_outside_its_range_becomes_the_default_with_a_log_line(
     assert caplog.text.count(f"{name} must be {least:g} to {most:g}") == 4
 
 
-BOUNDS = JointBounds.of(model.builtin(), NAMES)
+BOUNDS = JointBounds.of(so101(), NAMES)
 
 
 @given(st.integers(min_value=0, max_value=5), st.booleans())

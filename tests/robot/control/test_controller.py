@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
 from robot.control.guards import DROOP_RAD, Guards, Temperatures
-from robot.description import model
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import StatusFlag
@@ -31,8 +30,9 @@ from robot.messages import (
 from robot.trajectory import Trajectory
 from tests.helpers.arm_rig import NAMES, reading
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import so101
 
-BOUNDS = JointBounds.of(model.builtin(), NAMES)
+BOUNDS = JointBounds.of(so101(), NAMES)
 PERIOD_S = 0.01
 LIMITS = GuardLimits()
 

@@ -5,17 +5,16 @@ import sys
 
 import pytest
 
-from robot.calibration import Calibration
 from robot.control.loop import hardware_source
-from robot.description import model
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
 from robot.messages import ArmConfig
 from tests.helpers.emulator import SteppedClock
+from tests.helpers.robots import nominal_calibration, so101
 
-CALIBRATION = Calibration.nominal()
-ROBOT = within_calibration(model.builtin(), CALIBRATION)
+CALIBRATION = nominal_calibration()
+ROBOT = within_calibration(so101(), CALIBRATION)
 NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
 
 
@@ -53,10 +52,10 @@ def test_an_unknown_adapter_is_an_error_when_it_is_opened() -> None:
 
 def test_the_ideal_arm_loads_no_serial_library() -> None:
     program = (
-        "import sys; from robot.description import model; from robot.messages import ArmConfig; "
+        "import sys; from robot.description.robot_folder import built_in; from robot.messages import ArmConfig; "
         "from robot.hardware.config import IdealConfig; from robot.hardware.clock import MachineClock; "
         "from robot.control.loop import hardware_source; "
-        "hardware_source(ArmConfig(model.builtin(), IdealConfig()), MachineClock()).open(); "
+        "hardware_source(ArmConfig(built_in('so101').model, IdealConfig()), MachineClock()).open(); "
         "print(sorted({'serial', 'scservo_sdk'} & set(sys.modules)))"
     )
     printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)

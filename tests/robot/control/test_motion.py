@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot.control.motion import BRAKING_SHARE, SETTLED_TICKS, Motion, Playback
-from robot.description import model
 from robot.description.limits import JointBounds
 from robot.messages import Execute, GuardLimits, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import so101
 
 PERIOD_S = 0.01
 MAX_ACCELERATION = np.array([6.0, 5.0])
@@ -199,7 +199,7 @@ def test_a_motion_that_brakes_cannot_be_spliced() -> None:
 
 
 NAMES = ("shoulder_pan", "gripper")
-BOUNDS = JointBounds.of(model.builtin(), NAMES)
+BOUNDS = JointBounds.of(so101(), NAMES)
 LIMITS = GuardLimits()
 
 

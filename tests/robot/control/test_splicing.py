@@ -5,14 +5,14 @@ import pytest
 
 from robot.control.motion import Motion, splice, splice_refusal
 from robot.control.streaming import Streaming
-from robot.description import model
 from robot.description.limits import JointBounds
 from robot.messages import Continuation, Execute, GuardLimits, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import so101
 
 NAMES = ("shoulder_pan", "elbow_flex", "gripper")
-BOUNDS = JointBounds.of(model.builtin(), NAMES)
+BOUNDS = JointBounds.of(so101(), NAMES)
 LIMITS = GuardLimits()
 PATH = smooth_move({"shoulder_pan": (0.0, 1.0), "elbow_flex": (0.0, -0.5)}, 2.0)
 

@@ -12,10 +12,10 @@ from robot.control.streaming import (
     Streaming,
     VelocityTracking,
 )
-from robot.description import model
 from robot.description.limits import JointBounds
 from robot.messages import Outcome, Stream
 from tests.helpers.arm_rig import NAMES
+from tests.helpers.robots import so101
 
 PERIOD_S = 0.01
 BOUNDS = JointBounds(np.array([-1.0, -0.5]), np.array([1.0, 0.8]), np.array([2.0, 1.2]), np.array([6.0, 3.0]))
@@ -85,7 +85,7 @@ NOWHERE = np.zeros(6)
 @pytest.fixture
 def stream() -> Streaming:
     """A stream of two joints, in another order than the arm's."""
-    bounds = JointBounds.of(model.builtin(), NAMES)
+    bounds = JointBounds.of(so101(), NAMES)
     return Streaming(Stream(3, ("wrist_roll", "shoulder_pan")), NAMES, bounds, np.zeros(6))
 
 

@@ -4,9 +4,10 @@ import pytest
 from planners.geometry.kinematics import ForwardKinematics
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
+from tests.helpers.robots import so101
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
-ARMS = {"so101": model.builtin(), "crane": model.parse(CRANE_URDF, CRANE_SRDF)}
+ARMS = {"so101": so101(), "crane": model.parse(CRANE_URDF, CRANE_SRDF)}
 
 
 @pytest.fixture(params=ARMS)

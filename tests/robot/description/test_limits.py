@@ -5,20 +5,20 @@ from dataclasses import replace
 import pytest
 
 from robot.calibration import Calibration
-from robot.description import model
 from robot.description.limits import END_STOP_MARGIN_RAD, within_calibration
 from robot.errors import DescriptionError
+from tests.helpers.robots import nominal_calibration, so101
 
 
 def test_an_ideal_arm_reaches_the_limits_of_the_urdf() -> None:
-    robot = model.builtin()
-    narrowed = within_calibration(robot, Calibration.nominal())
+    robot = so101()
+    narrowed = within_calibration(robot, nominal_calibration())
     for name in robot.groups["arm"].joints:
         assert narrowed.joints[name] == robot.joints[name]
 
 
 def test_limits_never_exceed_the_urdf_nor_the_calibrated_range_less_the_margin() -> None:
-    robot, calibration = model.builtin(), Calibration.nominal()
+    robot, calibration = so101(), nominal_calibration()
     short = replace(calibration.joints[1], range_min=1500, range_max=2500)
     calibration = Calibration((calibration.joints[0], short, *calibration.joints[2:]))
     joint = within_calibration(robot, calibration).joints["shoulder_lift"]
@@ -27,14 +27,15 @@ def test_limits_never_exceed_the_urdf_nor_the_calibrated_range_less_the_margin()
 
 
 def test_a_range_of_no_width_is_refused() -> None:
-    calibration = Calibration.nominal()
+    calibration = nominal_calibration()
     narrow = replace(calibration.joints[0], range_min=2000, range_max=2010)
     with pytest.raises(DescriptionError, match="shoulder_pan"):
-        within_calibration(model.builtin(), Calibration((narrow, *calibration.joints[1:])))
+        within_calibration(so101(), Calibration((narrow, *calibration.joints[1:])))
 
 
 def test_a_calibrated_joint_that_the_robot_lacks_is_named() -> None:
-    calibration = Calibration.nominal()
-    other = replace(calibration.joints[0], joint="knee")
+    calibration = nominal_calibration()
+    first = calibration.joints[0]
+    other = replace(first, servo=replace(first.servo, joint="knee"))
     with pytest.raises(DescriptionError, match="knee"):
-        within_calibration(model.builtin(), Calibration((other, *calibration.joints[1:])))
+        within_calibration(so101(), Calibration((other, *calibration.joints[1:])))

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from robot.description import model
+from robot.description.model import JointLimits
 from robot.errors import DescriptionError
 from tests.helpers.resources import shared_data
+from tests.helpers.robots import so101
 
 URDF = """<robot name="two"><link name="a"/><link name="b"/><link name="c"/>
 <joint name="ab" type="revolute"><parent link="a"/><child link="b"/><limit lower="-1" upper="2" velocity="3"/></joint>
@@ -20,7 +22,7 @@ SRDF = """<robot name="two"><group name="g"><chain base_link="a" tip_link="c"/><
 
 
 def test_the_builtin_arm_has_its_joints_in_order_with_limits_of_the_servos() -> None:
-    robot = model.builtin()
+    robot = so101()
     assert robot.groups["arm"].joints == ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
     assert [joint.name for joint in robot.movable_joints] == [*robot.groups["arm"].joints, "gripper"]
     assert robot.root_link == "base_link"
@@ -32,7 +34,7 @@ def test_the_builtin_arm_has_its_joints_in_order_with_limits_of_the_servos() -> 
 
 
 def test_the_builtin_arm_has_the_named_targets() -> None:
-    states = model.builtin().named_states["arm"]
+    states = so101().named_states["arm"]
     assert set(states["home"].values()) == {0.0}
     assert states["ready"] == {
         "shoulder_pan": 0.0,
@@ -44,7 +46,7 @@ def test_the_builtin_arm_has_the_named_targets() -> None:
 
 
 def test_every_link_with_a_shape_has_a_hull_whose_triangles_exist() -> None:
-    robot = model.builtin()
+    robot = so101()
     shaped = {
         link.get("name") for link in ET.fromstring(robot.urdf).iterfind("link") if link.find("collision") is not None
     }
@@ -57,7 +59,7 @@ def test_every_link_with_a_shape_has_a_hull_whose_triangles_exist() -> None:
 
 def test_the_builtin_figures_are_those_of_the_facts() -> None:
     facts = json.loads((shared_data() / "so101_facts.json").read_text())
-    robot = model.builtin()
+    robot = so101()
     urdf = ET.fromstring(robot.urdf)
     for name, fact in facts["so101_new_calib"]["joints"].items():
         element = next(joint for joint in urdf.iterfind("joint") if joint.get("name") == name)
@@ -92,9 +94,11 @@ def test_another_robot_is_read_from_its_files(tmp_path: Path) -> None:
     assert robot.mesh_directory == tmp_path
 
 
-def test_placeholder_velocity_limits_of_so101_joints_are_replaced_by_the_servos() -> None:
-    text = model.builtin().urdf.replace('velocity="1.2"', 'velocity="10"')
-    assert model.parse(text, model.builtin().srdf).joints["shoulder_lift"].max_velocity == 1.2
+def test_limits_beside_the_urdf_replace_its_own() -> None:
+    limits = {"shoulder_lift": JointLimits(lower=-1.0, max_velocity=2.0, max_acceleration=7.0, max_jerk=50.0)}
+    joint = model.parse(so101().urdf, so101().srdf, limits=limits).joints["shoulder_lift"]
+    assert (joint.lower, joint.upper) == (-1.0, so101().joints["shoulder_lift"].upper)
+    assert (joint.max_velocity, joint.max_acceleration, joint.max_jerk) == (2.0, 7.0, 50.0)
 
 
 BROKEN = {

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from robot.calibration import FREE_TURNING_JOINT, MAX_TICK, Calibration, save
+from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator import control
 from robot.emulator.arm import build_servos
 from robot.emulator.control import (
@@ -44,6 +44,7 @@ from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.interface import StatusFlag
+from tests.helpers.robots import nominal_calibration
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def log_path(tmp_path):
 @pytest.fixture
 def emulation(log_path):
     log, adapter = WriteLog(log_path), UsbAdapter()
-    yield Emulation(ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), Faults(), 0.0, log), adapter)
+    yield Emulation(ServoBus(build_servos(nominal_calibration(), [0.0] * 6), Faults(), 0.0, log), adapter)
     adapter.unplug()
     log.close()
 
@@ -249,12 +250,12 @@ TICK_S = 0.02
 START_S = 100.0
 ELBOW = 2
 
-NOMINAL = Calibration.nominal()
+NOMINAL = nominal_calibration()
 # The middle of a joint is not that of the encoder, and no two ranges are alike.
 MEASURED = Calibration(
     tuple(
         joint
-        if joint.joint == FREE_TURNING_JOINT
+        if joint.servo.turns_freely
         else replace(
             joint, homing_offset=-300 + 150 * k, range_min=joint.range_min + 60, range_max=joint.range_max - 20
         )
@@ -404,7 +405,7 @@ def test_a_sweep_holds_the_middle_and_then_brings_every_joint_to_both_stops_and_
             assert present == middle
         lowest, highest = list(map(min, lowest, present)), list(map(max, highest, present))
     for joint, low, high in zip(calibration.joints, lowest, highest, strict=True):
-        if joint.joint != FREE_TURNING_JOINT:
+        if not joint.servo.turns_freely:
             assert (low, high) == (joint.range_min, joint.range_max)
     assert all(servo.plant.hand_ticks is None for servo in servos)
 
@@ -412,7 +413,7 @@ def test_a_sweep_holds_the_middle_and_then_brings_every_joint_to_both_stops_and_
 @ARMS
 def test_the_joint_that_turns_freely_stays_in_the_middle_of_a_sweep(calibration: Calibration) -> None:
     # calibrate takes its middle from wherever the arm is when Enter is pressed.
-    (index,) = [k for k, joint in enumerate(calibration.joints) if joint.joint == FREE_TURNING_JOINT]
+    (index,) = [k for k, joint in enumerate(calibration.joints) if joint.servo.turns_freely]
     assert all(
         abs(servos[index].present_ticks - MAX_TICK / 2) <= 1.0 for _, servos in played(sweep(calibration), calibration)
     )

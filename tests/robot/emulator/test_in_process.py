@@ -25,6 +25,7 @@ from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES
 from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
 from tests.helpers.resources import examples
+from tests.helpers.robots import so101
 from tests.helpers.server import read_write_log
 
 BLOCK_READ = packet(ALL, SYNC_READ, [TELEMETRY_ADDRESS, TELEMETRY_BYTES, *IDS])
@@ -247,7 +248,7 @@ def make(clock: SteppedClock) -> Iterator[Callable[..., EmulatedServos]]:
 
         def servos(**settings: object) -> EmulatedServos:
             config = EmulatedConfig(CALIBRATION, **settings)  # type: ignore[arg-type]
-            one = EmulatedServos(config, BOUNDS, GuardLimits(), clock)
+            one = EmulatedServos(so101(), config, BOUNDS, GuardLimits(), clock)
             if one.bus._log is not None:
                 made.callback(one.bus._log.close)
             if isinstance(one._port, CommandedPort):

@@ -4,7 +4,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.calibration import Calibration
 from robot.emulator.arm import build_servos
 from robot.emulator.servo_bus import Instruction, InstructionParser, execute, status_packet
 from robot.hardware.feetech.packets import checksum, parse_status_frames, sync_write_parameters
@@ -23,13 +22,14 @@ from tests.helpers.emulator import (
     SYNC_WRITE,
     WRITE,
 )
+from tests.helpers.robots import nominal_calibration
 
 RESET = 10
 
 
 @pytest.fixture
 def servos():
-    return build_servos(Calibration.nominal(), [0.0] * 6)
+    return build_servos(nominal_calibration(), [0.0] * 6)
 
 
 def do(servos, servo_id, code, parameters=(), **how):
@@ -42,7 +42,7 @@ def answers(effects):
 
 @given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=60))
 def test_any_instruction_is_carried_out_without_an_exception(servo_id, code, parameters):
-    execute(Instruction(servo_id, code, parameters), build_servos(Calibration.nominal(), [0.0] * 6))
+    execute(Instruction(servo_id, code, parameters), build_servos(nominal_calibration(), [0.0] * 6))
 
 
 def test_a_ping_is_answered_by_the_servo_named_and_a_broadcast_ping_by_all(servos):

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.calibration import Calibration
 from robot.emulator import servo_bus
 from robot.emulator.arm import build_servos
 from robot.emulator.control import Emulation, answer
@@ -30,16 +29,17 @@ from tests.helpers.emulator import (
     packet,
 )
 from tests.helpers.resources import examples
+from tests.helpers.robots import nominal_calibration
 
 BLOCK_READ = packet(ALL, SYNC_READ, [56, 15, *IDS])
 
 
 def bus_with(faults=None, log=None):
-    return ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), faults or Faults(), 0.0, log)
+    return ServoBus(build_servos(nominal_calibration(), [0.0] * 6), faults or Faults(), 0.0, log)
 
 
 def bus_without_wire_time(faults=None):
-    return ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), faults or Faults(), 0.0, wire_time=False)
+    return ServoBus(build_servos(nominal_calibration(), [0.0] * 6), faults or Faults(), 0.0, wire_time=False)
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_servos_move_while_the_bus_is_silent(bus):
 def weighings(*, moving):
     """Number of times that the weight is put on in a tenth of a second, besides at once."""
     times = []
-    bus = ServoBus(build_servos(Calibration.nominal(), [0.0] * 6), Faults(), 0.0, weigh=lambda: times.append(1))
+    bus = ServoBus(build_servos(nominal_calibration(), [0.0] * 6), Faults(), 0.0, weigh=lambda: times.append(1))
     assert len(times) == 1
     bus.servos[0].plant.hand_ticks = 1000 if moving else None
     for k in range(1, 101):

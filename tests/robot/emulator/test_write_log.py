@@ -6,10 +6,10 @@ import time
 
 import pytest
 
-from robot.calibration import Calibration
 from robot.emulator.arm import build_servos
 from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.registers import goal_block
+from tests.helpers.robots import nominal_calibration
 
 
 def lines_of(path, record):
@@ -21,7 +21,7 @@ def lines_of(path, record):
 
 
 def test_a_line_has_the_write_and_the_state_of_every_servo(tmp_path):
-    servos = build_servos(Calibration.nominal(), [0.0] * 6)
+    servos = build_servos(nominal_calibration(), [0.0] * 6)
     servos[1].write(40, b"\x01")
     before_s = time.monotonic()
     (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(12.5, 3, 40, {2: b"\x01"}, servos))

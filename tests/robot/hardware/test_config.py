@@ -4,17 +4,16 @@ from dataclasses import replace
 
 import pytest
 
-from robot.calibration import Calibration
-from robot.description import model
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from tests.helpers.robots import nominal_calibration, so101
 
-CALIBRATION = Calibration.nominal()
+CALIBRATION = nominal_calibration()
 SERVOS = tuple(joint.joint for joint in CALIBRATION.joints)
 POSE = {"elbow_flex": 0.4}
 
 
 def test_an_arm_with_servos_has_the_joints_of_its_calibration_and_an_ideal_one_all_that_move() -> None:
-    robot = model.builtin()
+    robot = so101()
     assert FeetechConfig(CALIBRATION, "/dev/arm").joint_names(robot) == SERVOS
     assert EmulatedConfig(CALIBRATION).joint_names(robot) == SERVOS
     assert IdealConfig().joint_names(robot) == tuple(joint.name for joint in robot.movable_joints)

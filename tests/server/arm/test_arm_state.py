@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from robot.description import model
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
@@ -14,8 +13,9 @@ from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.robots import so101
 
-ROBOT = model.builtin()
+ROBOT = so101()
 STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex", 12.5)
 
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from robot.calibration import Calibration, JointCalibration, new_calibration_path, save
-from robot.description import model
+from robot.calibration import JointCalibration, new_calibration_path, save
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.arm.setup import Description, arm_config, check_parameters
@@ -18,10 +17,11 @@ from server.config import ArmSettings, EmulatorSettings, GuardSettings, Settings
 from server.errors import ConfigurationError
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
+from tests.helpers.robots import nominal_calibration, so101
 
 
 def test_the_default_parameters_fit_the_builtin_arm() -> None:
-    check_parameters(MoveItParameters(), model.builtin())
+    check_parameters(MoveItParameters(), so101())
 
 
 WRONG = {
@@ -34,7 +34,7 @@ WRONG = {
 @pytest.mark.parametrize(("parameters", "words"), WRONG.values(), ids=WRONG.keys())
 def test_a_parameter_the_robot_does_not_have_is_named(parameters: MoveItParameters, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        check_parameters(parameters, model.builtin())
+        check_parameters(parameters, so101())
 
 
 def described(folder: Path, urdf: str, srdf: str) -> dict[str, Path]:
@@ -47,22 +47,23 @@ def described(folder: Path, urdf: str, srdf: str) -> dict[str, Path]:
 
 def calibrated(folder: Path) -> Path:
     """A calibration file."""
-    save(Calibration.nominal(), folder / "calibration.json")
+    save(nominal_calibration(), folder / "calibration.json")
     return folder / "calibration.json"
 
 
 def test_another_description_is_read_within_the_calibration(tmp_path: Path) -> None:
-    builtin = model.builtin()
+    builtin = so101()
     files = described(tmp_path, builtin.urdf.replace('lower="-1.91986"', 'lower="-0.5"'), builtin.srdf)
     read = Description.read(ArmSettings(**files, calibration=calibrated(tmp_path)))
     assert read.robot.joints["shoulder_pan"].lower == -0.5
     assert read.robot.mesh_directory == tmp_path
-    assert read.calibration == Calibration.nominal()
+    assert read.calibration is not None
+    assert read.calibration.joints[1:] == nominal_calibration().joints[1:]
 
 
 @pytest.mark.parametrize("on_servos", ["serial", "calibration"])
 def test_a_robot_without_the_calibrated_joints_is_refused(tmp_path: Path, on_servos: str) -> None:
-    builtin = model.builtin()
+    builtin = so101()
     twisted = (text.replace("wrist_roll", "wrist_twist") for text in (builtin.urdf, builtin.srdf))
     files = described(tmp_path, *twisted)
     hardware = {"serial": "/dev/arm"} if on_servos == "serial" else {"calibration": calibrated(tmp_path)}
@@ -86,19 +87,19 @@ def hardware_of(**settings: Any) -> HardwareConfig:
 
 
 def test_a_port_means_servos_there(tmp_path: Path) -> None:
-    nominal = Calibration.nominal()
+    nominal = nominal_calibration()
     assert hardware_of(arm=ArmSettings(serial="/dev/arm")) == FeetechConfig(nominal, "/dev/arm")
-    files = described(tmp_path, model.builtin().urdf, model.builtin().srdf)
+    files = described(tmp_path, so101().urdf, so101().srdf)
     assert hardware_of(arm=ArmSettings(serial="auto", **files)) == FeetechConfig(nominal, "auto")
 
 
 def test_no_port_means_emulated_servos_with_the_faults_that_are_set(tmp_path: Path) -> None:
-    assert hardware_of() == EmulatedConfig(Calibration.nominal(), driven=True)
+    assert hardware_of() == EmulatedConfig(nominal_calibration(), driven=True)
     places = {"write_log": tmp_path / "writes.jsonl", "control": tmp_path / "control"}
     emulator = EmulatorSettings(drop=0.1, corrupt=0.2, seed=3, **places)
-    wanted = EmulatedConfig(Calibration.nominal(), drop=0.1, corrupt=0.2, seed=3, driven=True, **places)
+    wanted = EmulatedConfig(nominal_calibration(), drop=0.1, corrupt=0.2, seed=3, driven=True, **places)
     assert hardware_of(emulator=emulator) == wanted
-    files = described(tmp_path, model.builtin().urdf, model.builtin().srdf)
+    files = described(tmp_path, so101().urdf, so101().srdf)
     assert hardware_of(arm=ArmSettings(**files, calibration=calibrated(tmp_path)), emulator=emulator) == wanted
 
 
@@ -179,10 +180,10 @@ def test_a_calibration_is_found_by_the_id_that_lerobot_has_it_under(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
-    file = new_calibration_path("my_arm", os.environ)
-    save(Calibration.nominal(), file)
+    file = new_calibration_path("my_arm", robots.SO101.hardware.calibrations, os.environ)
+    save(nominal_calibration(), file)
     read = Description.read(ArmSettings(calibration=Path("my_arm")))
-    assert (read.calibration, read.calibration_file) == (Calibration.nominal(), file)
+    assert (read.calibration, read.calibration_file) == (nominal_calibration(), file)
 
 
 def test_the_arm_process_gets_what_is_set() -> None:
@@ -194,5 +195,5 @@ def test_the_arm_process_gets_what_is_set() -> None:
     assert (config.watchdog_s, config.on_exit) == (1.5, EndState.RELAX)
     assert config.on_emergency_stop is EmergencyPolicy.HOLD
     assert config.guard_limits == GuardLimits(stall_time_s=0.5)
-    shared = {field.name for field in fields(config)} & set(ArmSettings.model_fields) - {"calibration"}
+    shared = {field.name for field in fields(config)} & set(ArmSettings.model_fields) - {"calibration", "robot"}
     assert {name: getattr(config, name) for name in shared} == {name: getattr(settings, name) for name in shared}

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from robot.calibration import SO101_JOINTS, Calibration, save
+from robot.calibration import Calibration, save
 from robot.commissioning.doctor import EXPERIMENTS
 from robot.emulator.plant import HAND_TICKS_S
 from robot.hardware.feetech.bus import Bus
@@ -14,6 +14,7 @@ from robot.hardware.feetech.registers import Register
 from server import cli
 from server.commands import arm
 from server.commands.terminal import ExitCode
+from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 from tests.helpers.server import read_write_log
 
 
@@ -53,8 +54,8 @@ def test_every_baud_rate_is_looked_at_on_request(armbridge, bus):
     assert "servo 5 listens at 500000 baud" in answer.stderr
 
 
-SWEPT = [spec.servo_id for spec in SO101_JOINTS if spec.name != "wrist_roll"]
-MIDDLE = {str(spec.servo_id): 2040 for spec in SO101_JOINTS}
+SWEPT = [spec.servo_id for spec in SO101_SERVOS if spec.joint != "wrist_roll"]
+MIDDLE = {str(spec.servo_id): 2040 for spec in SO101_SERVOS}
 
 # What one joint is moved by from the middle, to either side [ticks].
 REACH = 500
@@ -91,7 +92,7 @@ def test_a_sweep_by_hand_becomes_a_file_and_leaves_the_servos_alone(armbridge, s
     before = held(bus, 3)
     answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", descriptor=sweeping)
     assert answer.returncode == ExitCode.DONE
-    elbow = Calibration.load(tmp_path / "arm.json").joints[2]
+    elbow = Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[2]
     assert (elbow.range_min, elbow.range_max) == pytest.approx((2040 - REACH, 2040 + REACH), abs=20)
     assert str(elbow.range_min) in answer.stdout
     assert held(bus, 3) == before
@@ -100,7 +101,7 @@ def test_a_sweep_by_hand_becomes_a_file_and_leaves_the_servos_alone(armbridge, s
 def test_on_request_the_servos_get_what_the_file_says(armbridge, sweeping, bus, tmp_path):
     answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", "--write-servos", descriptor=sweeping)
     assert answer.returncode == ExitCode.DONE
-    elbow = Calibration.load(tmp_path / "arm.json").joints[2]
+    elbow = Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[2]
     assert elbow.homing_offset == pytest.approx(2040 - 2047, abs=20)
     assert held(bus, 3) == (elbow.homing_offset, elbow.range_min, elbow.range_max)
 
@@ -177,7 +178,7 @@ def test_a_read_only_visit_writes_nothing(armbridge, write_log):
 
 def test_problems_are_listed_with_what_to_do_and_exit_3(emulator, armbridge, tmp_path):
     file = tmp_path / "arm.json"
-    save(Calibration.nominal(), file)
+    save(nominal_calibration(), file)
     emulator.command(temperature={"2": 70})
     answer = armbridge("doctor", "--calibration", str(file), "--read-only", *QUICK)
     assert answer.returncode == ExitCode.PROBLEMS

@@ -5,18 +5,28 @@ from pathlib import Path
 
 import pytest
 
-from robot.calibration import Calibration, save
+from robot.calibration import save
 from robot.errors import CalibrationError, PortBusy, PortNotFound
 from server import cli
-from server.commands.options import add_calibration, add_serial, guarded, overrides, read_calibration, read_settings
+from server.commands.options import (
+    add_calibration,
+    add_robot,
+    add_serial,
+    guarded,
+    overrides,
+    read_calibration,
+    read_settings,
+)
 from server.commands.terminal import ExitCode
 from server.errors import ConfigurationError
+from tests.helpers.robots import nominal_calibration
 
 
 def parsed(*arguments):
     parser = argparse.ArgumentParser()
     add_serial(parser)
     add_calibration(parser)
+    add_robot(parser)
     return parser.parse_args(arguments)
 
 
@@ -27,8 +37,8 @@ def test_without_options_the_adapter_is_looked_for_and_no_calibration_read():
 
 
 def test_a_calibration_is_read_from_its_file(tmp_path):
-    save(Calibration.nominal(), tmp_path / "arm.json")
-    assert read_calibration(parsed("--calibration", str(tmp_path / "arm.json"))) == Calibration.nominal()
+    save(nominal_calibration(), tmp_path / "arm.json")
+    assert read_calibration(parsed("--calibration", str(tmp_path / "arm.json"))) == nominal_calibration()
 
 
 def test_a_calibration_of_unknown_id_is_refused():

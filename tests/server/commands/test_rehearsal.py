@@ -14,8 +14,9 @@ import pytest
 
 from robot.calibration import Calibration
 from server.commands.terminal import ExitCode
+from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 
-NOMINAL = Calibration.nominal()
+NOMINAL = nominal_calibration()
 
 # The rehearsal takes 17 s.
 MOST_S = 90.0
@@ -73,7 +74,7 @@ def test_an_arm_that_a_rehearsed_hand_sweeps_is_calibrated_with_its_true_ranges(
     press_enter(person)
     told, said = person.communicate()
     assert person.returncode == ExitCode.DONE, said
-    calibration = Calibration.load(file)
+    calibration = Calibration.load(file, SO101_SERVOS)
     for joint, nominal in zip(calibration.joints, NOMINAL.joints, strict=True):
         assert (joint.range_min, joint.range_max) == pytest.approx((nominal.range_min, nominal.range_max), abs=3)
         assert str(joint.range_max) in told

@@ -87,7 +87,7 @@ def test_a_fault_of_a_bus_is_refused_for_an_ideal_arm_which_has_none(tmp_path, c
     options = ["--set", "emulator.drop=0.1", *described(tmp_path, SEVEN_JOINT_URDF)]
     assert cli.main(["serve", *options]) == ExitCode.USAGE
     assert capsys.readouterr().err == (
-        "armbridge: emulator.drop: the ideal arm (arm.urdf without arm.serial or arm.calibration) has no servo bus "
+        "armbridge: emulator.drop: the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus "
         "that 0.1 could apply to\n"
     )
 

@@ -17,8 +17,6 @@ from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
 from robot.arm import Arm
-from robot.calibration import Calibration
-from robot.description import model
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
@@ -32,6 +30,7 @@ from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import nominal_calibration, so101
 
 TIMEOUT_S = 30.0
 
@@ -71,8 +70,8 @@ in_one_loop = pytest.mark.asyncio(loop_scope="module")
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def processes() -> AsyncIterator[tuple[Arm, PlannerPool, RobotModel]]:
-    calibration = Calibration.nominal()
-    robot = within_calibration(model.builtin(), calibration)
+    calibration = nominal_calibration()
+    robot = within_calibration(so101(), calibration)
     arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), lambda _state: None)
     await arm.start(TIMEOUT_S)
     pool = PlannerPool(robot)
@@ -128,8 +127,8 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
 
 
 async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
-    robot = model.builtin()
-    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
+    robot = so101()
+    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
     answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
@@ -137,23 +136,23 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
 
 
 def test_motions_are_played_with_the_configured_time_limits() -> None:
-    robot, time_limits = model.builtin(), TimeLimits(scaling=9.0)
-    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
+    robot, time_limits = so101(), TimeLimits(scaling=9.0)
+    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), time_limits=time_limits)
     assert executor._player._time_limits is time_limits
 
 
 @pytest.mark.parametrize(
-    "hardware", [FeetechConfig(Calibration.nominal(), "/dev/nothing"), EmulatedConfig(Calibration.nominal())]
+    "hardware", [FeetechConfig(nominal_calibration(), "/dev/nothing"), EmulatedConfig(nominal_calibration())]
 )
 def test_the_scene_monitor_waits_for_planners_as_long_as_for_the_arm(hardware: HardwareConfig) -> None:
-    robot = model.builtin()
+    robot = so101()
     arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
     assert executor._scene_monitor._retry_for_s == arm.state_max_age_s
 
 
-ARM = model.builtin().groups["arm"].joints
+ARM = so101().groups["arm"].joints
 WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")
 NO_WAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is no way")
 OUT_OF_REACH = PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "too far", {"distance_m": 0.2})
@@ -177,7 +176,7 @@ class Stage:
         self.running: asyncio.Task[Any] | None = None
 
     def executing(self, failed_goals: FailedGoals | None = None) -> GoalExecutor:
-        return GoalExecutor(self.arm, model.builtin(), self, self, failed_goals)  # type: ignore[arg-type]
+        return GoalExecutor(self.arm, so101(), self, self, failed_goals)  # type: ignore[arg-type]
 
     def on_change(self, callback: Callable[[], None]) -> None:
         self.changed = callback
@@ -224,7 +223,7 @@ def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
 def limited(stage: Stage, trajectory_s: float) -> None:
     """Give the stage an executor with a limit of the motions' duration [s]."""
     limits = TimeLimits(trajectory_s=trajectory_s)
-    stage.executor = GoalExecutor(stage.arm, model.builtin(), stage, stage, time_limits=limits)  # type: ignore[arg-type]
+    stage.executor = GoalExecutor(stage.arm, so101(), stage, stage, time_limits=limits)  # type: ignore[arg-type]
 
 
 async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_anew(stage: Stage) -> None:
@@ -426,7 +425,7 @@ async def test_a_goal_is_cancelled_during_planning(stage: Stage) -> None:
 
 
 async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
-    stage.executor = stage.executing(FailedGoals(tmp_path, model.builtin(), lambda: 0.0, 1))
+    stage.executor = stage.executing(FailedGoals(tmp_path, so101(), lambda: 0.0, 1))
     stage.failures = [NO_WAY]
     for _ in range(2):
         await stage.begin(to(shoulder_pan=0.4))

@@ -11,11 +11,11 @@ from planners.files import problem_file
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
-from robot.description import model
 from server.execution.failures import Alternatives, FailedGoals
 from tests.helpers.fake_arm import HOME
 from tests.helpers.motions import EASY
 from tests.helpers.moveit import ROBOT, DirectPool
+from tests.helpers.robots import so101
 
 IN_THE_WAY = Scene(1, (SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.2, 0.0, 0.1))),))
 FAILURE = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "the goal touches the box")
@@ -30,7 +30,7 @@ WALL = Scene(version=31, objects=(SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Po
 
 @pytest.fixture
 def failed_goals(tmp_path: Path) -> FailedGoals:
-    return FailedGoals(tmp_path / "failed", model.builtin(), itertools.count(1_800_000_000).__next__, KEPT)
+    return FailedGoals(tmp_path / "failed", so101(), itertools.count(1_800_000_000).__next__, KEPT)
 
 
 def names(directory: Path) -> list[str]:
@@ -41,7 +41,7 @@ async def test_a_saved_goal_is_read_as_it_was_written(failed_goals: FailedGoals,
     await failed_goals.save(EASY, IN_THE_WAY, FAILURE)
     (path,) = (tmp_path / "failed").glob("*.json")
     assert path.name == "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json"
-    saved = problem_file.read(path, model.builtin())
+    saved = problem_file.read(path, so101())
     assert saved.problems[0].problem.goal == EASY.goal
     assert saved.scene.objects == IN_THE_WAY.objects
 
@@ -58,7 +58,7 @@ async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Pa
 
 
 async def test_two_servers_save_goals_of_the_same_moment_in_two_files(tmp_path: Path) -> None:
-    servers = [FailedGoals(tmp_path, model.builtin(), lambda: 1_800_000_000.0, KEPT) for _ in range(3)]
+    servers = [FailedGoals(tmp_path, so101(), lambda: 1_800_000_000.0, KEPT) for _ in range(3)]
     await asyncio.gather(*(server.save(EASY, Scene(), FAILURE) for server in servers))
     assert names(tmp_path) == [
         "goal-20270115T080000.000000Z-GOAL_IN_COLLISION-1.json",
@@ -71,7 +71,7 @@ async def test_a_directory_that_cannot_be_written_is_only_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "file").write_text("")
-    await FailedGoals(tmp_path / "file", model.builtin(), lambda: 0.0, KEPT).save(EASY, Scene(), FAILURE)
+    await FailedGoals(tmp_path / "file", so101(), lambda: 0.0, KEPT).save(EASY, Scene(), FAILURE)
     assert "is not saved" in caplog.text
 
 

@@ -13,7 +13,6 @@ from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, Re
 from planners.scene import Scene
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot.description import model
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.errors import RefusedError
@@ -21,8 +20,9 @@ from server.execution.monitors import CurrentState, SceneMonitor, check_ready, s
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import so101
 
-ROBOT = model.builtin()
+ROBOT = so101()
 NAMES = ("shoulder_pan", "gripper")
 
 GOAL = np.zeros(6)

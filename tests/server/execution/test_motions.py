@@ -20,7 +20,6 @@ from planners.problem import (
 )
 from planners.scene import EMPTY_SCENE, Scene
 from robot.control.checks import refusal
-from robot.description import model
 from robot.description.limits import JointBounds
 from robot.messages import ArmState, Course, Mode, Pace
 from server.errors import RefusedError
@@ -37,6 +36,7 @@ from server.execution.motions import (
     with_lead_in,
 )
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import so101
 
 START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})
@@ -119,7 +119,7 @@ async def test_half_a_cartesian_path_is_a_failure() -> None:
 UNDER_WAY = smooth_move({"a": (0.0, 1.0), "b": (0.5, -0.5)}, 2.0)
 MOVING = ArmState(0.0, Mode.MOVING, ("a", "b"), fraction=0.5)
 
-ROBOT = model.builtin()
+ROBOT = so101()
 JOINTS = ROBOT.groups["arm"].joints
 HOME = dict.fromkeys(JOINTS, 0.0)
 BOUNDS = JointBounds.of(ROBOT, JOINTS)

@@ -21,7 +21,6 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from protocol.registry import Registry
-from robot.description import model
 from robot.logs import MAX_KEYS
 from server.config import ServerSettings
 from server.errors import FileTooLargeError, ServiceError
@@ -41,6 +40,7 @@ from server.gateway.http import (
 from server.gateway.listener import OPEN_TIMEOUT_S, Listener
 from server.graph.topics import Graph
 from server.moveit import description
+from tests.helpers.robots import so101
 
 REGISTRY = Registry.load()
 PACKAGE = "so101_description"
@@ -48,7 +48,7 @@ MESH = b"solid " + b"0.123 " * 1000
 SCRIPT = b"export const answer = 42;\n" * 100
 
 MESH_LINK = '<link name="extra"><visual><geometry><mesh filename="assets/base.stl"/></geometry></visual></link>'
-URDF = model.builtin().urdf.replace("</robot>", f"{MESH_LINK}</robot>")
+URDF = so101().urdf.replace("</robot>", f"{MESH_LINK}</robot>")
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ async def live(_request: Request) -> HttpResponse:
 
 @asynccontextmanager
 async def site_of(folders: Path) -> AsyncIterator[Site]:
-    robot = replace(model.builtin(), urdf=URDF, mesh_directory=folders / "robot")
+    robot = replace(so101(), urdf=URDF, mesh_directory=folders / "robot")
     listener = Listener(Graph(REGISTRY), ServerSettings(port=0), HttpHandler(robot, folders / "dist", {"livez": live}))
     await listener.bind()
     await listener.open()
@@ -306,8 +306,8 @@ async def test_without_a_page_it_says_how_to_get_it_and_finds_it_once_it_is_ther
 
 
 async def test_a_robot_without_files_has_its_description_and_no_robot_nothing() -> None:
-    answer = await HttpHandler(model.builtin())._robot_file("description.urdf", gzipped=False)
-    assert answer.body == model.builtin().urdf.encode()
+    answer = await HttpHandler(so101())._robot_file("description.urdf", gzipped=False)
+    assert answer.body == so101().urdf.encode()
     with pytest.raises(ServiceError, match="no robot"):
         await HttpHandler()._robot_file("description.urdf", gzipped=False)
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from protocol.registry import Registry
-from robot.description import model
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.node import Node
 from server.graph.services import Response
@@ -26,9 +25,10 @@ from server.moveit.description import (
     read_file,
     with_package_urls,
 )
+from tests.helpers.robots import so101
 
 REGISTRY = Registry.load()
-ROBOT = model.builtin()
+ROBOT = so101()
 PACKAGE = "so101_description"
 CLIENT = Node("client")
 

@@ -11,7 +11,6 @@ from planners.goals import JointGoal
 from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
-from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
@@ -33,11 +32,12 @@ from server.moveit.poses import composed, pose_of
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.moveit import TRANSLATOR, DirectPool
+from tests.helpers.robots import so101
 
 CLIENT = Node("client")
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
 
-ROBOT = model.builtin()
+ROBOT = so101()
 HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}
 TURNED = {**HOME, "shoulder_pan": 0.5}
 TIP = "gripper_frame_link"

@@ -10,7 +10,6 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot.description import model
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.graph.node import Node
@@ -26,6 +25,7 @@ from server.moveit.goal_topics import (
 )
 from tests.helpers.clients import values_of
 from tests.helpers.moveit import TRANSLATOR
+from tests.helpers.robots import so101
 
 REGISTRY = Registry.load()
 CLIENT = Node("client")
@@ -64,7 +64,7 @@ class Desk:
         self.runner = Obedient()
         self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         node = Node("moveit")
-        status = GoalStatusTopics(self.graph, node, model.builtin())
+        status = GoalStatusTopics(self.graph, node, so101())
         self.queue: GoalQueue[Motion] = GoalQueue(
             self.runner, GoalPolicy.QUEUE, 4, status.publish_progress, status.publish_answer
         )

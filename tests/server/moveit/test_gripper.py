@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from robot.arm import Arm
-from robot.calibration import Calibration
-from robot.description.model import builtin
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.trajectory import Trajectory
@@ -32,6 +30,7 @@ from server.moveit.gripper import (
 from tests.helpers.clients import ArmClient
 from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
 from tests.helpers.moveit import REGISTRY
+from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
@@ -137,8 +136,8 @@ async def test_a_stop_ends_the_grippers_motion_as_well(client: ArmClient) -> Non
 
 
 async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
-    robot = builtin()
-    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
+    robot = so101()
+    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     async with gripper._turn:
@@ -148,8 +147,8 @@ async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
 
 
 async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
-    robot = builtin()
-    arm = Arm(ArmConfig(robot, FeetechConfig(Calibration.nominal(), "/dev/nothing")), lambda _state: None)
+    robot = so101()
+    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     await arm.launch()
     gripper = Gripper(arm, robot.joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
@@ -177,7 +176,7 @@ class GrippingArm(FakeArm):
 
 async def test_an_effort_is_a_share_of_what_the_gripper_may_use() -> None:
     arm = GrippingArm()
-    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, TimeLimits(), 0.4)  # type: ignore[arg-type]
+    gripper = Gripper(arm, so101().joints["gripper"], 1.0, 1.0, TimeLimits(), 0.4)  # type: ignore[arg-type]
     for effort in (0.0, 0.1, 0.4, 5.0):
         await gripper.move(gripper.claim(), GripperCommand(0.5, effort), lambda _reading: None)
     assert arm.shares == pytest.approx([1.0, 0.25, 1.0, 1.0])
@@ -195,7 +194,7 @@ ALLOWED_S = 5.0
 
 def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
     clock = asyncio.get_running_loop().time
-    gripper = Gripper(arm, builtin().joints["gripper"], 1.0, 1.0, TimeLimits(0.0, ALLOWED_S), 0.5, clock)  # type: ignore[arg-type]
+    gripper = Gripper(arm, so101().joints["gripper"], 1.0, 1.0, TimeLimits(0.0, ALLOWED_S), 0.5, clock)  # type: ignore[arg-type]
     return asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
 
 
@@ -212,8 +211,8 @@ class Grippers:
     def __init__(self) -> None:
         self.arm, self.graph = SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
-        self.gripper = Gripper(self.arm, builtin().joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)  # type: ignore[arg-type]
-        self.actions = GripperActions(self.graph, builtin().joints["gripper"], self.gripper)
+        self.gripper = Gripper(self.arm, so101().joints["gripper"], 1.0, 1.0, TimeLimits(), 0.5)  # type: ignore[arg-type]
+        self.actions = GripperActions(self.graph, so101().joints["gripper"], self.gripper)
         self.results: list[Result] = []
 
     async def send(self, **command: Any) -> Goal:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-from dataclasses import replace
 from typing import Any
 
 from websockets.asyncio.client import connect
 
 from planners.pool import PlannerPool
 from protocol.registry import Registry
-from robot.description.model import RobotModel, builtin, parse
+from robot.description.model import RobotModel, parse
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.time_limits import TimeLimits
 from server.graph.topics import Graph
@@ -21,6 +20,7 @@ from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.clients import ArmClient, frame_client, values_of
 from tests.helpers.fake_arm import FakeArm
+from tests.helpers.robots import so101
 from tests.helpers.server import RunningServer, ServerOnBus
 
 CANCELED, SUCCEEDED = 5, 4
@@ -124,7 +124,7 @@ def test_settings_reach_their_parts() -> None:
         ),
         goals=GoalSettings(max_paused_s=5.0),
     )
-    interface = interface_of(builtin(), settings)
+    interface = interface_of(so101(), settings)
     gripper = interface._gripper
     assert gripper is not None
     assert interface._executor._player._time_limits == gripper._time_limits == TimeLimits(3.0, 4.0, 5.0)
@@ -138,14 +138,12 @@ def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItI
     return MoveItInterface(*parts, FakeArm(), PlannerPool(robot))  # type: ignore[arg-type]
 
 
-def test_an_arm_has_a_gripper_only_where_that_joint_moves() -> None:
-    with_gripper, without = builtin(), parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
-    stiff = replace(with_gripper.joints["gripper"], type="fixed")
+def test_an_arm_has_the_gripper_of_its_description() -> None:
+    with_gripper, without = so101(), parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
     gripper = interface_of(with_gripper)._gripper
     assert gripper is not None
     assert gripper._joint is with_gripper.joints["gripper"]
     assert interface_of(without)._gripper is None
-    assert interface_of(replace(with_gripper, joints={**with_gripper.joints, "gripper": stiff}))._gripper is None
 
 
 async def test_a_client_of_topics_moves_the_arm_gets_a_suggestion_and_stops(

@@ -13,8 +13,6 @@ import pytest
 from protocol.registry import Registry
 from robot import files
 from robot.arm import Arm
-from robot.calibration import Calibration
-from robot.description import model
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, Mode
 from server.errors import ServiceError
@@ -36,8 +34,9 @@ from server.moveit.named_states import (
 )
 from tests.helpers.arm_rig import reading
 from tests.helpers.moveit import keep_in_memory
+from tests.helpers.robots import nominal_calibration, so101
 
-ROBOT = model.builtin()
+ROBOT = so101()
 BENT = {"elbow_flex": 0.4}
 
 KEPT_STATES = {"mine": {"elbow_flex": 0.4, "gripper": 1.0}, "": {}}
@@ -297,9 +296,7 @@ def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytes
     ("environment", "directory"), [({"XDG_DATA_HOME": "/data"}, "/data"), ({"HOME": "/me"}, "/me/.local/share")]
 )
 def test_states_are_kept_in_the_users_data_directory(environment: dict[str, str], directory: str) -> None:
-    assert default_path("named_states", model.builtin(), environment) == Path(
-        directory, "armbridge", "named_states_so101.json"
-    )
+    assert default_path("named_states", so101(), environment) == Path(directory, "armbridge", "named_states_so101.json")
 
 
 class Office:
@@ -308,7 +305,7 @@ class Office:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.states = NamedStates(ROBOT, "arm", {}, keep_in_memory())
-        self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(Calibration.nominal())), lambda _state: None)
+        self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(nominal_calibration())), lambda _state: None)
         NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT)).open()
         self.told: list[dict[str, Any]] = []
         subscriber = Subscriber(lambda published: self.told.append(json.loads(published.msg["data"])))

@@ -7,7 +7,6 @@ import random
 import pytest
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
 
-from robot.calibration import Calibration
 from robot.emulator.servo_bus import status_packet
 from robot.errors import NoReply, PortLost, StartupError
 from robot.hardware.feetech.bus import (
@@ -37,6 +36,7 @@ from robot.hardware.feetech.registers import (
 )
 from tests.helpers.arm_rig import run
 from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.robots import nominal_calibration
 from tests.helpers.scripted_servos import ScriptedPort
 
 IDS = (1, 2, 3, 4, 5, 6)
@@ -156,7 +156,7 @@ def test_no_reading_is_wrong_under_any_fault_of_the_emulated_bus(bus, emulator):
     at_rest = {i: bus.read(i, Register.PRESENT_POSITION) for i in IDS}
     faults = ("drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise", "delay")
     assert emulator.command(**dict.fromkeys(faults, 0.03), delay_s=0.004) == {"ok": True}
-    limits = {joint.servo_id: joint.range_min for joint in Calibration.nominal().joints}
+    limits = {joint.servo_id: joint.range_min for joint in nominal_calibration().joints}
     good = 0
     for round_number in range(60):
         for servo_id, frame in read_telemetry(bus).items():

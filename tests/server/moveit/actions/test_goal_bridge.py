@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.description import model
 from server.execution.motions import PlannedMotion
 from server.execution.queue import Answer, GoalPolicy, GoalState, Performed, Progress, RunningGoal
 from server.graph.actions import Goal, GoalStatus
@@ -23,6 +22,7 @@ from server.moveit.actions.joint_trajectory_controller import (
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import ActionDesk, message
+from tests.helpers.robots import so101
 
 ACTION, TYPE = "/move", "moveit_msgs/action/ExecuteTrajectory"
 
@@ -134,7 +134,7 @@ def test_every_end_has_a_status() -> None:
     assert goal_status(MoveItErrorCode.NO_IK_SOLUTION) is GoalStatus.ABORTED
 
 
-ROBOT = model.builtin()
+ROBOT = so101()
 FIRST, SECOND = smooth_move({"shoulder_pan": (0.0, 0.2)}, 1.0), smooth_move({"shoulder_pan": (0.2, 0.3)}, 2.0)
 DONE = Answer(
     MoveItErrorCode.SUCCESS, "there", performed=Performed({"shoulder_pan": 0.0}, (FIRST, SECOND), SECOND, 0.25)

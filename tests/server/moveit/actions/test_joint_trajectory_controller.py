@@ -12,7 +12,6 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.registry import Registry
-from robot.description import model
 from robot.messages import ArmState, Outcome
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory
@@ -39,6 +38,7 @@ from server.moveit.actions.joint_trajectory_controller import (
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
+from tests.helpers.robots import so101
 
 ACTION = "/arm_controller/follow_joint_trajectory"
 TOPIC = "/arm_controller/joint_trajectory"
@@ -169,7 +169,7 @@ async def test_a_bad_trajectory_on_the_topic_is_rejected_and_the_motion_continue
     assert "'knee'" in desk.refused[0]
 
 
-ARM = model.builtin().groups["arm"].joints
+ARM = so101().groups["arm"].joints
 END = Performed({}, (smooth_move(dict.fromkeys(ARM, (0.0, 0.5)), 1.0),))
 REACHED = Answer(MoveItErrorCode.SUCCESS, "the arm is there", performed=END)
 INTERFACES = MessageTypes(Registry.load())
@@ -355,7 +355,7 @@ def test_tolerances_that_cannot_be_kept_are_refused(fields: dict[str, Any], word
     assert words in refused.message
 
 
-GROUP = model.builtin().groups["arm"]
+GROUP = so101().groups["arm"]
 STATE = replace(FakeArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_rad=np.full(len(JOINTS), 0.2))
 
 

@@ -1,0 +1,1 @@
+"""Built-in arms: a folder of data each."""

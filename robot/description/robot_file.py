@@ -1,0 +1,209 @@
+"""The file ``robot.toml`` of an arm's folder: its typed model, and everything that is wrong with one at once."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from robot.description.servo_table import MAX_SERVO_ID, HardwareKind
+from robot.errors import RobotFileError
+
+FILE_NAME = "robot.toml"
+
+# More than any description names; bounds the work that a file can cause.
+MAX_JOINTS = 100
+MAX_BYTES = 1_000_000
+
+# Below this share of equal letters a proposal misleads.
+LIKENESS = 0.6
+
+Position: TypeAlias = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+Rate: TypeAlias = Annotated[float, Field(gt=0.0, le=1e6)]
+Name: TypeAlias = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RobotTable(_Table):
+    """Table ``[robot]``: the files of the description, relative to the folder."""
+
+    title: Name | None = None
+    """name of the arm for people; the folder's without one."""
+    urdf: Path | None = None
+    """the URDF; the only one in the folder without this key."""
+    srdf: Path | None = None
+    """the SRDF; the only one in the folder without this key."""
+    hulls: Path | None = None
+    """convex hull of each link, JSON."""
+    parts: Path | None = None
+    """convex parts of each link, JSON."""
+    packages: Annotated[tuple[Path, ...], Field(max_length=MAX_JOINTS)] = ()
+    """folders of packages that ``package://`` names."""
+    joint_limits: Path | None = None
+    """MoveIt's joint_limits.yaml."""
+
+
+class PlanningTable(_Table):
+    """Table ``[planning]``."""
+
+    group: Name | None = None
+    """group of goals that name none; "arm", else the first with a chain, without this key."""
+    tip: Name | None = None
+    """link that pose goals of this group move; the tip of its chain without this key."""
+    frame: Name | None = None
+    """frame of poses that name none; it must be the root link."""
+
+
+class GripperTable(_Table):
+    """Table ``[gripper]``."""
+
+    joints: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)]
+    """its joints, one or two that mirror each other."""
+    open: Position
+    """position of each joint when it is open [rad, or m of a prismatic joint]."""
+    closed: Position
+    """position of each joint when it is closed [rad or m]."""
+
+
+class JointTable(_Table):
+    """Table ``[joints.NAME]``: limits that replace the URDF's."""
+
+    max_velocity: Rate | None = None
+    """[rad/s or m/s]."""
+    max_acceleration: Rate | None = None
+    """[rad/s^2 or m/s^2]."""
+    max_jerk: Rate | None = None
+    """[rad/s^3 or m/s^3]."""
+
+
+class ZeroTable(_Table):
+    """Value of the key ``zero``: the joint is at ``angle_rad`` at ``tick``."""
+
+    tick: Annotated[int, Field(ge=-1_048_575, le=1_048_575)] | Literal["middle"]
+    """[ticks], or the middle of the calibrated range."""
+    angle_rad: Annotated[float, Field(ge=-10.0, le=10.0)]
+    """[rad]."""
+
+
+class ServoTable(_Table):
+    """Table ``[[hardware.servos]]``."""
+
+    joint: Name
+    """the joint that it turns."""
+    id: Annotated[int, Field(ge=0, le=MAX_SERVO_ID)]
+    """its id on the bus."""
+    model: Name
+    """its model, as "sts3215"."""
+    sign: Literal[1, -1] = 1
+    """-1 for ticks that fall while the joint's position rises."""
+    zero: Literal["middle", "ends"] | ZeroTable = "middle"
+    """place of the joint's zero."""
+    turns_freely: bool = False
+    """true for a joint without end stops."""
+
+
+class HardwareSection(_Table):
+    """Table ``[hardware]``."""
+
+    kind: HardwareKind = "ideal"
+    """kind of the servos."""
+    baud: Annotated[int, Field(ge=9600, le=4_500_000)] = 1_000_000
+    """rate of the bus [baud]."""
+    calibrations: Annotated[tuple[Name, ...], Field(max_length=8)] = ()
+    """lerobot's folders of calibrations of such arms, the newest name first."""
+    servos: Annotated[tuple[ServoTable, ...], Field(max_length=MAX_JOINTS)] = ()
+    """the servos, in the order of the joints."""
+
+    @model_validator(mode="after")
+    def _servos_fit_the_kind(self) -> HardwareSection:
+        if self.kind == "ideal" and self.servos:
+            raise ValueError('the kind "ideal" has no servos: name the kind of the bus, or leave the servos out')
+        if self.kind != "ideal" and not self.servos:
+            raise ValueError(f'the kind "{self.kind}" needs its table [[hardware.servos]], a row a joint')
+        for key in ("id", "joint"):
+            owners: dict[Any, int] = {}
+            for row, servo in enumerate(self.servos):
+                value = getattr(servo, key)
+                if (first := owners.setdefault(value, row)) != row:
+                    raise ValueError(
+                        f"servos[{row}].{key} {value!r} is that of servos[{first}] as well: give it one of its own"
+                    )
+        return self
+
+
+class RobotFile(_Table):
+    """The whole file."""
+
+    robot: RobotTable = RobotTable()
+    planning: PlanningTable = PlanningTable()
+    gripper: GripperTable | None = None
+    joints: Annotated[dict[Name, JointTable], Field(max_length=MAX_JOINTS)] = {}
+    held_joints: Annotated[dict[Name, Position], Field(max_length=MAX_JOINTS)] = {}
+    hardware: HardwareSection = HardwareSection()
+
+
+def read(path: Path) -> RobotFile:
+    """Read a file.
+
+    Raises:
+        RobotFileError: it cannot be read, is no TOML, or has keys or values that are not allowed; the text names all.
+    """
+    try:
+        with path.open("rb") as stream:
+            text = stream.read(MAX_BYTES + 1)
+        if len(text) > MAX_BYTES:
+            raise RobotFileError(path, [f"has more than {MAX_BYTES} bytes"])
+        values = tomllib.loads(text.decode())
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotFileError(path, [f"cannot be read: {error}"]) from error
+    except tomllib.TOMLDecodeError as error:
+        raise RobotFileError(path, [f"is no TOML: {error}"]) from error
+    try:
+        return RobotFile.model_validate(values)
+    except ValidationError as error:
+        raise RobotFileError(path, [_sentence(each) for each in error.errors(include_url=False)]) from error
+
+
+def _sentence(error: ErrorDetails) -> str:
+    """Return what is wrong with one value, by its key."""
+    place = [part for part in error["loc"] if not str(part).startswith(("literal[", "ZeroTable", "constrained"))]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
+    if error["type"] == "extra_forbidden":
+        known = _keys_beside(place)
+        nearest = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=LIKENESS)
+        return f"{key}: there is no such key" + (
+            f"; did you mean {nearest[0]}?" if nearest else f", but {', '.join(known)}"
+        )
+    if error["type"] == "missing":
+        return f"{key}: is missing"
+    message = error["msg"].removeprefix("Value error, ")
+    given = "" if error["type"] == "value_error" else f", not {error['input']!r}"
+    return f"{key}: {message[:1].lower()}{message[1:]}{given}"
+
+
+def _keys_beside(place: list[int | str]) -> list[str]:
+    """Return the keys that are allowed where an unknown one stands."""
+    annotation: Any = RobotFile
+    for part in place[:-1]:
+        if _is_table(annotation):
+            annotation = annotation.model_fields[str(part)].annotation
+        elif get_origin(annotation) in (dict, tuple):
+            annotation = next(each for each in get_args(annotation) if _holds_table(each))
+        while get_origin(annotation) not in (None, dict, tuple):
+            annotation = next((each for each in get_args(annotation) if _holds_table(each)), None)
+    return sorted(annotation.model_fields) if _is_table(annotation) else []
+
+
+def _is_table(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _holds_table(annotation: Any) -> bool:
+    return _is_table(annotation) or any(_holds_table(each) for each in get_args(annotation))

@@ -1,0 +1,345 @@
+"""Folder of an arm: ``robot.toml`` and the files that it names, read into the robot's model and its table of servos."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robot.arms
+from robot.description import model, robot_file
+from robot.description.model import Gripper, Hull, JointLimits, RobotModel
+from robot.description.robot_file import GripperTable, RobotFile, ServoTable
+from robot.description.servo_table import HardwareTable, ServoSpec, Zero, ZeroTick
+from robot.errors import DescriptionError, RobotFileError
+
+Read = TypeVar("Read")
+
+BUILT_IN = Path(robot.arms.__file__).parent
+
+# How a joint's limit in MoveIt's joint_limits.yaml is switched on, and its key.
+MOVEIT_LIMITS = (
+    ("has_velocity_limits", "max_velocity"),
+    ("has_acceleration_limits", "max_acceleration"),
+    ("has_jerk_limits", "max_jerk"),
+)
+MOVEIT_POSITION_LIMITS = (("min_position", "lower"), ("max_position", "upper"))
+
+MAX_YAML_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class RobotFolder:
+    """An arm by its folder.
+
+    Attributes:
+        name: the folder's name.
+        title: name of the arm for people.
+        model: links, joints, groups.
+        hardware: its servos.
+        folder: where it was read.
+    """
+
+    name: str
+    title: str
+    model: RobotModel
+    hardware: HardwareTable
+    folder: Path
+
+
+def built_in_names() -> list[str]:
+    """Return the names of the arms that come with the program."""
+    return sorted(path.parent.name for path in BUILT_IN.glob(f"*/{robot_file.FILE_NAME}"))
+
+
+def find(name_or_folder: str) -> Path:
+    """Find an arm's folder.
+
+    Args:
+        name_or_folder: name of a built-in arm, or a path.
+
+    Raises:
+        DescriptionError: there is no such folder.
+    """
+    path = Path(name_or_folder).expanduser()
+    built_in = BUILT_IN / name_or_folder
+    if path.name == name_or_folder and (built_in / robot_file.FILE_NAME).is_file():
+        return built_in
+    if path.name == robot_file.FILE_NAME and path.is_file():
+        return path.parent
+    if path.is_dir():
+        return path
+    raise DescriptionError(
+        f"robot {name_or_folder!r}", f"is no folder, and none of the built-in arms: {', '.join(built_in_names())}"
+    )
+
+
+def built_in(name: str) -> RobotFolder:
+    """Load a built-in arm.
+
+    Raises:
+        DescriptionError: there is none of this name.
+    """
+    return load(find(name))
+
+
+def problems(folder: Path) -> tuple[str, ...]:
+    """Return everything that is wrong with an arm's folder, a sentence each."""
+    try:
+        load(folder)
+    except RobotFileError as error:
+        return error.problems
+    except DescriptionError as error:
+        return (str(error),)
+    return ()
+
+
+def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) -> RobotFolder:
+    """Load an arm from its folder.
+
+    Args:
+        folder: the folder.
+        urdf: URDF in place of the folder's, whose hulls and parts then do not apply.
+        srdf: SRDF that goes with it.
+
+    Raises:
+        DescriptionError: the folder does not describe an arm; a RobotFileError names all problems.
+    """
+    path = folder / robot_file.FILE_NAME
+    if not folder.is_dir():
+        raise DescriptionError(str(folder), "is no folder")
+    if not path.is_file():
+        raise DescriptionError(str(folder), f"has no {robot_file.FILE_NAME}: armbridge robot import URDF drafts one")
+    file = robot_file.read(path)
+    found = _Problems(path)
+    no_limits: dict[str, JointLimits] = {}
+    limits = found.of(lambda: _limits(folder, file), no_limits)
+    own = urdf is None
+    urdf = urdf or found.of(lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
+    srdf = srdf or found.of(lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
+    arm = None
+    if urdf is not None and srdf is not None:
+        described = urdf, srdf
+        arm = found.of(lambda: model.load(*described, limits=limits), None)
+    hulls: dict[str, Hull] = {}
+    parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
+    if own and (hulls_file := file.robot.hulls) is not None:
+        hulls = found.of(lambda: _hulls(folder / hulls_file), hulls)
+    if own and (parts_file := file.robot.parts) is not None:
+        parts = found.of(lambda: _parts(folder / parts_file), parts)
+    if arm is None:
+        raise found.error()
+    found.add(_unknown_names(file, arm, hulls, parts))
+    if found:
+        raise found.error()
+    group = file.planning.group or arm.default_group
+    arm = replace(
+        arm,
+        hulls=hulls,
+        parts=parts,
+        gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
+        default_group=group,
+        tip_link=file.planning.tip or arm.groups[group].tip_link,
+        held_joints=file.held_joints,
+        package_directories=tuple((folder / package).resolve() for package in file.robot.packages),
+    )
+    return RobotFolder(
+        folder.resolve().name, file.robot.title or folder.resolve().name, arm, _hardware(file, arm), folder
+    )
+
+
+class _Problems:
+    """Problems of a folder, collected so that all are told at once."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._sentences: list[str] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._sentences)
+
+    def of(self, read: Callable[[], Read], instead: Read) -> Read:
+        """Read something; keep the problem and return what is given instead when that fails."""
+        try:
+            return read()
+        except DescriptionError as error:
+            self._sentences.append(str(error))
+            return instead
+
+    def add(self, sentences: Iterable[str]) -> None:
+        """Add problems, a sentence each."""
+        self._sentences += sentences
+
+    def error(self) -> RobotFileError:
+        """Return the error that tells them."""
+        return RobotFileError(self._path, self._sentences)
+
+
+def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
+    """Return the folder's URDF or SRDF: the one that is named, or the only one."""
+    if named is not None:
+        path = folder / named
+        if not path.is_file():
+            raise DescriptionError(f"robot.{kind}:", f"there is no file {path}")
+        return path
+    there = sorted(folder.glob(f"*.{kind}"))
+    if len(there) != 1:
+        has = f"has {', '.join(path.name for path in there)}" if there else f"has no .{kind} file"
+        raise DescriptionError(f"robot.{kind}:", f"is missing, and the folder {has}: name one")
+    return there[0]
+
+
+def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
+    """Return the limits beside the URDF: MoveIt's, and in their place those of ``robot.toml``."""
+    limits = {} if file.robot.joint_limits is None else moveit_limits(folder / file.robot.joint_limits)
+    for name, table in file.joints.items():
+        own = {key: value for key, value in table.model_dump().items() if value is not None}
+        limits[name] = replace(limits.get(name, JointLimits()), **own)
+    return limits
+
+
+def moveit_limits(path: Path) -> dict[str, JointLimits]:
+    """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator).
+
+    Raises:
+        DescriptionError: it cannot be read, or a limit is no number above 0.
+    """
+    # Imported when it is needed: most arms have no such file.
+    import yaml
+
+    try:
+        with path.open("rb") as stream:
+            values = yaml.safe_load(stream.read(MAX_YAML_BYTES))
+    except (OSError, yaml.YAMLError) as error:
+        raise DescriptionError(str(path), f"cannot be read: {' '.join(str(error).split())}") from error
+    joints = values.get("joint_limits") if isinstance(values, dict) else None
+    if not isinstance(joints, dict):
+        raise DescriptionError(str(path), "has no mapping joint_limits")
+    limits = {}
+    for name, entry in joints.items():
+        if not isinstance(entry, dict):
+            raise DescriptionError(str(path), f"joint_limits.{name} must be a mapping, not {entry!r}")
+        own = {key: _rate(path, name, entry, key) for switch, key in MOVEIT_LIMITS if entry.get(switch)}
+        if entry.get("has_position_limits"):
+            own |= {field: _yaml_number(path, name, entry, key) for key, field in MOVEIT_POSITION_LIMITS}
+        limits[str(name)] = JointLimits(**own)
+    return limits
+
+
+def _rate(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:
+    value = _yaml_number(path, name, entry, key)
+    if value <= 0.0:
+        raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be above 0, not {value:g}")
+    return value
+
+
+def _yaml_number(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:
+    value = entry.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be a number, not {value!r}")
+    return float(value)
+
+
+def _read_shapes(path: Path) -> Mapping[str, Any]:
+    try:
+        links = json.loads(path.read_text())["links"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DescriptionError(str(path), f"cannot be read: {error}") from error
+    if not isinstance(links, dict):
+        raise DescriptionError(str(path), "must have an object links")
+    return links
+
+
+def _hulls(path: Path) -> dict[str, Hull]:
+    try:
+        return {
+            link: Hull(_points(shape["vertices"]), np.asarray(shape["triangles"], dtype=np.int32).reshape(-1, 3))
+            for link, shape in _read_shapes(path).items()
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise DescriptionError(str(path), f"must have vertices and triangles for each link: {error}") from error
+
+
+def _parts(path: Path) -> dict[str, tuple[NDArray[np.float64], ...]]:
+    try:
+        return {link: tuple(_points(vertices) for vertices in shapes) for link, shapes in _read_shapes(path).items()}
+    except (TypeError, ValueError) as error:
+        raise DescriptionError(str(path), f"must have a list of vertices for each part: {error}") from error
+
+
+def _points(vertices: object) -> NDArray[np.float64]:
+    return np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+
+
+def _unknown_names(
+    file: RobotFile, arm: RobotModel, hulls: Mapping[str, Hull], parts: Mapping[str, object]
+) -> Iterable[str]:
+    """Yield a sentence for each joint, link or group that the description does not have."""
+    movable = {joint.name for joint in arm.movable_joints}
+    listed = ", ".join(sorted(movable))
+    named = [(f"gripper.joints[{i}]", name) for i, name in enumerate(file.gripper.joints if file.gripper else ())]
+    named += [(f"joints.{name}", name) for name in file.joints]
+    named += [(f"held_joints.{name}", name) for name in file.held_joints]
+    named += [(f"hardware.servos[{row}].joint", servo.joint) for row, servo in enumerate(file.hardware.servos)]
+    for key, name in named:
+        if name not in movable:
+            yield f"{key}: the URDF has no movable joint {name!r}, but {listed}"
+    for key, shapes in (("robot.hulls", hulls), ("robot.parts", parts)):
+        for link in shapes:
+            if link not in arm.links:
+                yield f"{key}: the URDF has no link {link!r}"
+    for name, position in file.held_joints.items():
+        joint = arm.joints.get(name)
+        if joint is not None and joint.movable and not joint.lower <= position <= joint.upper:
+            yield f"held_joints.{name}: must be from {joint.lower:g} to {joint.upper:g}, not {position:g}"
+    if file.hardware.servos:
+        with_servo = {servo.joint for servo in file.hardware.servos}
+        for name in sorted(movable - with_servo - file.held_joints.keys()):
+            yield f"hardware.servos: joint {name!r} has no servo: give it one, or a place in [held_joints]"
+        for name in sorted(with_servo & file.held_joints.keys()):
+            yield f"held_joints.{name}: has a servo, which would drive it: leave one of the two out"
+    if file.planning.group is not None and file.planning.group not in arm.groups:
+        yield f"planning.group: the SRDF has no group {file.planning.group!r}, but {', '.join(arm.groups)}"
+    if file.planning.tip is not None and file.planning.tip not in arm.links:
+        yield f"planning.tip: the URDF has no link {file.planning.tip!r}"
+    if file.planning.frame is not None and file.planning.frame != arm.root_link:
+        yield f"planning.frame: must be the root link {arm.root_link!r}, not {file.planning.frame!r}"
+
+
+def _gripper(table: GripperTable) -> Gripper:
+    return Gripper(table.joints, table.open, table.closed)
+
+
+def _hardware(file: RobotFile, arm: RobotModel) -> HardwareTable:
+    section = file.hardware
+    gripper = arm.gripper.joints if arm.gripper is not None else ()
+    servos = tuple(_servo(servo, arm, gripper=servo.joint in gripper) for servo in section.servos)
+    return HardwareTable(section.kind, servos, section.baud, section.calibrations)
+
+
+def _servo(table: ServoTable, arm: RobotModel, *, gripper: bool) -> ServoSpec:
+    joint = arm.joints[table.joint]
+    zero: Zero
+    match table.zero:
+        case "ends":
+            zero = "ends"
+        case "middle":
+            zero = ZeroTick()
+        case place:
+            zero = ZeroTick(None if place.tick == "middle" else place.tick, place.angle_rad)
+    return ServoSpec(
+        joint=table.joint,
+        servo_id=table.id,
+        lower_rad=joint.lower,
+        upper_rad=joint.upper,
+        model=table.model.lower(),
+        sign=table.sign,
+        zero=zero,
+        turns_freely=table.turns_freely,
+        gripper=gripper,
+    )

@@ -1,0 +1,87 @@
+"""Commands on descriptions of arms: ``armbridge robot check`` and ``robot list``."""
+
+from __future__ import annotations
+
+import argparse
+
+from robot.description import robot_folder
+from robot.description.robot_folder import RobotFolder
+from robot.errors import DescriptionError
+from server.commands.options import Subparsers
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+
+
+def add_robot_parser(subparsers: Subparsers) -> None:
+    """Describe the commands."""
+    parser = subparsers.add_parser(
+        "robot",
+        help="check the folder of an arm, and list the built-in ones",
+        description="Arms are folders with a robot.toml, a URDF and an SRDF (docs/robots.md).",
+    )
+    actions = parser.add_subparsers(required=True, metavar="ACTION")
+    check = actions.add_parser(
+        "check",
+        help="say everything that is wrong with an arm's folder",
+        description="Read an arm's robot.toml and all files that it names; print the arm, or everything that is wrong.",
+        epilog=EXIT_CODES,
+    )
+    check.add_argument("folder", metavar="NAME_OR_FOLDER", help="a folder with a robot.toml, or a built-in arm")
+    check.set_defaults(run=run_check)
+    listed = actions.add_parser(
+        "list", help="list the built-in arms", description="List the built-in arms.", epilog=EXIT_CODES
+    )
+    listed.set_defaults(run=run_list)
+    for described in actions.choices.values():
+        described.set_defaults(usage=described.format_usage())
+
+
+def run_check(options: argparse.Namespace) -> int:
+    """Carry out ``robot check``."""
+    terminal = Terminal()
+    try:
+        folder = robot_folder.find(options.folder)
+    except DescriptionError as error:
+        terminal.say(f"armbridge: {error}")
+        return ExitCode.USAGE
+    found = robot_folder.problems(folder)
+    for problem in found:
+        terminal.tell(problem)
+    if found:
+        return ExitCode.PROBLEMS
+    terminal.tell(_summary(robot_folder.load(folder)))
+    return ExitCode.DONE
+
+
+def run_list(_options: argparse.Namespace) -> int:
+    """Carry out ``robot list``."""
+    arms = [robot_folder.built_in(name) for name in robot_folder.built_in_names()]
+    rows = [(arm.name, arm.title, len(arm.model.driven_joints), arm.hardware.kind) for arm in arms]
+    Terminal().tell(table(("name", "arm", "joints", "hardware"), rows))
+    return ExitCode.DONE
+
+
+def _summary(found: RobotFolder) -> str:
+    arm, hardware = found.model, found.hardware
+    servos = {servo.joint: f"{servo.model}, id {servo.servo_id}" for servo in hardware.servos}
+    rows = [
+        (
+            joint.name,
+            joint.type,
+            f"{joint.lower:.3f} .. {joint.upper:.3f}",
+            f"{joint.max_velocity:g}",
+            f"{joint.max_acceleration:g}",
+            f"held at {arm.held_joints[joint.name]:g}" if joint.name in arm.held_joints else servos.get(joint.name, "-"),
+        )
+        for joint in arm.movable_joints
+    ]
+    gripper = "none" if arm.gripper is None else ", ".join(arm.gripper.joints)
+    groups = "; ".join(f"{group.name}: {', '.join(group.joints)}" for group in arm.groups.values())
+    return "\n".join(
+        [
+            f"{found.title} ({found.folder}), hardware: {hardware.kind}",
+            table(("joint", "type", "range", "velocity", "acceleration", "servo"), rows),
+            f"groups: {groups}",
+            f"group of goals that name none: {arm.default_group}, tip {arm.tip_link}, planning frame {arm.root_link}",
+            f"gripper: {gripper}",
+        ]
+    )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from planners.assistant.surface import INSIDE, ConvexPart, Deviation, Surface, components, measure, sample
+from planners.assistant.surface import INSIDE, ConvexPart, Deviation, Surface, components, measure, sample, sample_with_normals
 from robot.trajectory import Vector
 
 # Deviation that parts may have from their mesh [m].
@@ -29,7 +29,7 @@ RESERVE = 0.85
 # Parts that one mesh gets at most.
 MAX_PARTS = 128
 
-# Time for one mesh [s].
+# CPU time for one mesh [s].
 MAX_TIME_S = 120.0
 
 # Triangles of a mesh: time and memory grow with them.
@@ -40,21 +40,21 @@ MAX_CORNERS = 48
 DIRECTIONS = (42, 80, 126)
 
 # Points of the surface that distances are measured to, and points that tell inside from outside.
-REFERENCE_POINTS = 200_000
-DIPOLES = 5_000
+REFERENCE_POINTS = 60_000
+DIPOLES = 3_000
 
 # Points on a part at which it is measured, and at which cuts are compared.
-PART_POINTS = 1_200
-CUT_POINTS = 1_000
+PART_POINTS = 600
+CUT_POINTS = 500
 
 # Points whose winding number is computed at a time, the farthest first.
 WINDING_CHUNK = 64
 
 # Places of the cuts that are compared along each axis, as shares of the part's length.
-CUTS = (0.15, 0.3, 0.5, 0.7, 0.85)
+CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)
 
 # Tries to join two parts, a part: of the pairs that would grow least.
-JOIN_TRIES = 4
+JOIN_TRIES = 3
 
 # A thinner slice is not cut off [m].
 MIN_SLICE_M = 0.001
@@ -67,16 +67,16 @@ class Limits:
     Attributes:
         tolerance_m: deviation to reach [m].
         max_parts: parts of a mesh.
-        max_time_s: time for a mesh [s].
+        max_time_s: CPU time for a mesh [s].
         seed: of the samples.
-        clock: monotonic time [s].
+        clock: CPU time [s]: a busy machine makes the same parts, later.
     """
 
     tolerance_m: float = TOLERANCE_M
     max_parts: int = MAX_PARTS
     max_time_s: float = MAX_TIME_S
     seed: int = 0
-    clock: Callable[[], float] = field(default=time.monotonic)
+    clock: Callable[[], float] = field(default=time.process_time)
 
 
 @dataclass(frozen=True)
@@ -98,19 +98,11 @@ class Reference:
     def __init__(self, surface: Surface, random: np.random.Generator) -> None:
         self._random = random
         self._tree = cKDTree(sample(surface, REFERENCE_POINTS, random))
-        corners_m = surface.corners_m
-        across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
-        areas = np.linalg.norm(across, axis=1)
-        drawn = random.choice(len(areas), DIPOLES, p=areas / areas.sum())
-        u, v = random.random((2, DIPOLES, 1))
-        fold = u + v > 1.0
-        u, v = np.where(fold, 1.0 - u, u), np.where(fold, 1.0 - v, v)
-        first = corners_m[drawn, 0]
-        places = first + u * (corners_m[drawn, 1] - first) + v * (corners_m[drawn, 2] - first)
+        places, normals = sample_with_normals(surface, DIPOLES, random)
         # Half the digits are enough to tell inside from outside, and take half the time.
         self._middle = places.mean(axis=0)
         self._places = (places - self._middle).astype(np.float32)
-        self._normals = (across[drawn] / areas[drawn, np.newaxis] * (areas.sum() / DIPOLES)).astype(np.float32)
+        self._normals = (normals * (surface.area_m2 / DIPOLES)).astype(np.float32)
         self._squares = (self._places**2).sum(axis=1)
         self._heights = (self._places * self._normals).sum(axis=1)
 

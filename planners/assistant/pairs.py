@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -10,14 +10,18 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, Parts, nearer_than, outline
-from planners.geometry.kinematics import kinematic_urdf
+from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, Parts, nearer_than
+from planners.geometry.kinematics import ForwardKinematics
+from planners.geometry.shapes import enclosing, outline
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
+# States between two reports of progress.
 BATCH = 500
 
 ADJACENT, NEVER, ALWAYS = "Adjacent", "Never", "Always"
+
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -30,68 +34,63 @@ class UncheckedPair:
 
 
 class SelfContacts:
-    """Contacts of a robot's links by their convex parts or meshes.
+    """Contacts of a robot's links with each other.
 
     Args:
         robot: its joints.
-        parts: shapes of each link that has some.
-        joint_names: joints of a state, each with a position of its own.
-        place: puts ``joint_names``' positions into pinocchio's configuration.
+        parts: shapes of each link that has some, in the link's frame.
 
     Attributes:
+        joint_names: joints of a state.
+        lower: their lower limits, shape (n,) [rad or m].
+        upper: their upper limits, shape (n,) [rad or m].
         adjacent: pairs that a joint connects, links without shape between them left out.
-        pairs: every other pair.
+        pairs: every other pair of links with shapes.
     """
 
     def __init__(self, robot: RobotModel, parts: Mapping[str, Parts]) -> None:
-        self._model = pin.buildModelFromXML(kinematic_urdf(robot))
-        self._data = self._model.createData()
+        self.joint_names = tuple(joint.name for joint in robot.movable_joints)
+        self.lower = np.array([joint.lower for joint in robot.movable_joints])
+        self.upper = np.array([joint.upper for joint in robot.movable_joints])
+        self._forward = ForwardKinematics(robot, self.joint_names)
         self._parts = parts
-        self._joint_of = {link: self._model.frames[self._model.getFrameId(link)].parentJoint for link in parts}
-        self.joint_names = tuple(str(name) for name in list(self._model.names)[1:])
-        joints = [robot.joints[name] for name in self.joint_names]
-        self.lower = np.array([joint.lower for joint in joints])
-        self.upper = np.array([joint.upper for joint in joints])
-        self.adjacent = _adjacent(robot, frozenset(parts))
         shaped = [link for link in robot.links if link in parts]
-        self.pairs = [pair for pair in combinations(shaped, 2) if frozenset(pair) not in self.adjacent]
-        # Around the middle of the box around all parts of a link.
+        self.adjacent = _adjacent(robot, frozenset(parts))
+        self.pairs: list[Pair] = [pair for pair in combinations(shaped, 2) if frozenset(pair) not in self.adjacent]
         points = {link: np.vstack([outline(shape) for shape in each.shapes]) for link, each in parts.items()}
         self._middles = {link: 0.5 * (each.min(axis=0) + each.max(axis=0)) for link, each in points.items()}
-        self._radii = {
+        self._radii_m = {
             link: float(np.linalg.norm(each - self._middles[link], axis=1).max()) for link, each in points.items()
         }
-        self._hulls = {link: _hull(each) for link, each in points.items()}
+        self._hulls = {link: enclosing(each) for link, each in points.items()}
 
     def draw(self, random: np.random.Generator) -> Vector:
-        """Return a state drawn uniformly within the position limits."""
+        """Return a state drawn uniformly within the position limits, shape (n,) [rad or m]."""
         state: Vector = random.uniform(self.lower, self.upper)
         return state
 
-    def touching(self, state: Vector, pairs: Sequence[tuple[str, str]]) -> list[bool]:
-        """Tell of each pair whether it touches in a state.
+    def touching(self, state: Vector, pairs: Collection[Pair]) -> list[Pair]:
+        """Return those of some pairs that touch in a state."""
+        self._forward.place(state)
+        links = {link for pair in pairs for link in pair}
+        at = {link: pin.SE3(self._forward.placement(link)) for link in links}
+        middles = {link: at[link].act(self._middles[link]) for link in links}
+        return [pair for pair in pairs if self._touch(pair, at, middles)]
 
-        Args:
-            state: position of each joint, shape (n,) [rad or m].
-            pairs: names of links.
-        """
-        pin.forwardKinematics(self._model, self._data, state)
-        at = {link: self._data.oMi[joint] for link, joint in self._joint_of.items()}
-        middles = {link: at[link].act(middle) for link, middle in self._middles.items()}
-        return [self._touch(first, second, at, middles) for first, second in pairs]
+    def placements(self, state: Vector) -> dict[str, pin.SE3]:
+        """Return the pose of each link with shapes in the root link's frame."""
+        self._forward.place(state)
+        return {link: pin.SE3(self._forward.placement(link)) for link in self._parts}
 
-    def free(self, state: Vector) -> bool:
-        """Tell whether no pair touches in a state, pairs that are always or never checked aside."""
-        return not any(self.touching(state, self.pairs))
-
-    def _touch(self, first: str, second: str, at: Mapping[str, pin.SE3], middles: Mapping[str, Vector]) -> bool:
+    def _touch(self, pair: Pair, at: Mapping[str, pin.SE3], middles: Mapping[str, Vector]) -> bool:
+        first, second = pair
         offset = middles[first] - middles[second]
-        if offset @ offset > (self._radii[first] + self._radii[second] + CONTACT_M) ** 2:
+        if offset @ offset > (self._radii_m[first] + self._radii_m[second] + CONTACT_M) ** 2:
             return False
         request, result = coal.CollisionRequest(), coal.CollisionResult()
         request.gjk_tolerance, request.security_margin = GJK_TOLERANCE, CONTACT_M
-        places = (coal.Transform3s(at[link].rotation, at[link].translation) for link in (first, second))
-        if not coal.collide(self._hulls[first], next(places), self._hulls[second], next(places), request, result):
+        at_first, at_second = (coal.Transform3s(at[link].rotation, at[link].translation) for link in pair)
+        if not coal.collide(self._hulls[first], at_first, self._hulls[second], at_second, request, result):
             return False
         return nearer_than(self._parts[first], at[first], self._parts[second], at[second], 0.0)
 
@@ -108,15 +107,15 @@ def unchecked_pairs(
         progress: called with the number of states that are done.
     """
     random = np.random.default_rng(seed)
-    seen: dict[tuple[str, str], set[bool]] = {pair: set() for pair in contacts.pairs}
+    seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
     done = 0
     while done < samples:
         # A pair that was seen both ways is to be checked, whatever the other states say.
-        open_pairs = [pair for pair, found in seen.items() if len(found) < 2]
+        undecided = [pair for pair, found in seen.items() if len(found) < 2]
         for _ in range(min(BATCH, samples - done)):
-            touches = contacts.touching(contacts.draw(random), open_pairs)
-            for pair, touch in zip(open_pairs, touches, strict=True):
-                seen[pair].add(touch)
+            touching = set(contacts.touching(contacts.draw(random), undecided))
+            for pair in undecided:
+                seen[pair].add(pair in touching)
         done = min(done + BATCH, samples)
         progress(done)
     adjacent = [UncheckedPair(*sorted(pair), ADJACENT) for pair in contacts.adjacent]
@@ -124,6 +123,34 @@ def unchecked_pairs(
         UncheckedPair(*pair, ALWAYS if True in found else NEVER) for pair, found in seen.items() if len(found) == 1
     ]
     return sorted(adjacent, key=lambda pair: (pair.first, pair.second)) + decided
+
+
+def free_state(
+    contacts: SelfContacts, unchecked: Sequence[UncheckedPair], states: Sequence[Vector], tries: int, seed: int
+) -> tuple[Vector, bool]:
+    """Return the first of some states in which nothing touches, else the nearest drawn one to the first of them.
+
+    Args:
+        contacts: the robot's links.
+        unchecked: pairs that may touch.
+        states: states to try first, shape (n,) each, at least one.
+        tries: states to draw.
+        seed: of the draws.
+
+    Returns:
+        The state; false where no state is free, with the first one.
+    """
+    excused = {frozenset((pair.first, pair.second)) for pair in unchecked}
+    checked = [pair for pair in contacts.pairs if frozenset(pair) not in excused]
+    for state in states:
+        if not contacts.touching(state, checked):
+            return state, True
+    random = np.random.default_rng(seed)
+    drawn = sorted(
+        (contacts.draw(random) for _ in range(tries)), key=lambda state: float(np.linalg.norm(state - states[0]))
+    )
+    free = next((state for state in drawn if not contacts.touching(state, checked)), None)
+    return (states[0], False) if free is None else (free, True)
 
 
 def _adjacent(robot: RobotModel, shaped: frozenset[str]) -> frozenset[frozenset[str]]:
@@ -136,9 +163,3 @@ def _adjacent(robot: RobotModel, shaped: frozenset[str]) -> frozenset[frozenset[
         if parent is not None:
             found.add(frozenset((link, parent)))
     return frozenset(found)
-
-
-def _hull(points_m: Vector) -> coal.Convex:
-    from planners.geometry.shapes import enclosing
-
-    return enclosing(points_m)

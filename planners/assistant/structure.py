@@ -13,13 +13,17 @@ from dataclasses import dataclass
 from planners.assistant.errors import AssistantError
 from robot.description.model import Joint
 
-FINGER = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|robotiq|hand_", re.IGNORECASE)
+# A joint called wrist_roll may carry a link called gripper_link: the hand, no finger.
+FINGER_JOINT = re.compile(r"^(?!.*(wrist|roll|arm_|_arm)).*(grip|finger|jaw|claw|knuckle|thumb)", re.IGNORECASE)
+FINGER_LINK = re.compile(r"finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 TOOL_FRAME = re.compile(r"tcp|tip|tool|grasp|gripper_frame|ee_|_ee|end_?eff|flange|pinch", re.IGNORECASE)
 
 # Joints of one finger: more in a chain is an arm, whatever its name.
 MAX_FINGER_JOINTS = 4
 
 MIN_ARM_JOINTS = 2
+
+MOVING_TYPES = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,7 @@ class Tree:
 
     def driven(self, joints: Sequence[Joint]) -> list[Joint]:
         """Return the joints with a position of their own."""
-        return [joint for joint in joints if joint.movable and joint.name not in self.mimics]
+        return [joint for joint in joints if moves(joint) and joint.name not in self.mimics]
 
     def links_below(self, link: str) -> Iterator[str]:
         """Yield a link and all that it carries."""
@@ -90,7 +94,7 @@ class Tree:
         """Yield a link and those that are fixed to it, parents first."""
         yield link
         for joint in self._below[link]:
-            if not joint.movable:
+            if not moves(joint):
                 yield from self.fixed_below(joint.child)
 
     def joints_below(self, link: str) -> list[Joint]:
@@ -104,6 +108,11 @@ class Tree:
     def above(self, link: str) -> Joint:
         """Return the joint that carries a link."""
         return self._above[link]
+
+
+def moves(joint: Joint) -> bool:
+    """Tell whether a joint moves, by a position of its own or with another joint."""
+    return joint.type in MOVING_TYPES
 
 
 def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: str | None) -> Structure:
@@ -145,7 +154,7 @@ def _find_hand(tree: Tree, start: str) -> str:
     """Return the link at the end of the longest chain, fingers left out."""
     chains = [tree.chain(start, link) for link in tree.links_below(start) if tree.leaf(link)]
     longest = max(chains, key=lambda chain: (len(tree.driven(chain)), len(chain)))
-    movable = [joint for joint in longest if joint.movable]
+    movable = [joint for joint in longest if moves(joint)]
     if not movable:
         return start
     for joint in movable:
@@ -157,7 +166,7 @@ def _find_hand(tree: Tree, start: str) -> str:
 def _carries_fingers(tree: Tree, joint: Joint) -> bool:
     """Tell whether a joint is the first one of a finger."""
     longest = max(
-        sum(each.movable for each in tree.chain(joint.parent, link))
+        sum(moves(each) for each in tree.chain(joint.parent, link))
         for link in tree.links_below(joint.child)
         if tree.leaf(link)
     )
@@ -167,18 +176,18 @@ def _carries_fingers(tree: Tree, joint: Joint) -> bool:
         each
         for link in tree.fixed_below(joint.parent)
         for each in tree.joints.values()
-        if each.parent == link and each.movable
+        if each.parent == link and moves(each)
     ]
-    named = bool(FINGER.search(joint.name) or FINGER.search(joint.child))
-    follows = any(each.name in tree.mimics for each in (*siblings, *tree.joints_below(joint.child)))
-    return follows or (named and longest <= MAX_FINGER_JOINTS) or (len(siblings) > 1 and joint.type == "prismatic")
+    named = bool(FINGER_JOINT.search(joint.name) or FINGER_LINK.search(joint.child))
+    follows = any(each.name in tree.mimics for each in siblings)
+    return follows or named or (len(siblings) > 1 and joint.type == "prismatic")
 
 
 def _hand_of(tree: Tree, start: str, tip: str) -> str:
     """Return the link of the arm that carries the gripper: the first of those that are fixed to the tip."""
     hand = tip
     for joint in reversed(tree.chain(start, tip)):
-        if joint.movable:
+        if moves(joint):
             break
         hand = joint.parent
     return hand
@@ -190,7 +199,7 @@ def _find_tip(tree: Tree, hand: str, shaped: frozenset[str]) -> str:
     frames = [link for link in fixed if tree.leaf(link) and link not in shaped and TOOL_FRAME.search(link)]
     if frames:
         return frames[-1]
-    carriers = [link for link in fixed if any(each.movable and each.parent == link for each in tree.joints.values())]
+    carriers = [link for link in fixed if any(moves(each) and each.parent == link for each in tree.joints.values())]
     if carriers:
         return carriers[-1]
     leaves = [link for link in fixed if tree.leaf(link) and TOOL_FRAME.search(link)]

@@ -56,6 +56,13 @@ class Surface:
         """Return the corners of each triangle, shape (m, 3, 3) [m]."""
         return self.vertices_m[self.triangles]
 
+    @property
+    def area_m2(self) -> float:
+        """Area of all triangles [m2]."""
+        corners_m = self.corners_m
+        across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+        return float(0.5 * np.linalg.norm(across, axis=1).sum())
+
 
 @dataclass(frozen=True)
 class Deviation:
@@ -147,14 +154,21 @@ def components(surface: Surface) -> list[Surface]:
 
 def sample(surface: Surface, count: int, random: np.random.Generator) -> Vector:
     """Return points drawn uniformly from a surface, shape (count, 3) [m]."""
+    return sample_with_normals(surface, count, random)[0]
+
+
+def sample_with_normals(surface: Surface, count: int, random: np.random.Generator) -> tuple[Vector, Vector]:
+    """Return points drawn uniformly from a surface [m] and the unit normals there, shape (count, 3) each."""
     corners_m = surface.corners_m
-    areas = np.linalg.norm(np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]), axis=1)
+    across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    areas = np.linalg.norm(across, axis=1)
     total = areas.sum()
-    chosen = corners_m[random.choice(len(areas), count, p=areas / total if total > 0.0 else None)]
+    drawn = random.choice(len(areas), count, p=areas / total if total > 0.0 else None)
+    chosen = corners_m[drawn]
     # Uniform in a triangle: Osada et al. 2002, Shape distributions, eq. 1.
     root, along = np.sqrt(random.random((count, 1))), random.random((count, 1))
     points: Vector = (1.0 - root) * chosen[:, 0] + root * (1.0 - along) * chosen[:, 1] + root * along * chosen[:, 2]
-    return points
+    return points, across[drawn] / np.maximum(areas[drawn], 1e-30)[:, np.newaxis]
 
 
 def winding_numbers(points_m: Vector, surface: Surface) -> Vector:

@@ -36,7 +36,7 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
-from planners.scene import Scene
+from planners.scene import Point, Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
 from robot.description.model import RobotModel
@@ -83,6 +83,17 @@ class Planner:
             The flaw of a scene that cannot be used, which leaves the scene before in place; else None.
         """
         return self._collision.set_scene(scene)
+
+    def tip_position_m(self, positions_rad: Mapping[str, float], link: str) -> Point:
+        """Return where a link's origin is, in the root link's frame [m].
+
+        Args:
+            positions_rad: position of every movable joint [rad].
+            link: the link.
+        """
+        q = np.array([positions_rad[name] for name in self._collision.joint_names])
+        x, y, z = self._collision.tip_positions([q], link)[0].tolist()
+        return x, y, z
 
     def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:
         """Answer any request.

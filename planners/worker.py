@@ -33,6 +33,7 @@ from planners.messages import (
 from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
 from planners.scene import EMPTY_SCENE, Scene, SceneObject
+from planners.warm_up import warm_up
 from robot.channel import Channel, channel_of_child
 from robot.description.model import RobotModel
 
@@ -211,5 +212,12 @@ def main(make_planner: MakePlanner) -> None:
     os._exit(0)
 
 
+def warm_planner(robot: RobotModel, clock: Callable[[], float]) -> Planner:
+    """Load a robot and make its first plans; arguments and errors are those of :class:`planners.pipeline.Planner`."""
+    planner = Planner(robot, clock)
+    warm_up(planner, robot)
+    return planner
+
+
 if __name__ == "__main__":
-    main(Planner)
+    main(warm_planner)

@@ -29,7 +29,14 @@ ALLOWED = {
         "planners.pool",
         "planners.servo.question",
     ),
-    "planners": ("planners", "robot.description", "robot.trajectory", "robot.channel", "robot.processes"),
+    "planners": (
+        "planners",
+        "robot.description",
+        "robot.errors",
+        "robot.trajectory",
+        "robot.channel",
+        "robot.processes",
+    ),
     "robot": ("robot",),
     "protocol": ("protocol",),
 }

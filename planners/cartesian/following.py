@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planners.cartesian.spline import NaturalSpline
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
 from planners.geometry.kinematics import ForwardKinematics
 from planners.problem import Deviation
@@ -348,11 +349,9 @@ class SplinePath:
     """
 
     def __init__(self, knots: Vector, points: Vector) -> None:
-        from scipy.interpolate import CubicSpline
-
         self.knots = knots
         self.points = points
-        self._curve = CubicSpline(knots, points, bc_type="natural")
+        self._curve = NaturalSpline(knots, points)
 
     @property
     def grid(self) -> Vector:

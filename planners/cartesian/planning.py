@@ -2,9 +2,6 @@
 
 TOPP-RA gives the least time within velocity and acceleration limits: Pham & Pham, "A New Approach to Time-Optimal Path
 Parameterization Based on Reachability Analysis", 2018.
-
-toppra is imported in the functions that use it: with scipy and matplotlib it takes most of a second and 65 MB that only
-paths of the tip need and that a worker may not take at its start.
 """
 
 from __future__ import annotations
@@ -24,6 +21,12 @@ from planners.cartesian.following import (
     TipTracker,
     leaves_limits,
     tip_curve,
+)
+from planners.cartesian.lean_toppra import (
+    TOPPRA,
+    DiscretizationType,
+    JointAccelerationConstraint,
+    JointVelocityConstraintVarying,
 )
 from planners.cartesian.tip_path import TipPath, check_path, check_shape
 from planners.geometry.certificate import certify
@@ -388,9 +391,6 @@ def _fastest(path: _ScaledPath, velocity: Vector, top_rate: Vector) -> Vector:
         velocity: shape (n,), limits of the joints.
         top_rate: shape (len(path.grid),), limits of the rate.
     """
-    from toppra.algorithm import TOPPRA
-    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraintVarying
-
     grid = path.grid
     allowed = np.column_stack((np.tile(velocity, (len(grid), 1)), top_rate / FASTEST_RATE**2))
     both_ways = np.stack((-allowed, allowed), axis=2)

@@ -20,9 +20,10 @@ from planners.geometry.contacts import (
     overlap_m,
     parts_of,
 )
-from planners.geometry.kinematics import Reach, approach, kinematic_urdf
+from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.nearness import Nearest, NearPair
-from planners.geometry.shapes import link_name, placement, robot_shapes, scaled, solid
+from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.shapes import frame_of_link, link_name, placement, robot_shapes, scaled, solid, urdf_shapes
 from planners.goals import ZERO
 from planners.problem import PlanningFailure
 from planners.scene import EMPTY_SCENE, AttachedObject, Point, Scene
@@ -91,7 +92,7 @@ def attached_bodies(model: pin.Model, attached: AttachedObject, reach_m: float) 
         attached: the object.
         reach_m: points further than this from the robot can be left out of a plane [m].
     """
-    frame_id = model.getFrameId(attached.link)
+    frame_id = frame_of_link(model, attached.link)
     frame = model.frames[frame_id]
     touched = attached.touch_links | {attached.link}
     at_link = frame.placement * placement(attached.object.pose)
@@ -208,13 +209,16 @@ class CollisionModel:
         self._robot = robot
         self._model = pin.buildModelFromXML(kinematic_urdf(robot))
         self._data = self._model.createData()
-        self._shapes = robot_shapes(robot, self._model)
-        self._exact = ExactShapes(robot, self._model)
+        # Loaded once: the meshes of an arm can take a second.
+        exact = None if robot.hulls else urdf_shapes(robot, self._model)
+        self._shapes = robot_shapes(robot, self._model, exact)
+        self._exact = ExactShapes(robot, self._model, exact)
         self._reach = Reach(self._model)
         self._links_reach_m = self._reach.of_shapes(self._shapes)
         self._frames_reach_m = self._reach.of_frames()
         self._farthest_m = max(self._reach.farthest_m(shape) for shape in self._shapes)
-        self.joint_names = tuple(str(name) for name in list(self._model.names)[1:])
+        self._joints = JointMap(robot, self._model)
+        self.joint_names = self._joints.joint_names
         joints = [robot.joints[name] for name in self.joint_names]
         self.lower_rad = np.array([joint.lower for joint in joints])
         self.upper_rad = np.array([joint.upper for joint in joints])
@@ -362,10 +366,10 @@ class CollisionModel:
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:
         """Origin of a link in each configuration, shape (n, 3) [m]."""
-        frame = self._model.getFrameId(link)
+        frame = frame_of_link(self._model, link)
         positions = np.empty((len(configurations), 3))
         for i, q in enumerate(configurations):
-            pin.forwardKinematics(self._model, self._data, q)
+            pin.forwardKinematics(self._model, self._data, self._joints.positions(q))
             positions[i] = pin.updateFramePlacement(self._model, self._data, frame).translation
         return positions
 
@@ -376,15 +380,16 @@ class CollisionModel:
         added = [body.shape for body in movers[len(self._shapes) :]]
         farthest_m = max([self._farthest_m, *(self._reach.farthest_m(shape) for shape in added)])
         around = list(object_bodies(scene, farthest_m))
-        resting = np.zeros((len(around), len(self.joint_names)))
+        resting = np.zeros((len(around), self._model.nv))
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
         self._version, self._scaled, self._bodies = scene.version, frozenset(scene.link_scale), [*movers, *around]
         self._known_parts: dict[int, Parts] = {}
         self._pairs = PairFilter(self._robot, scene.allowed).pairs(movers, around)
         self._apart_m = padding(self._bodies, self._pairs)
-        self._approach_m = approach(reach_m, self._pairs)
-        self.travel_m_per_rad = np.vstack((reach_m, self._frames_reach_m)).max(axis=0)
-        self._broadphase = Broadphase(self._model, [b.shape for b in self._bodies], self._pairs, self._apart_m)
+        self._approach_m = self._joints.travel_by_joint(approach(reach_m, self._pairs))
+        self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
+        shapes = [body.shape for body in self._bodies]
+        self._broadphase = Broadphase(self._model, shapes, self._pairs, self._apart_m, self._joints)
 
     def _names(self, pair: int) -> frozenset[str]:
         return frozenset(self._bodies[i].name for i in self._pairs[pair])

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planners.geometry.kinematics import JointMap
 from planners.geometry.nearness import BoundingSpheres, Nearest, slope_m_per_rad
 from planners.geometry.shapes import convex, link_name, on_link, outline, urdf_shapes
 from robot.description.model import RobotModel
@@ -38,12 +39,19 @@ class Broadphase:
         shapes: what there is.
         pairs: indices of shapes, shape (pairs, 2), the smaller first.
         apart_m: how far the shapes of each pair must stay apart, shape (pairs,) [m].
+        joints: positions of the model's joints; None where each has a position of its own, in the model's order.
     """
 
     def __init__(
-        self, model: pin.Model, shapes: list[pin.GeometryObject], pairs: NDArray[np.int64], apart_m: Vector
+        self,
+        model: pin.Model,
+        shapes: list[pin.GeometryObject],
+        pairs: NDArray[np.int64],
+        apart_m: Vector,
+        joints: JointMap | None = None,
     ) -> None:
         self._model, self._data = model, model.createData()
+        self._joints = joints
         self._geometry = pin.GeometryModel()
         for shape in shapes:
             self._geometry.addGeometryObject(shape)
@@ -61,7 +69,7 @@ class Broadphase:
         # margins over on update only, so there is one for contacts and one for what is near.
         self._contact, self._near = self._geometry.createData(), self._geometry.createData()
         # Shapes that never were anywhere have boxes of garbage, which the trees refuse.
-        self.place(pin.neutral(model))
+        pin.updateGeometryPlacements(model, self._data, self._geometry, self._contact, pin.neutral(model))
         pin.updateGeometryPlacements(model, self._data, self._geometry, self._near)
         self._contact_tree, self._near_tree = self._tree(self._contact), self._tree(self._near)
         self._near_results = list(self._near.collisionResults)
@@ -74,12 +82,12 @@ class Broadphase:
 
     def touches(self, q: Vector) -> bool:
         """Tell whether shapes of any pair touch, or are nearer than they may be."""
-        return pin.computeCollisions(self._model, self._data, self._contact_tree, q, True)
+        return pin.computeCollisions(self._model, self._data, self._contact_tree, self._positions(q), True)
 
     def near(self, q: Vector, margin_m: Vector) -> list[int]:
         """Indices of the pairs whose shapes are nearer than they may be and a margin, shape (pairs,) [m]."""
         self._set_margins(self._near, self._near_tree, margin_m)
-        if not pin.computeCollisions(self._model, self._data, self._near_tree, q, False):
+        if not pin.computeCollisions(self._model, self._data, self._near_tree, self._positions(q), False):
             return []
         found = [pair for pair, result in enumerate(self._near_results) if result.isCollision()]
         # The tree leaves the results of pairs whose boxes are apart as they were.
@@ -89,7 +97,7 @@ class Broadphase:
 
     def near_among(self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector) -> list[int]:
         """As :meth:`near`, of some pairs only: a tenth of the time for a few; ``margin_m`` is by all pairs' indices."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._positions(q))
         geometry, data, found = self._geometry, self._single, []
         for pair in pairs:
             self._single_requests[pair].security_margin = self._least_m[pair] + margin_m[pair]
@@ -99,7 +107,7 @@ class Broadphase:
 
     def place(self, q: Vector) -> None:
         """Put the shapes where they are at a configuration: the methods below are about there."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, self._positions(q))
 
     def touching(self) -> list[int]:
         """Indices of the pairs that touch."""
@@ -127,12 +135,13 @@ class Broadphase:
     def slope_m_per_rad(self, pair: int, nearest: Nearest) -> Vector:
         """Return the gradient of a pair's distance by joint at the last :meth:`turn`, shape (n,) [m/rad]."""
         first, second = (self._carriers[i] for i in self._pairs[pair])
-        return slope_m_per_rad(self._model, self._data, nearest, first, second)
+        slope = slope_m_per_rad(self._model, self._data, nearest, first, second)
+        return slope if self._joints is None else self._joints.by_joint(slope)
 
     def turn(self, q: Vector) -> None:
         """As :meth:`place`, and make ready for :meth:`slope_m_per_rad`."""
         self.place(q)
-        pin.computeJointJacobians(self._model, self._data, q)
+        pin.computeJointJacobians(self._model, self._data, self._positions(q))
 
     def contact(self, pair: int) -> tuple[Vector, Vector]:
         """Return a pair's contact point and the direction in which the second shape would give, each shape (3,) [m].
@@ -146,6 +155,9 @@ class Broadphase:
     def placement(self, joint: int) -> pin.SE3:
         """Return the pose of a joint in the root link's frame."""
         return self._data.oMi[joint]
+
+    def _positions(self, q: Vector) -> Vector:
+        return q if self._joints is None else self._joints.positions(q)
 
     def _distance(self, pair: int) -> coal.DistanceResult:
         self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE
@@ -201,36 +213,36 @@ def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
 class ExactShapes:
     """A robot's links closer than their hulls: in convex parts where these are known, else the URDF's own meshes.
 
-    Parts are made at once: their 0.1 s would come in the middle of a plan otherwise. Meshes are loaded when they are
-    first asked for: those of the SO-101 take 1.4 s and 300 MB. Meshes are surfaces: what is wholly inside one does not
-    touch it.
+    All are made at once: their 0.1 s, with the SO-101's meshes 1.4 s, would come in the middle of a plan otherwise.
+    Meshes are surfaces: what is wholly inside one does not touch it.
 
     Args:
         robot: its parts are used, or else the meshes that its URDF names.
         model: its joints.
+        exact: shapes of the URDF where these are loaded already.
 
     Attributes:
         available: whether there are any.
         solid: whether they are parts: of these it is known how deep they overlap.
     """
 
-    def __init__(self, robot: RobotModel, model: pin.Model) -> None:
+    def __init__(self, robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None) -> None:
         self._robot, self._model = robot, model
         self.solid = bool(robot.parts)
         self.available = self.solid or (not robot.hulls and "<mesh" in robot.urdf)
-        self._links = self._load() if self.solid else {}
+        if exact is None and self.available and not self.solid:
+            exact = urdf_shapes(robot, model)
+        self._links = self._load(exact or ()) if self.available else {}
 
     def of_link(self, link: str) -> Parts:
         """The shapes of a link."""
-        if not self._links:
-            self._links = self._load()
         return self._links[link]
 
-    def _load(self) -> dict[str, Parts]:
+    def _load(self, exact: Sequence[pin.GeometryObject]) -> dict[str, Parts]:
         links: dict[str, list[pin.GeometryObject]] = {}
         for link, parts in self._robot.parts.items():
             links[link] = [on_link(self._model, link, convex(vertices)) for vertices in parts]
-        for shape in urdf_shapes(self._robot, self._model) if not self.solid else ():
+        for shape in exact if not self.solid else ():
             links.setdefault(link_name(self._model, shape), []).append(shape)
         return {name: parts_of(shapes) for name, shapes in links.items()}
 

@@ -6,7 +6,6 @@ measured by it.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,30 +13,59 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.shapes import outline
+from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.shapes import frame_of_link, outline
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
 
-def kinematic_urdf(robot: RobotModel) -> str:
-    """URDF text with links and joints only, position limits as the model has them.
+class JointMap:
+    """Positions of pinocchio's joints, which are those that move, from those of joints with a position of their own.
 
-    Meshes are left out because placo loads them whatever its flags say (seconds and half a gigabyte).
-    Continuous joints become revolute ones, which :mod:`robot.description.model` limits: pinocchio would
-    otherwise describe each by two numbers.
+    Args:
+        robot: the arm.
+        model: its joints in pinocchio, made from :func:`planners.geometry.plain_urdf.plain_urdf`.
+        joint_names: joints of a configuration ``q``, shape (n,) [rad]; None for pinocchio's order of them.
+
+    Attributes:
+        joint_names: joints of a configuration.
     """
-    root = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
-    for link in root.iterfind("link"):
-        for shape in [*link.findall("visual"), *link.findall("collision")]:
-            link.remove(shape)
-    for joint in root.iterfind("joint"):
-        known, limit = robot.joints[joint.get("name", "")], joint.find("limit")
-        if known.movable and limit is not None:
-            limit.set("lower", repr(known.lower))
-            limit.set("upper", repr(known.upper))
-        if known.type == "continuous":
-            joint.set("type", "revolute")
-    return ET.tostring(root, encoding="unicode")
+
+    def __init__(self, robot: RobotModel, model: pin.Model, joint_names: Sequence[str] | None = None) -> None:
+        names = [str(name) for name in list(model.names)[1:]]
+        own = [name for name in names if robot.joints[name].movable]
+        self.joint_names = tuple(own if joint_names is None else joint_names)
+        # One of pinocchio's joints a row, so that its position is a multiple of one of ours.
+        self._matrix = np.zeros((len(names), len(self.joint_names)))
+        for row, name in enumerate(names):
+            mimic = robot.joints[name].mimic
+            leader, multiplier = (name, 1.0) if mimic is None else (mimic.joint, mimic.multiplier)
+            self._matrix[row, self.joint_names.index(leader)] = multiplier
+        self._order: NDArray[np.intp] | None = None
+        self._same = np.array_equal(self._matrix, np.eye(len(names)))
+        if len(own) == len(names):
+            self._order = self._matrix.argmax(axis=1)
+
+    def positions(self, q: Vector) -> Vector:
+        """Return the positions of pinocchio's joints at a configuration."""
+        if self._same:
+            return q
+        positions: Vector = self._matrix @ q if self._order is None else q[self._order]
+        return positions
+
+    def by_joint(self, rows: Vector) -> Vector:
+        """Return derivatives by the joints of a configuration, shape (..., n), of those by pinocchio's joints."""
+        if self._same:
+            return rows
+        columns: Vector = rows @ self._matrix
+        return columns
+
+    def travel_by_joint(self, rows: Vector) -> Vector:
+        """As :meth:`by_joint`, of bounds, which the motions of all joints that move together add to."""
+        if self._same:
+            return rows
+        columns: Vector = rows @ np.abs(self._matrix)
+        return columns
 
 
 @dataclass(frozen=True)
@@ -64,12 +92,12 @@ class ForwardKinematics:
     def __init__(self, robot: RobotModel, joint_names: Sequence[str]) -> None:
         self._model = pin.buildModelFromXML(kinematic_urdf(robot))
         self._data = self._model.createData()
-        self._order = np.array([joint_names.index(name) for name in list(self._model.names)[1:]])
-        self._frames = {link: self._model.getFrameId(link) for link in robot.links}
+        self._joints = JointMap(robot, self._model, joint_names)
+        self._frames = {link: frame_of_link(self._model, link) for link in robot.links}
 
     def place(self, q: Vector) -> None:
         """Move the joints; :meth:`placement` then tells where links are."""
-        pin.forwardKinematics(self._model, self._data, q[self._order])
+        pin.forwardKinematics(self._model, self._data, self._joints.positions(q))
 
     def placement(self, link: str) -> pin.SE3:
         """Return the pose of a link in the root link's frame; it is valid until joints are moved again."""
@@ -80,11 +108,9 @@ class ForwardKinematics:
 
         The joints are moved to ``q`` as by :meth:`place`.
         """
-        pin.computeJointJacobians(self._model, self._data, q[self._order])
+        pin.computeJointJacobians(self._model, self._data, self._joints.positions(q))
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        columns = np.empty((6, len(self._order)))
-        columns[:, self._order] = pin.getFrameJacobian(self._model, self._data, self._frames[link], axes)
-        return columns
+        return self._joints.by_joint(pin.getFrameJacobian(self._model, self._data, self._frames[link], axes))
 
     def placements(self, configurations: Vector, link: str) -> Placements:
         """Return the pose of a link in each configuration."""

@@ -5,14 +5,19 @@ A link has one convex shape, or the URDF's own shapes with meshes replaced by hu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
+from planners.geometry.plain_urdf import plain_urdf
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
+from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import RobotModel
+from robot.errors import DescriptionError
 from robot.trajectory import Vector
 
 # A check's time grows with the corners: hulls of the SO-101's meshes have thousands and take five times as long.
@@ -95,14 +100,21 @@ def _directions(count: int) -> Vector:
     return np.vstack((np.eye(3), -np.eye(3), lattice))
 
 
-def robot_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
+def robot_shapes(
+    robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None
+) -> list[pin.GeometryObject]:
     """The shapes that are checked: solid and quick to check.
+
+    Args:
+        robot: its hulls, or else its URDF's shapes, meshes in hulls.
+        model: its joints.
+        exact: shapes of the URDF where these are loaded already.
 
     Raises:
         ShapeError: a shape of the URDF cannot be loaded, or there is none.
     """
     shapes = [on_link(model, link, convex(hull.vertices)) for link, hull in robot.hulls.items()]
-    shapes = shapes or _from_urdf(robot, model)
+    shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if exact is None else exact)]
     if not shapes:
         raise ShapeError(robot.name, "no link has a collision shape")
     return shapes
@@ -114,13 +126,17 @@ def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]
     Raises:
         ShapeError: a shape cannot be loaded.
     """
-    # package:// names start above the package's own directory, relative names in it.
-    folders = [] if robot.mesh_directory is None else [str(robot.mesh_directory), str(robot.mesh_directory.parent)]
     try:
-        geometry = pin.buildGeomFromUrdfString(model, robot.urdf, pin.GeometryType.COLLISION, package_dirs=folders)
-    except (ValueError, RuntimeError) as error:
+        urdf = with_mesh_paths(plain_urdf(robot), robot.mesh_directory, robot.package_directories)
+        geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    except (DescriptionError, ValueError, RuntimeError) as error:
         raise ShapeError(robot.name, f"cannot be loaded: {error}") from error
     return list(geometry.geometryObjects)
+
+
+def frame_of_link(model: pin.Model, link: str) -> int:
+    """Return the index of a link's frame; a joint may have the link's name."""
+    return int(model.getFrameId(link, pin.FrameType.BODY))
 
 
 def link_name(model: pin.Model, shape: pin.GeometryObject) -> str:
@@ -146,17 +162,17 @@ def scaled(shape: coal.CollisionGeometry, factor: float) -> coal.Convex:
 
 def on_link(model: pin.Model, link: str, shape: coal.CollisionGeometry) -> pin.GeometryObject:
     """A shape in the frame of a link."""
-    frame_id = model.getFrameId(link)
+    frame_id = frame_of_link(model, link)
     frame = model.frames[frame_id]
     return pin.GeometryObject(link, frame.parentJoint, frame_id, frame.placement, shape)
 
 
-def _from_urdf(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
-    shapes = urdf_shapes(robot, model)
-    for shape in shapes:
-        if isinstance(shape.geometry, coal.BVHModelBase):
-            shape.geometry = enclosing(np.asarray(shape.geometry.vertices()))
-    return shapes
+def _solid(shape: pin.GeometryObject) -> pin.GeometryObject:
+    """Return a shape, or the hull in place of a mesh."""
+    if not isinstance(shape.geometry, coal.BVHModelBase):
+        return shape
+    hull = enclosing(np.asarray(shape.geometry.vertices()))
+    return pin.GeometryObject(shape.name, shape.parentJoint, shape.parentFrame, shape.placement, hull)
 
 
 def _corners(shape: coal.CollisionGeometry) -> Vector:

@@ -16,7 +16,8 @@ import pinocchio as pin
 import placo
 from numpy.typing import NDArray
 
-from planners.geometry.kinematics import ForwardKinematics, kinematic_urdf
+from planners.geometry.kinematics import ForwardKinematics
+from planners.geometry.plain_urdf import kinematic_urdf
 from planners.ik.constraints import (
     AxisCondition,
     Condition,
@@ -30,6 +31,7 @@ from planners.ik.constraints import (
     norm,
 )
 from robot.description.model import Group, RobotModel
+from robot.description.urdf import Mimic
 from robot.trajectory import Vector
 
 # Further ahead than this the arm is not nearly linear, and a target far outside would throw it into its limits.
@@ -225,7 +227,7 @@ class JointTask:
     def aim(self, value: float, share: float) -> float:
         """Set the next target, as :meth:`LinkTask.aim`, from a position of the joint [rad]."""
         beyond = self.condition.beyond_rad(value, share)
-        self._task.set_joint(self.condition.joint, value + beyond)
+        self._task.set_joint(joint_in_placo(self.condition.joint), value + beyond)
         self._weight.relax(beyond == 0.0)
         return self._scale * abs(beyond)
 
@@ -246,6 +248,8 @@ def link_task(
 def with_targets(robot: RobotModel) -> str:
     """URDF text of a robot's kinematics with the targets of points beside it."""
     root = ET.fromstring(kinematic_urdf(robot))  # noqa: S314 - made from what robot.description.model has parsed
+    for joint in root.iterfind("joint"):
+        joint.set("name", joint_in_placo(joint.get("name", "")))
     for point in range(MAX_POINTS):
         parent = robot.root_link
         for axis, direction in enumerate(SLIDE_AXES):
@@ -261,6 +265,11 @@ def with_targets(robot: RobotModel) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
+def joint_in_placo(name: str) -> str:
+    """Return the name of a joint in placo's model, where it may not be that of a link."""
+    return f"joint {name}"
+
+
 def slides() -> list[str]:
     """The joints of the targets: no solver may move them."""
     return [_slide(point, axis) for point in range(MAX_POINTS) for axis in range(len(SLIDE_AXES))]
@@ -274,6 +283,19 @@ def _carriage(point: int, axis: int) -> str:
     return f"planning_carriage_{point}_{axis}"
 
 
+class _Follower:
+    """Joint that mimics another one."""
+
+    def __init__(self, wrapper: placo.RobotWrapper, name: str, mimic: Mimic, joint_names: Sequence[str]) -> None:
+        self.name, self.leader, self.multiplier = joint_in_placo(name), joint_in_placo(mimic.joint), mimic.multiplier
+        self.leader_name = mimic.joint
+        self._column, self._leader_column = wrapper.get_joint_offset(self.name), joint_names.index(mimic.joint)
+
+    def place(self, wrapper: placo.RobotWrapper, q: Vector) -> None:
+        """Set the joint in placo's model to its position at a configuration."""
+        wrapper.state.q[self._column] = self.multiplier * q[self._leader_column]
+
+
 @dataclass(frozen=True)
 class _PlacoModel:
     """placo's model of the robot, and where configurations are in it."""
@@ -282,6 +304,7 @@ class _PlacoModel:
     forward: ForwardKinematics
     joint_names: Sequence[str]
     columns: NDArray[np.int64]
+    followers: Sequence[_Follower]
     lower_rad: Vector
     upper_rad: Vector
 
@@ -302,7 +325,8 @@ class Kinematics:
             wrapper,
             forward,
             joint_names,
-            np.array([wrapper.get_joint_offset(name) for name in joint_names]),
+            np.array([wrapper.get_joint_offset(joint_in_placo(name)) for name in joint_names]),
+            [_Follower(wrapper, name, joint.mimic, joint_names) for name, joint in robot.joints.items() if joint.mimic],
             np.array([robot.joints[name].lower for name in joint_names]),
             np.array([robot.joints[name].upper for name in joint_names]),
         )
@@ -348,8 +372,12 @@ class _Solver:
         self._solver = body.wrapper.make_solver()
         # Otherwise the base flies to the target.
         self._solver.mask_fbase(True)
-        for name in [*(name for name in body.joint_names if name not in group.joints), *slides()]:
+        for name in body.joint_names:
+            if name not in group.joints:
+                self._solver.mask_dof(joint_in_placo(name))
+        for name in slides():
             self._solver.mask_dof(name)
+        self._gear(group)
         self._solver.enable_joint_limits(True)
         self._standing = self._solver.add_regularization_task(MOST_STANDING)
         self._joint_tasks: list[JointTask] = []
@@ -363,10 +391,23 @@ class _Solver:
             else:
                 self._link_tasks.append(link_task(body.wrapper, self._solver, condition, weight, index))
 
+    def _gear(self, group: Group) -> None:
+        """Have joints that mimic one of the group follow it, and the others stay."""
+        geared = [follower for follower in self._body.followers if follower.leader_name in group.joints]
+        for follower in self._body.followers:
+            if follower not in geared:
+                self._solver.mask_dof(follower.name)
+        if geared:
+            gears = self._solver.add_gear_task()
+            gears.configure("mimic", "hard")
+            for follower in geared:
+                gears.set_gear(follower.name, follower.leader, follower.multiplier)
+
     def descend(self, q: Vector, share: float) -> Vector:
         """Descend from a configuration towards a share of every tolerance."""
         wrapper, columns = self._body.wrapper, self._body.columns
         wrapper.state.q[columns] = q
+        self._place_followers(q)
         least_m, idle = math.inf, 0
         for _ in range(MAX_STEPS):
             missing_m = self._aim(q, share)
@@ -379,7 +420,12 @@ class _Solver:
             self._solver.solve(True)
             # The solver keeps limits to its own accuracy only.
             q = np.minimum(np.maximum(wrapper.state.q[columns], self._body.lower_rad), self._body.upper_rad)
+            self._place_followers(q)
         return q
+
+    def _place_followers(self, q: Vector) -> None:
+        for follower in self._body.followers:
+            follower.place(self._body.wrapper, q)
 
     def _aim(self, q: Vector, share: float) -> float:
         """Set all targets; what is missing to them together [m]."""

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.description.model import RobotModel
+from robot.description.model import Joint, RobotModel
+from robot.description.urdf import Mimic
 from robot.trajectory import Vector
 
 
@@ -32,10 +33,10 @@ class ForwardPlacements:
             _Step(
                 joint.parent,
                 link,
-                joint.name if joint.movable else None,
+                _leader(joint),
                 joint.type != "prismatic",
-                _axis(elements[joint.name]),
-                _origin(elements[joint.name]),
+                unit_axis(elements[joint.name]),
+                origin_transform(elements[joint.name]),
             )
             for link in robot.links
             if (joint := by_child.get(link)) is not None
@@ -51,9 +52,7 @@ class ForwardPlacements:
         placed = {self._root: np.eye(4)}
         for step in self._steps:
             place = placed[step.parent] @ step.transform_joint_to_parent
-            if step.joint is not None:
-                place = place @ _moved(step, positions_rad[step.joint])
-            placed[step.child] = place
+            placed[step.child] = place if step.joint is None else place @ _moved(step, positions_rad)
         return placed
 
     def axis(self, link: str) -> Vector:
@@ -75,8 +74,7 @@ class ForwardPlacements:
             KeyError: no such link, or the root link.
         """
         step = self._by_child[link]
-        own = np.eye(4) if step.joint is None else _moved(step, positions_rad[step.joint])
-        return step.parent, step.transform_joint_to_parent @ own
+        return step.parent, step.transform_joint_to_parent @ _moved(step, positions_rad)
 
 
 def rotation_about(axis: Vector, angle_rad: float) -> Vector:
@@ -100,18 +98,30 @@ def rotation_about(axis: Vector, angle_rad: float) -> Vector:
 
 @dataclass(frozen=True)
 class _Step:
-    """Joint with its fixed transform to the parent link and its axis; no name for a joint that does not move."""
+    """Joint with its fixed transform to the parent link and its axis, and the joint that it follows, as all do.
+
+    Most follow themselves; one that does not move follows none.
+    """
 
     parent: str
     child: str
-    joint: str | None
+    joint: Mimic | None
     turns: bool
     axis: Vector
     transform_joint_to_parent: Vector
 
 
-def _moved(step: _Step, position: float) -> Vector:
+def _leader(joint: Joint) -> Mimic | None:
+    if not joint.moves:
+        return None
+    return joint.mimic or Mimic(joint.name, 1.0, 0.0)
+
+
+def _moved(step: _Step, positions_rad: Mapping[str, float]) -> Vector:
     transform = np.eye(4)
+    if step.joint is None:
+        return transform
+    position = step.joint.multiplier * positions_rad[step.joint.joint] + step.joint.offset
     if step.turns:
         transform[:3, :3] = rotation_about(step.axis, position)
     else:
@@ -123,15 +133,16 @@ def _joints(urdf: str) -> list[ET.Element]:
     return ET.fromstring(urdf).findall("joint")  # noqa: S314 - the user's own file, already parsed by robot.description.model
 
 
-def _axis(element: ET.Element) -> Vector:
+def unit_axis(element: ET.Element) -> Vector:
+    """Return the axis of a URDF <joint>: a unit vector, shape (3,), along x where the joint has none."""
     axis = element.find("axis")
     values = np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]) if axis is not None else np.eye(3)[0]
     length = float(np.linalg.norm(values))
     return values / length if length > 0.0 else np.eye(3)[0]
 
 
-def _origin(element: ET.Element) -> Vector:
-    """Read a URDF <origin>: a translation, then fixed-axis roll, pitch and yaw; the identity without one."""
+def origin_transform(element: ET.Element) -> Vector:
+    """Return the URDF <origin> of an element, shape (4, 4) [m]: a translation, then fixed-axis roll, pitch and yaw."""
     transform = np.eye(4)
     origin = element.find("origin")
     if origin is not None:

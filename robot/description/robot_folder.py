@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot.arms
-from robot.description import model, robot_file
+from robot.description import example_robots, model, robot_file
+from robot.description.example_robots import example_names, find_example
 from robot.description.model import Gripper, Hull, JointLimits, RobotModel
 from robot.description.robot_file import GripperTable, RobotFile, ServoTable
 from robot.description.servo_table import HardwareTable, ServoSpec, Zero, ZeroTick
@@ -74,9 +75,33 @@ def find(name_or_folder: str) -> Path:
         return path.parent
     if path.is_dir():
         return path
+    published = f", nor of {example_robots.PACKAGE}: {names}" if (names := ", ".join(example_names())) else ""
     raise DescriptionError(
-        f"robot {name_or_folder!r}", f"is no folder, and none of the built-in arms: {', '.join(built_in_names())}"
+        f"robot {name_or_folder!r}",
+        f"is no folder, and none of the built-in arms: {', '.join(built_in_names())}{published}",
     )
+
+
+def load_named(name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None) -> RobotFolder:
+    """Load an arm: a built-in one, one of a folder, or a published one of the package example-robot-data.
+
+    Args:
+        name_or_folder: name of a built-in or published arm, or a path.
+        urdf: as for :func:`load`; it takes the place of a published one's as well.
+        srdf: likewise.
+
+    Raises:
+        DescriptionError: there is no such arm, or its files do not describe one.
+    """
+    try:
+        folder = find(name_or_folder)
+    except DescriptionError:
+        example = find_example(name_or_folder)
+        if example is None:
+            raise
+        arm = model.load(urdf or example.urdf, srdf or example.srdf, package_directories=example.packages)
+        return RobotFolder(name_or_folder, arm.name, arm, HardwareTable(), example.urdf.parent)
+    return load(folder, urdf=urdf, srdf=srdf)
 
 
 def built_in(name: str) -> RobotFolder:
@@ -125,7 +150,11 @@ def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) ->
     arm = None
     if urdf is not None and srdf is not None:
         described = urdf, srdf
-        arm = found.of(lambda: model.load(*described, limits=limits), None)
+        packages = [(folder / package).resolve() for package in file.robot.packages]
+        with_meshes = not own or file.robot.hulls is None
+        arm = found.of(
+            lambda: model.load(*described, limits, package_directories=packages, with_meshes=with_meshes), None
+        )
     hulls: dict[str, Hull] = {}
     parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
     if own and (hulls_file := file.robot.hulls) is not None:
@@ -145,8 +174,7 @@ def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) ->
         gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
-        held_joints=file.held_joints,
-        package_directories=tuple((folder / package).resolve() for package in file.robot.packages),
+        held_joints={**arm.held_joints, **file.held_joints},
     )
     return RobotFolder(
         folder.resolve().name, file.robot.title or folder.resolve().name, arm, _hardware(file, arm), folder
@@ -307,7 +335,7 @@ def _unknown_names(
         yield f"planning.group: the SRDF has no group {file.planning.group!r}, but {', '.join(arm.groups)}"
     if file.planning.tip is not None and file.planning.tip not in arm.links:
         yield f"planning.tip: the URDF has no link {file.planning.tip!r}"
-    if file.planning.frame is not None and file.planning.frame != arm.root_link:
+    if file.planning.frame is not None and file.planning.frame not in (arm.root_link, arm.planning_frame):
         yield f"planning.frame: must be the root link {arm.root_link!r}, not {file.planning.frame!r}"
 
 

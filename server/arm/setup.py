@@ -68,8 +68,7 @@ class Description:
 
     @classmethod
     def _of_folder(cls, settings: ArmSettings) -> Description:
-        folder = robot_folder.find(settings.robot or DEFAULT_ROBOT)
-        found = robot_folder.load(folder, urdf=settings.urdf, srdf=settings.srdf)
+        found = robot_folder.load_named(settings.robot or DEFAULT_ROBOT, urdf=settings.urdf, srdf=settings.srdf)
         hardware = found.hardware
         if hardware.kind == "ideal":
             _refuse_servo_settings(settings, found.title)

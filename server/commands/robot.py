@@ -72,7 +72,9 @@ def _summary(found: RobotFolder) -> str:
             f"{joint.lower:.3f} .. {joint.upper:.3f}",
             f"{joint.max_velocity:g}",
             f"{joint.max_acceleration:g}",
-            f"held at {arm.held_joints[joint.name]:g}" if joint.name in arm.held_joints else servos.get(joint.name, "-"),
+            f"held at {arm.held_joints[joint.name]:g}"
+            if joint.name in arm.held_joints
+            else servos.get(joint.name, "-"),
         )
         for joint in arm.movable_joints
     ]

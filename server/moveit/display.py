@@ -144,8 +144,8 @@ class TransformsTopics:
         self._period_s = 1.0 / rate_hz
         self._placements = ForwardPlacements(robot)
         joints = robot.joints.values()
-        self._moving = [joint.child for joint in joints if joint.movable]
-        self._fixed = [joint.child for joint in joints if not joint.movable]
+        self._moving = [joint.child for joint in joints if joint.moves]
+        self._fixed = [joint.child for joint in joints if not joint.moves]
         self._node = Node("robot state publisher")
         self._published_s = 0.0
 

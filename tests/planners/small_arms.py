@@ -39,3 +39,44 @@ def stl(triangles_m):
         vertices = "".join(f"vertex {x} {y} {z}\n" for x, y, z in corners)
         facets.append(f"facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n")
     return "solid shape\n" + "".join(facets) + "endsolid shape\n"
+
+
+def _revolute(name, parent, child, xyz, axis, more=""):
+    return (
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
+        f'<axis xyz="{axis}"/><limit effort="1" velocity="1" lower="-1.2" upper="1.2"/>{more}</joint>'
+    )
+
+
+def _rod(name, length_m):
+    half_m = 0.5 * length_m
+    shape = f'<origin xyz="{half_m} 0 0"/><geometry><box size="{length_m} 0.02 0.02"/></geometry>'
+    return f'<link name="{name}"><collision>{shape}</collision></link>'
+
+
+# A palletizer, whose wrist turns back what the boom turns, and which has two fingers on one motor. The boom
+# and its joint have one name, the wrist has an offset, and the base floats above the floor.
+PALLETIZER_URDF = (
+    '<robot name="palletizer"><link name="floor"/>'
+    '<link name="base"><collision><geometry><box size="0.1 0.1 0.04"/></geometry></collision></link>'
+    '<link name="column"/>'
+    + _rod("boom", 0.3)
+    + _rod("wrist", 0.1)
+    + _rod("left", 0.05)
+    + _rod("right", 0.05)
+    + '<joint name="free" type="floating"><parent link="floor"/><child link="base"/></joint>'
+    + _revolute("turn", "base", "column", "0 0 0.1", "0 0 1")
+    + _revolute("boom", "column", "boom", "0 0 0.05", "0 1 0")
+    + _revolute("level", "boom", "wrist", "0.32 0 0", "0 1 0", '<mimic joint="boom" multiplier="-1" offset="0.3"/>')
+    + _revolute("grip", "wrist", "left", "0.12 0.02 0", "0 0 1")
+    + _revolute("follow", "wrist", "right", "0.12 -0.02 0", "0 0 1", '<mimic joint="grip" multiplier="-1"/>')
+    + "</robot>"
+)
+
+PALLETIZER_SRDF = """
+<robot name="palletizer">
+  <virtual_joint name="ground" type="fixed" parent_frame="world" child_link="floor"/>
+  <group name="arm"><chain base_link="base" tip_link="wrist"/></group>
+  <group name="hand"><joint name="grip"/></group>
+</robot>
+"""

@@ -14,7 +14,7 @@ from tests.helpers import broken_planner
 ROOT = Path(__file__).parents[2]
 
 # What a plain goal does not need and takes long to load, by the names in sys.modules.
-LATE_LIBRARIES = ("toppra", "matplotlib", "scipy", "pydantic", "PIL")
+LATE_LIBRARIES = ("matplotlib", "scipy", "pydantic", "PIL")
 
 
 def output_of(program: str) -> list[str]:

@@ -7,8 +7,10 @@ import pinocchio as pin
 import pytest
 import toppra
 import toppra.algorithm
+import toppra.constraint
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 
 from planners.cartesian.following import SplinePath
 from planners.cartesian.planning import (
@@ -181,15 +183,22 @@ def test_samples_are_ten_milliseconds_apart_at_most():
     assert np.diff(motion.time_s).max() <= 1.1 * (SAMPLE_PERIOD_S + SHORTEST_INTERVAL_S)
 
 
-def test_progress_is_what_toppra_makes_of_its_own_spline():
+def test_progress_is_what_toppra_makes_of_another_spline():
     path = spline(np.random.default_rng(1).uniform(-0.8, 0.8, (12, 3)))
     points = path(path.knots)
     constraints = [
         toppra.constraint.JointVelocityConstraint(LIMITS.velocity_rad_s),
         toppra.constraint.JointAccelerationConstraint(LIMITS.acceleration_rad_s2),
     ]
-    own = toppra.SplineInterpolator(path.knots, points, bc_type="natural")
-    solver = toppra.algorithm.TOPPRA(constraints, own, gridpoints=path.grid, solver_wrapper="seidel")
+    scipys = CubicSpline(path.knots, points, bc_type="natural")
+
+    class PathOfScipy:
+        dof, path_interval = 3, path.knots[[0, -1]]
+
+        def __call__(self, at, order=0):
+            return scipys(at, order)
+
+    solver = toppra.algorithm.TOPPRA(constraints, PathOfScipy(), gridpoints=path.grid, solver_wrapper="seidel")
     _, rate, _ = solver.compute_parameterization(0.0, 0.0)
     assert toppra_profile(path, LIMITS).rate == pytest.approx(rate, rel=1e-4, abs=1e-4)
 

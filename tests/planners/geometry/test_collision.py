@@ -16,7 +16,7 @@ from planners.geometry.collision import (
     object_bodies,
     padding,
 )
-from planners.geometry.kinematics import kinematic_urdf
+from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import robot_shapes
 from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject, Sphere

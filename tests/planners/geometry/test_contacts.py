@@ -12,7 +12,7 @@ from planners.geometry import contacts
 from planners.geometry.collision import CollisionModel, PairFilter, link_bodies, object_bodies
 from planners.geometry.contacts import Broadphase, ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.kinematics import kinematic_urdf
+from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
 from planners.scene import Box
 from robot.description import model

@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.geometry.kinematics import ForwardKinematics, kinematic_urdf
+from planners.geometry.kinematics import ForwardKinematics
+from planners.geometry.plain_urdf import kinematic_urdf
 from robot.description import model
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 

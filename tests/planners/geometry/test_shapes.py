@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import robot.description
 from planners.errors import ShapeError
 from planners.geometry.collision import CollisionModel
-from planners.geometry.kinematics import kinematic_urdf
+from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import (
     MAX_CORNERS,
     PLATE_M,

@@ -4,7 +4,8 @@ import pytest
 
 from planners.geometry.collision import PairFilter, link_bodies, object_bodies
 from planners.geometry.contacts import Broadphase
-from planners.geometry.kinematics import Reach, approach, kinematic_urdf
+from planners.geometry.kinematics import Reach, approach
+from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import outline, robot_shapes
 from planners.scene import EMPTY_SCENE
 from robot.description import model

@@ -35,6 +35,7 @@ from planners.ik.kinematics import (
     GoalConditions,
     JointTask,
     Kinematics,
+    joint_in_placo,
     link_task,
     slides,
     with_targets,
@@ -107,10 +108,10 @@ def test_axis_that_is_reached_stays_finite(wrapper, solver):
 def test_joint_is_moved_into_its_range(wrapper, solver):
     task = JointTask(solver, JointCondition("elbow_flex", 2, 0.4, 0.3, 0.5), 1.0, 0)
     for _ in range(5):
-        task.aim(float(wrapper.state.q[wrapper.get_joint_offset("elbow_flex")]), 0.0)
+        task.aim(float(wrapper.state.q[wrapper.get_joint_offset(joint_in_placo("elbow_flex"))]), 0.0)
         wrapper.update_kinematics()
         solver.solve(True)
-    assert wrapper.state.q[wrapper.get_joint_offset("elbow_flex")] == pytest.approx(0.4, abs=1e-4)
+    assert wrapper.state.q[wrapper.get_joint_offset(joint_in_placo("elbow_flex"))] == pytest.approx(0.4, abs=1e-4)
 
 
 def test_the_error_is_weighted(wrapper, solver):
@@ -124,7 +125,7 @@ def test_condition_that_holds_does_not_hinder_another(wrapper, solver):
     anywhere = PointCondition(TIP, np.zeros(3), here.translation, np.eye(3), 0.5)
     point = link_task(wrapper, solver, anywhere, 1.0, 0)
     joint = JointTask(solver, JointCondition("shoulder_pan", 0, 0.5, 0.4, 0.6), 1.0, 1)
-    column = wrapper.get_joint_offset("shoulder_pan")
+    column = wrapper.get_joint_offset(joint_in_placo("shoulder_pan"))
     for _ in range(3):
         point.aim(placement(wrapper), 0.9)
         joint.aim(float(wrapper.state.q[column]), 0.9)

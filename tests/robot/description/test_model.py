@@ -104,15 +104,18 @@ def test_limits_beside_the_urdf_replace_its_own() -> None:
 BROKEN = {
     "no XML": ("<robot", SRDF, "URDF is not XML"),
     "another root": ("<html/>", SRDF, "<html>"),
-    "no limit": (URDF.replace('<limit lower="-1" upper="2" velocity="3"/>', ""), SRDF, "'ab' has no <limit>"),
+    "no limit": (URDF.replace('<limit lower="-1" upper="2" velocity="3"/>', ""), SRDF, "joint 'ab' has no <limit>"),
     "limits reversed": (URDF.replace('lower="-1"', 'lower="4"'), SRDF, "lower 4 must be below upper 2"),
     "limit not finite": (URDF.replace('lower="-1"', 'lower="nan"'), SRDF, "lower must be a finite number, not 'nan'"),
-    "velocity zero": (URDF.replace('velocity="3"', 'velocity="0"'), SRDF, "velocity must be above 0"),
+    "velocity zero": (URDF.replace('velocity="3"', 'velocity="0"'), SRDF, "velocity must be above 0, not 0"),
     "two roots": (URDF.replace('<link name="a"/>', '<link name="a"/><link name="z"/>'), SRDF, "exactly one root"),
     "link missing": (URDF.replace('<link name="b"/>', ""), SRDF, "'b', which does not exist"),
     "no group": (URDF, "<robot/>", "no <group>"),
-    "no chain": (URDF, SRDF.replace('base_link="a"', 'base_link="q"'), "'g': no chain leads from 'q' to 'c'"),
-    "unknown joint": (URDF, SRDF.replace('name="ab"', 'name="zz"'), "unknown joint 'zz'"),
+    "no chain": (
+        URDF,
+        SRDF.replace('base_link="a" tip_link="c"', 'base_link="c" tip_link="a"'),
+        "'g': no chain leads from 'c' to 'a'",
+    ),
 }
 
 
@@ -126,3 +129,56 @@ def test_a_broken_description_is_refused_with_its_reason(urdf: str, srdf: str, w
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(DescriptionError, match=r"nothing\.urdf cannot be read"):
         model.load(tmp_path / "nothing.urdf", tmp_path / "nothing.srdf")
+
+
+HAND_URDF = URDF.replace(
+    "</robot>",
+    '<link name="palm"/><link name="finger"/><link name="thumb"/>'
+    '<joint name="mount" type="fixed"><parent link="c"/><child link="palm"/></joint>'
+    '<joint name="grip" type="prismatic"><parent link="palm"/><child link="finger"/>'
+    '<limit lower="0.001" upper="0.04" velocity="1"/></joint>'
+    '<joint name="press" type="prismatic"><parent link="palm"/><child link="thumb"/>'
+    '<limit lower="0.001" upper="0.04" velocity="1"/></joint></robot>',
+)
+ARM = '<group name="arm"><chain base_link="a" tip_link="c"/></group>'
+HAND = '<group name="fingers"><joint name="grip"/></group>'
+EFFECTOR = '<end_effector name="e" parent_link="c" group="fingers"/>'
+
+
+def hand_of(*elements: str) -> model.RobotModel:
+    return model.parse(HAND_URDF, f'<robot name="two">{"".join(elements)}</robot>')
+
+
+def test_an_end_effector_of_one_joint_is_the_gripper_and_opens_to_its_limits() -> None:
+    assert hand_of(ARM, HAND, EFFECTOR).gripper == model.Gripper(("grip",), 0.04, 0.001)
+
+
+def test_named_states_say_where_a_gripper_is_open_and_closed() -> None:
+    states = "".join(
+        f'<group_state name="{name}" group="fingers"><joint name="grip" value="{value}"/></group_state>'
+        for name, value in (("open", 0.03), ("close", 0.01))
+    )
+    assert hand_of(ARM, HAND, EFFECTOR, states).gripper == model.Gripper(("grip",), 0.03, 0.01)
+
+
+def test_a_gripper_may_have_two_joints_that_move_alike() -> None:
+    both = '<group name="fingers"><joint name="grip"/><joint name="press"/></group>'
+    assert hand_of(ARM, both, EFFECTOR).gripper == model.Gripper(("grip", "press"), 0.04, 0.001)
+
+
+def test_an_end_effector_that_is_the_arm_is_no_gripper_but_a_group_named_hand_is() -> None:
+    effector = '<end_effector name="e" parent_link="palm" group="arm"/>'
+    assert hand_of(ARM, effector).gripper is None
+    assert hand_of(ARM, effector, HAND.replace("fingers", "hand")).gripper == model.Gripper(("grip",), 0.04, 0.001)
+
+
+def test_a_passive_joint_is_held_where_it_is_least_turned() -> None:
+    robot = hand_of(ARM, '<passive_joint name="grip"/><passive_joint name="ab"/>')
+    assert robot.held_joints == {"grip": 0.001, "ab": 0.0}
+    assert "grip" not in {joint.name for joint in robot.driven_joints}
+
+
+def test_the_group_of_goals_is_the_arm_else_the_first_chain() -> None:
+    pair = '<group name="pair"><joint name="grip"/><joint name="press"/></group>'
+    assert hand_of(pair, HAND, ARM).default_group == "arm"
+    assert hand_of(pair, ARM.replace('"arm"', '"lift"')).default_group == "lift"

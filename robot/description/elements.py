@@ -1,0 +1,76 @@
+"""Elements of URDF and SRDF: roots, attributes and numbers, refused with file and element."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+
+from robot.errors import DescriptionError
+
+# Of elements that xacro replaces; descriptions in circulation use all three.
+XACRO_NAMESPACES = ("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro", "http://ros.org/wiki/xacro")
+
+
+def root_of(text: str, source: str) -> ET.Element:
+    """Parse a text whose root is <robot>.
+
+    Args:
+        text: URDF or SRDF.
+        source: kind or path of the file, for errors.
+
+    Raises:
+        DescriptionError: the text is not XML, has another root, or is xacro.
+    """
+    try:
+        root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
+    except ET.ParseError as error:
+        raise DescriptionError(source, f"is not XML: {error}") from error
+    if root.tag != "robot":
+        raise DescriptionError(source, f"must start with <robot>, not <{root.tag}>")
+    macros = [element.tag for element in root.iter() if _is_xacro(element)]
+    if macros:
+        raise DescriptionError(
+            source,
+            f"is xacro, with the element <xacro:{macros[0].rpartition('}')[2]}>: expand it first with "
+            "`xacro FILE.xacro > FILE` (pip install xacro), and give the result",
+        )
+    return root
+
+
+def attribute(element: ET.Element, name: str, source: str) -> str:
+    """Return an attribute that an element must have.
+
+    Raises:
+        DescriptionError: it has none.
+    """
+    value = element.get(name)
+    if value is None:
+        raise DescriptionError(source, f"<{element.tag}> {element.attrib} has no attribute {name!r}")
+    return value
+
+
+def number(element: ET.Element, name: str, where: str) -> float:
+    """Return an attribute that must be a finite number.
+
+    Args:
+        element: element.
+        name: of the attribute.
+        where: file and element, for errors.
+
+    Raises:
+        DescriptionError: there is no such attribute, or it is no finite number.
+    """
+    text = element.get(name)
+    if text is None:
+        raise DescriptionError(where, f"has no attribute {name!r}")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise DescriptionError(where, f"{name} must be a finite number, not {text!r}")
+    return value
+
+
+def _is_xacro(element: ET.Element) -> bool:
+    return element.tag.startswith(tuple(f"{{{namespace}}}" for namespace in XACRO_NAMESPACES))

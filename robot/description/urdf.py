@@ -1,0 +1,238 @@
+"""Links and joints of a URDF, with their limits."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from robot.description.elements import attribute, number, root_of
+from robot.errors import DescriptionError
+
+MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
+
+# A floating or planar base stays where the description puts it: nothing here drives one.
+RESTING_TYPES = ("fixed", "floating", "planar")
+
+# Time to the velocity limit for a joint without an acceleration limit: gentle for any servo arm.
+DEFAULT_TIME_TO_FULL_SPEED_S = 0.4
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """Joint that follows another one: its position is ``multiplier`` times that of ``joint``, plus ``offset``."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Joint of a URDF. Positions in rad (m when prismatic); rates per second, squared and cubed.
+
+    Attributes:
+        mimic: joint that it follows, one with a position of its own; None for a joint that follows none.
+    """
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    lower: float
+    upper: float
+    max_velocity: float
+    max_acceleration: float
+    max_jerk: float | None = None
+    mimic: Mimic | None = None
+
+    @property
+    def moves(self) -> bool:
+        """True for a joint that moves, be it with a position of its own or with another joint."""
+        return self.type in MOVABLE_TYPES
+
+    @property
+    def movable(self) -> bool:
+        """True for a joint with a position of its own."""
+        return self.moves and self.mimic is None
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of a joint from beside its URDF; None where the URDF's count.
+
+    Attributes:
+        lower: lower limit [rad or m].
+        upper: upper limit [rad or m].
+        max_velocity: [rad/s or m/s].
+        max_acceleration: [rad/s^2 or m/s^2].
+        max_jerk: [rad/s^3 or m/s^3].
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    max_velocity: float | None = None
+    max_acceleration: float | None = None
+    max_jerk: float | None = None
+
+
+NO_LIMITS = JointLimits()
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Links and joints.
+
+    Attributes:
+        name: of the robot.
+        links: link names: root first, each with all that it carries before the next.
+        joints: joints by name, in the order of the URDF.
+    """
+
+    name: str
+    links: tuple[str, ...]
+    joints: Mapping[str, Joint]
+
+
+def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree:
+    """Read a URDF.
+
+    Args:
+        text: URDF.
+        source: kind or path of the file, for errors.
+        limits: limits by joint that replace those of the URDF.
+
+    Raises:
+        DescriptionError: the text does not parse, or misses what planning needs.
+    """
+    robot = root_of(text, source)
+    joints: dict[str, Joint] = {}
+    for element in robot.iterfind("joint"):
+        joint = _joint(element, source, limits)
+        if joint.name in joints:
+            raise DescriptionError(source, f"has two joints of the name {joint.name!r}: rename one")
+        joints[joint.name] = joint
+    if not any(joint.movable for joint in joints.values()):
+        *others, last = MOVABLE_TYPES
+        raise DescriptionError(source, f"has no movable joint: no <joint> has the type {', '.join(others)} or {last}")
+    joints = {name: _with_leader(joint, joints, source) for name, joint in joints.items()}
+    return Tree(robot.get("name", "robot"), _links_from_root(robot, joints, source), joints)
+
+
+def _joint(element: ET.Element, source: str, limits: Mapping[str, JointLimits]) -> Joint:
+    name, kind = attribute(element, "name", source), attribute(element, "type", source)
+    if kind not in MOVABLE_TYPES + RESTING_TYPES:
+        known = ", ".join(MOVABLE_TYPES + RESTING_TYPES)
+        raise DescriptionError(f"{source} joint {name!r}", f"has the unknown type {kind!r}: URDF knows {known}")
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
+        raise DescriptionError(source, f"joint {name!r} needs <parent> and <child>")
+    mimic = _mimic(element, f"{source} joint {name!r} <mimic>")
+    lower, upper, velocity, acceleration = 0.0, 0.0, 0.0, 0.0
+    own = limits.get(name, NO_LIMITS)
+    if kind in MOVABLE_TYPES and mimic is None:
+        where = f"{source} joint {name!r}"
+        lower, upper = _range(element, where, kind, own)
+        velocity = _velocity(element, where, name) if own.max_velocity is None else own.max_velocity
+        acceleration = own.max_acceleration or velocity / DEFAULT_TIME_TO_FULL_SPEED_S
+    return Joint(
+        name=name,
+        type=kind,
+        parent=attribute(parent, "link", source),
+        child=attribute(child, "link", source),
+        lower=lower,
+        upper=upper,
+        max_velocity=velocity,
+        max_acceleration=acceleration,
+        max_jerk=own.max_jerk,
+        mimic=mimic if kind in MOVABLE_TYPES else None,
+    )
+
+
+def _range(element: ET.Element, where: str, kind: str, limits: JointLimits) -> tuple[float, float]:
+    """Return the position limits of a movable joint; a continuous joint may turn half a turn either way."""
+    limit = element.find("limit")
+    if kind == "continuous":
+        lower, upper = -math.pi, math.pi
+    elif limit is None:
+        raise DescriptionError(where, 'has no <limit>: add <limit lower="" upper="" velocity="" effort=""/>')
+    else:
+        # URDF: both are 0 where they are left out.
+        lower, upper = (number(limit, end, f"{where} <limit>") if limit.get(end) else 0.0 for end in ("lower", "upper"))
+    lower = lower if limits.lower is None else limits.lower
+    upper = upper if limits.upper is None else limits.upper
+    if lower >= upper:
+        raise DescriptionError(f"{where} <limit>", f"lower {lower:g} must be below upper {upper:g}")
+    return lower, upper
+
+
+def _velocity(element: ET.Element, where: str, name: str) -> float:
+    limit = element.find("limit")
+    remedy = f"correct it, or set max_velocity in [joints.{name}] of robot.toml"
+    if limit is None or limit.get("velocity") is None:
+        raise DescriptionError(where, f"has no velocity limit (<limit velocity>): {remedy}")
+    velocity = number(limit, "velocity", f"{where} <limit>")
+    if velocity <= 0.0:
+        raise DescriptionError(f"{where} <limit>", f"velocity must be above 0, not {velocity:g}: {remedy}")
+    return velocity
+
+
+def _mimic(element: ET.Element, where: str) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    multiplier = number(mimic, "multiplier", where) if mimic.get("multiplier") else 1.0
+    offset = number(mimic, "offset", where) if mimic.get("offset") else 0.0
+    return Mimic(attribute(mimic, "joint", where), multiplier, offset)
+
+
+def _with_leader(joint: Joint, joints: Mapping[str, Joint], source: str) -> Joint:
+    """Return a joint that mimics one with a position of its own, where it mimics one that mimics another."""
+    passed = [joint.name]
+    while joint.mimic is not None:
+        leader = joints.get(joint.mimic.joint)
+        where = f"{source} joint {joint.name!r} <mimic>"
+        if leader is None:
+            raise DescriptionError(where, f"names the joint {joint.mimic.joint!r}, which does not exist")
+        if leader.type not in MOVABLE_TYPES:
+            raise DescriptionError(where, f"names the joint {leader.name!r}, which does not move ({leader.type})")
+        if leader.name in passed:
+            raise DescriptionError(where, f"leads back to the joint itself: {' -> '.join([*passed, leader.name])}")
+        if leader.mimic is None:
+            return joint
+        passed.append(leader.name)
+        share, own = leader.mimic, joint.mimic
+        through = Mimic(share.joint, own.multiplier * share.multiplier, own.multiplier * share.offset + own.offset)
+        joint = replace(joint, mimic=through)
+    return joint
+
+
+def _links_from_root(robot: ET.Element, joints: Mapping[str, Joint], source: str) -> tuple[str, ...]:
+    """Return the link names, root first, parents before children, each branch as a whole."""
+    names = [attribute(link, "name", source) for link in robot.iterfind("link")]
+    carried: dict[str, list[str]] = {name: [] for name in names}
+    parent_of: dict[str, str] = {}
+    for joint in joints.values():
+        for link in (joint.child, joint.parent):
+            if link not in carried:
+                raise DescriptionError(source, f"joint {joint.name!r} names the link {link!r}, which does not exist")
+        if joint.child in parent_of:
+            raise DescriptionError(
+                source, f"the link {joint.child!r} is the child of two joints, {joint.name!r} is one"
+            )
+        parent_of[joint.child] = joint.parent
+        carried[joint.parent].append(joint.child)
+    roots = [name for name in names if name not in parent_of]
+    if len(roots) != 1:
+        raise DescriptionError(source, f"must have exactly one root link, not {roots}")
+    ordered: list[str] = []
+    ahead = [roots[0]]
+    while ahead:
+        link = ahead.pop()
+        ordered.append(link)
+        ahead.extend(reversed(carried[link]))
+    apart = [name for name in names if name not in set(ordered)]
+    if apart:
+        raise DescriptionError(source, f"the links {apart} are joined to one another in a ring and not to {roots[0]!r}")
+    return tuple(ordered)

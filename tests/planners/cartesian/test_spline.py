@@ -1,0 +1,28 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from planners.cartesian.spline import NaturalSpline, solve_tridiagonal
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 8, 37, 400])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_the_curve_is_the_natural_cubic_spline(count, order):
+    rng = np.random.default_rng(count)
+    knots = np.cumsum(rng.uniform(0.01, 1.0, count))
+    points = rng.normal(size=(count, 6))
+    at = np.concatenate((knots, rng.uniform(knots[0] - 0.1, knots[-1] + 0.1, 200)))
+    expected = CubicSpline(knots, points, bc_type="natural")(at, order)
+    scale = max(1.0, np.abs(expected).max())
+    np.testing.assert_allclose(NaturalSpline(knots, points)(at, order), expected, atol=1e-9 * scale)
+
+
+def test_the_system_is_solved():
+    rng = np.random.default_rng(3)
+    lower, upper = rng.uniform(-1.0, 1.0, (2, 21))
+    lower[0] = upper[-1] = 0.0
+    middle, right = rng.uniform(2.5, 4.0, 21), rng.normal(size=(21, 2))
+    full = np.diag(middle) + np.diag(lower[1:], -1) + np.diag(upper[:-1], 1)
+    np.testing.assert_allclose(full @ solve_tridiagonal(lower, middle, upper, right), right, atol=1e-12)

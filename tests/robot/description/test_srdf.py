@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import pytest
+
+from robot.description.srdf import Semantics, read_srdf
+from robot.description.urdf import read_urdf
+from robot.errors import DescriptionError
+
+LIMIT = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", more: str = LIMIT) -> str:
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
+
+
+LINKS = "".join(
+    f'<link name="{name}"/>' for name in ("base", "torso", "l1", "l2", "l_tool", "r1", "r2", "jaw", "thumb")
+)
+TREE = read_urdf(
+    f'<robot name="two_arms">{LINKS}'
+    + joint("lift", "base", "torso")
+    + joint("l_shoulder", "torso", "l1")
+    + joint("l_elbow", "l1", "l2")
+    + joint("l_mount", "l2", "l_tool", "fixed", "")
+    + joint("r_shoulder", "torso", "r1")
+    + joint("r_elbow", "r1", "r2")
+    + joint("grip", "r2", "jaw")
+    + joint("thumb", "r2", "thumb", more='<mimic joint="grip"/>')
+    + "</robot>",
+    "URDF",
+    {},
+)
+LEFT = '<group name="left"><chain base_link="torso" tip_link="l_tool"/></group>'
+RIGHT = '<group name="right"><joint name="r_elbow"/><joint name="r_shoulder"/></group>'
+
+
+def read(inner: str) -> Semantics:
+    return read_srdf(f'<robot name="two_arms">{inner}</robot>', "SRDF", TREE)
+
+
+def refusal(inner: str) -> str:
+    with pytest.raises(DescriptionError) as refused:
+        read(inner)
+    return str(refused.value)
+
+
+def test_a_group_of_joints_is_ordered_from_the_root_and_ends_at_its_last_link() -> None:
+    group = read(RIGHT).groups["right"]
+    assert (group.joints, group.base_link, group.tip_link) == (("r_shoulder", "r_elbow"), "torso", "r2")
+
+
+def test_a_group_of_links_has_the_joints_that_carry_them() -> None:
+    group = read('<group name="g"><link name="l1"/><link name="l2"/><link name="l_tool"/></group>').groups["g"]
+    assert (group.joints, group.tip_link) == (("l_shoulder", "l_elbow"), "l_tool")
+
+
+def test_the_root_link_in_a_group_brings_no_joint() -> None:
+    assert read('<group name="g"><link name="base"/><link name="torso"/></group>').groups["g"].joints == ("lift",)
+
+
+def test_nested_groups_bring_their_joints_whatever_their_order_in_the_file() -> None:
+    groups = read(f'<group name="both"><group name="left"/><group name="right"/></group>{LEFT}{RIGHT}').groups
+    assert groups["both"].joints == ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
+
+
+def test_a_group_of_two_arms_has_no_tip() -> None:
+    assert (
+        read(f'{LEFT}{RIGHT}<group name="both"><group name="left"/><group name="right"/></group>')
+        .groups["both"]
+        .tip_link
+        == ""
+    )
+
+
+def test_several_chains_in_a_group_are_taken_together() -> None:
+    chains = '<chain base_link="torso" tip_link="l2"/><chain base_link="torso" tip_link="r2"/>'
+    group = read(f'<group name="both">{chains}</group>').groups["both"]
+    assert group.joints == ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
+
+
+def test_a_chain_and_its_own_joints_are_the_chain() -> None:
+    twice = '<joint name="l_elbow"/><joint name="l_elbow"/>'
+    group = read(f'<group name="arm">{twice}<chain base_link="base" tip_link="l_tool"/></group>').groups["arm"]
+    assert (group.joints, group.tip_link) == (("lift", "l_shoulder", "l_elbow"), "l_tool")
+
+
+def test_a_chain_may_lead_from_one_branch_to_another() -> None:
+    group = read('<group name="g"><chain base_link="l2" tip_link="r2"/></group>').groups["g"]
+    assert set(group.joints) == {"l_shoulder", "l_elbow", "r_shoulder", "r_elbow"}
+    assert group.tip_link == "r2"
+
+
+def test_a_joint_that_mimics_is_in_no_group_and_in_no_state() -> None:
+    fingers = '<group name="hand"><joint name="grip"/><joint name="thumb"/></group>'
+    values = '<joint name="grip" value="1"/><joint name="thumb" value="1"/>'
+    semantics = read(f'{fingers}<group_state name="open" group="hand">{values}</group_state>')
+    assert semantics.groups["hand"].joints == ("grip",)
+    assert semantics.named_states == {"hand": {"open": {"grip": 1.0}}}
+
+
+def test_a_passive_joint_is_in_no_group() -> None:
+    semantics = read(f'{RIGHT}<passive_joint name="r_elbow"/>')
+    assert semantics.groups["right"].joints == ("r_shoulder",)
+    assert semantics.passive_joints == {"r_elbow"}
+
+
+VIRTUAL = '<virtual_joint name="world_joint" type="planar" parent_frame="odom" child_link="base"/>'
+
+
+def test_a_virtual_joint_names_the_planning_frame_and_is_no_joint_of_a_group() -> None:
+    semantics = read(
+        f'{VIRTUAL}<group name="wheels"><joint name="world_joint"/></group>'
+        f'<group name="all"><group name="wheels"/><group name="left"/></group>{LEFT}<passive_joint name="world_joint"/>'
+        '<group_state name="s" group="all"><joint name="world_joint" value="0 0 0"/><joint name="l_elbow" value="1"/>'
+        "</group_state>"
+    )
+    assert semantics.planning_frame == "odom"
+    assert set(semantics.groups) == {"all", "left"}
+    assert semantics.named_states == {"all": {"s": {"l_elbow": 1.0}}}
+
+
+def test_without_a_virtual_joint_the_root_link_is_the_planning_frame() -> None:
+    assert read(LEFT).planning_frame == "base"
+
+
+def test_an_end_effector_that_names_the_arm_itself_names_its_tip() -> None:
+    arm = '<group name="arm"><joint name="l_shoulder"/><joint name="l_elbow"/></group>'
+    effector = '<end_effector name="hand" parent_link="l_tool" group="arm"/>'
+    assert read(arm).groups["arm"].tip_link == "l2"
+    assert read(arm + effector).groups["arm"].tip_link == "l_tool"
+
+
+def test_an_end_effector_of_its_own_group_leaves_tips_alone() -> None:
+    hand = '<group name="hand"><joint name="grip"/></group>'
+    semantics = read(f'{RIGHT}{hand}<end_effector name="e" parent_link="r2" group="hand"/>')
+    assert semantics.groups["hand"].tip_link == "jaw"
+    assert [effector.parent_link for effector in semantics.end_effectors] == ["r2"]
+
+
+def test_a_state_without_a_group_is_one_of_the_smallest_group_with_its_joints() -> None:
+    everything = '<group name="all"><chain base_link="base" tip_link="l2"/></group>'
+    state = '<group_state name="up"><joint name="l_elbow" value="1"/></group_state>'
+    assert read(everything + LEFT + state).named_states == {"left": {"up": {"l_elbow": 1.0}}}
+
+
+def test_links_without_default_collisions_are_checked_only_where_enabled() -> None:
+    semantics = read(
+        f'{LEFT}<disable_default_collisions link="jaw"/><enable_collisions link1="jaw" link2="base"/>'
+        '<disable_collisions link1="l1" link2="gone"/>'
+    )
+    assert frozenset(("jaw", "l1")) in semantics.disabled_pairs
+    assert frozenset(("jaw", "base")) not in semantics.disabled_pairs
+
+
+BROKEN = {
+    "no group": ("", '<group name="arm"><chain base_link="base" tip_link="jaw"/></group>'),
+    "nothing moves": ('<group name="g"><joint name="l_mount"/></group>', "no <group> with a movable joint"),
+    "unknown joint": ('<group name="g"><joint name="q"/></group>', "group 'g' <joint> names the joint 'q'"),
+    "unknown link": ('<group name="g"><link name="q"/></group>', "group 'g' <link> names the link 'q'"),
+    "unknown base": ('<group name="g"><chain base_link="q" tip_link="l1"/></group>', "<chain> names the link 'q'"),
+    "unknown group": ('<group name="g"><group name="q"/></group>', "the group 'q', which does not exist"),
+    "ring of groups": (
+        '<group name="a"><group name="b"/></group><group name="b"><group name="a"/></group>',
+        "contains itself: a -> b -> a",
+    ),
+    "effector's group": (f'{LEFT}<end_effector name="e" group="q" parent_link="l1"/>', "the group 'q'"),
+    "effector's link": (f'{LEFT}<end_effector name="e" group="left" parent_link="q"/>', "'e' names the link 'q'"),
+    "joint of a state": (
+        f'{LEFT}<group_state name="s" group="left"><joint name="q" value="1"/></group_state>',
+        "group_state 's' <joint> names the joint 'q'",
+    ),
+    "state of no group": (
+        f'{LEFT}<group_state name="s"><joint name="grip" value="1"/></group_state>',
+        "group_state 's' has no attribute 'group'",
+    ),
+    "passive joint": (f'{LEFT}<passive_joint name="q"/>', "<passive_joint> names the joint 'q'"),
+}
+
+
+@pytest.mark.parametrize(("inner", "words"), BROKEN.values(), ids=BROKEN)
+def test_a_broken_srdf_is_refused_with_its_element(inner: str, words: str) -> None:
+    assert words in refusal(inner)
+
+
+def test_the_srdf_of_another_robot_is_refused_with_both_names() -> None:
+    with pytest.raises(DescriptionError) as refused:
+        read_srdf('<robot name="panda"><group name="arm"><joint name="j1"/></group></robot>', "SRDF panda.srdf", TREE)
+    assert str(refused.value) == (
+        "SRDF panda.srdf group 'arm' <joint> names the joint 'j1', which the URDF of 'two_arms' does not have: correct "
+        "the name, or give the SRDF that belongs to this URDF (this one is of the robot 'panda')"
+    )

@@ -23,8 +23,9 @@ from robot.trajectory import Vector
 # Deviation that parts may have from their mesh [m].
 TOLERANCE_M = 0.003
 
-# Parts are cut to this share of the tolerance: the rest is for points between the samples.
-RESERVE = 0.85
+# Parts are cut to this share of the tolerance, the rest is for points between the samples; to the next one where the
+# finer measurement afterwards finds more.
+RESERVES = (0.85, 0.65, 0.45)
 
 # Parts that one mesh gets at most.
 MAX_PARTS = 128
@@ -137,24 +138,37 @@ def decompose(surface: Surface, limits: Limits) -> Decomposition:
         limits: bounds; the closest parts found within them are returned.
     """
     until_s = limits.clock() + limits.max_time_s
-    random = np.random.default_rng(limits.seed)
-    reference = Reference(surface, random)
-    target_m = RESERVE * limits.tolerance_m
+    reference = Reference(surface, np.random.default_rng(limits.seed))
     pieces = components(surface)
     hulls = _without_contained([ConvexPart(piece.vertices_m) for piece in pieces])
+    separate = [piece.corners_m for piece in pieces if not _inside_one(piece, hulls)]
+    start = separate if len(hulls) < limits.max_parts else [surface.corners_m]
+    found: list[Decomposition] = []
+    for reserve in RESERVES:
+        parts = _found(surface, start, reference, reserve * limits.tolerance_m, limits, until_s)
+        found.append(Decomposition(tuple(parts), measure(surface, parts, np.random.default_rng(limits.seed))))
+        if found[-1].deviation.greatest_m <= limits.tolerance_m or limits.clock() >= until_s:
+            break
+    return min(found, key=lambda each: each.deviation.greatest_m)
+
+
+def _found(
+    surface: Surface,
+    start: Sequence[Vector],
+    reference: Reference,
+    target_m: float,
+    limits: Limits,
+    until_s: float,
+) -> list[ConvexPart]:
+    """Return parts that stand out by no more than a target where the bounds allow it; arguments as for :func:`_cut`."""
     whole = ConvexPart(surface.vertices_m)
-    if reference.stands_out_m(whole, target_m, 4 * PART_POINTS) <= target_m:
+    if reference.stands_out_m(whole, target_m, 4 * PART_POINTS) == 0.0:
         parts = [whole]
-    elif len(hulls) >= limits.max_parts:
-        parts = _cut([surface.corners_m], reference, target_m, limits, until_s)
     else:
-        kept = [piece.corners_m for piece in pieces if not _inside_one(piece, hulls)]
-        parts = _cut(kept, reference, target_m, limits, until_s)
-    # Corners are the cost of joining parts, so they go first.
-    parts = [_simpler(part, reference, target_m) for part in _without_contained(parts)]
-    parts = _joined(parts, reference, target_m, limits, until_s)
-    parts = [_simpler(part, reference, target_m) for part in _without_contained(parts)]
-    return Decomposition(tuple(parts), measure(surface, parts, random))
+        # Corners are the cost of joining parts, so they go first.
+        cut = _without_contained(_cut(start, reference, target_m, limits, until_s))
+        parts = _joined([_simpler(part, reference, target_m) for part in cut], reference, target_m, limits, until_s)
+    return [_simpler(part, reference, target_m) for part in _without_contained(parts)]
 
 
 def _cut(

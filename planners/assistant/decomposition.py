@@ -17,7 +17,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from planners.assistant.surface import INSIDE, ConvexPart, Deviation, Surface, components, measure, sample, sample_with_normals
+from planners.assistant.surface import (
+    INSIDE,
+    ConvexPart,
+    Deviation,
+    Surface,
+    components,
+    measure,
+    sample,
+    sample_with_normals,
+)
 from robot.trajectory import Vector
 
 # Deviation that parts may have from their mesh [m].

@@ -154,7 +154,7 @@ def _hardware_lines(joints: Sequence[str]) -> list[str]:
     first = joints[0]
     return [
         "[hardware]",
-        "# A simulated arm that follows exactly. For a real one: kind = \"feetech\" or \"dynamixel\", and a table like the",
+        '# A simulated arm that follows exactly. For a real one: kind = "feetech" or "dynamixel", and a table like the',
         "# one below for each joint (docs/robots.md).",
         'kind = "ideal"',
         "",
@@ -162,7 +162,7 @@ def _hardware_lines(joints: Sequence[str]) -> list[str]:
         f"# joint = {_text(first)}",
         "# id = 1",
         '# model = "sts3215"',
-        '# sign = 1            # -1: the servo\'s ticks fall while the joint\'s position rises',
+        "# sign = 1            # -1: the servo's ticks fall while the joint's position rises",
         '# zero = "middle"     # the joint is at 0 in the middle of its calibrated range',
         "",
     ]

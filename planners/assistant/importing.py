@@ -37,6 +37,7 @@ from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from robot.description import model, robot_file, robot_folder
 from robot.description.model import RobotModel
+from robot.description.urdf import MOVABLE_TYPES
 from robot.trajectory import Vector
 
 SAMPLES = 20_000
@@ -159,7 +160,7 @@ class _Import:
         robot = self._parse(root, urdf_name)
         shapes = link_shapes(robot)
         self._note_bare_links(root, shapes)
-        tree = Tree(robot.links, robot.joints, _mimics(root))
+        tree = Tree(robot.links, robot.joints)
         structure = find_structure(tree, frozenset(shapes), options.base, options.tip)
         self._say(f"arm: {', '.join(structure.arm_joints)}; tip {structure.tip_link}")
         self._say(f"gripper: {', '.join(structure.gripper_joints) or 'none'}")
@@ -187,7 +188,7 @@ class _Import:
 
     def _parse(self, root: ET.Element, urdf_name: str) -> RobotModel:
         """Read the URDF with a provisional SRDF: one group of all joints."""
-        joints = [joint for joint in root.iterfind("joint") if joint.get("type") in model.MOVABLE_TYPES]
+        joints = [joint for joint in root.iterfind("joint") if joint.get("type") in MOVABLE_TYPES]
         own = [joint.get("name", "") for joint in joints if joint.find("mimic") is None]
         if not own:
             raise AssistantError(f"{self._options.urdf} has no joint that moves: an arm has some of type revolute")
@@ -234,7 +235,7 @@ class _Import:
 
         def tell(done: int) -> None:
             nonlocal told
-            if done - told >= options.samples // 5:
+            if done == options.samples or done - told >= options.samples // 5:
                 told = done
                 self._say(f"  {done} of {options.samples} states")
 
@@ -336,10 +337,6 @@ def _surfaces(link: str, shapes: Sequence[LinkShape]) -> list[Surface]:
         placed = surface.vertices_m @ shape.placement.rotation.T + shape.placement.translation
         found.append(Surface(placed, surface.triangles))
     return found
-
-
-def _mimics(root: ET.Element) -> frozenset[str]:
-    return frozenset(joint.get("name", "") for joint in root.iterfind("joint") if joint.find("mimic") is not None)
 
 
 def _file_name(name: str) -> str:

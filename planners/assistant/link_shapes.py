@@ -15,8 +15,8 @@ from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose, e
 from planners.assistant.errors import AssistantError
 from planners.assistant.surface import ConvexPart, Deviation, Surface, merged
 from planners.geometry.contacts import Parts, parts_of
-from planners.geometry.kinematics import kinematic_urdf
-from planners.geometry.shapes import link_name, outline, urdf_shapes
+from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.shapes import convex, link_name, outline, urdf_shapes
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -107,9 +107,7 @@ def convex_links(
                 )
             else:
                 local = [primitive_points(shape.geometry)]
-            parts += [
-                ConvexPart(points @ shape.placement.rotation.T + shape.placement.translation) for points in local
-            ]
+            parts += [ConvexPart(points @ shape.placement.rotation.T + shape.placement.translation) for points in local]
         links[link] = LinkParts(tuple(parts), deviation, sum(shape.is_mesh for shape in of_link))
         progress(link, links[link])
     return links
@@ -136,7 +134,9 @@ def primitive_points(shape: coal.CollisionGeometry) -> Vector:
         angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
         radius_m = shape.radius / np.cos(np.pi / SIDES)
         ring = radius_m * np.column_stack((np.cos(angles), np.sin(angles)))
-        return np.vstack([np.column_stack((ring, np.full(SIDES, end))) for end in (-shape.halfLength, shape.halfLength)])
+        return np.vstack(
+            [np.column_stack((ring, np.full(SIDES, end))) for end in (-shape.halfLength, shape.halfLength)]
+        )
     if isinstance(shape, coal.Sphere | coal.Capsule):
         half_m = shape.halfLength if isinstance(shape, coal.Capsule) else 0.0
         ball = shape.radius * evenly_spread(SPHERE_POINTS)
@@ -150,11 +150,7 @@ def primitive_points(shape: coal.CollisionGeometry) -> Vector:
 
 def parts_in_link(link: str, parts: LinkParts) -> Parts:
     """Return a link's convex parts as the contact checks take them."""
-    from planners.geometry.shapes import convex
-
-    return parts_of(
-        [pin.GeometryObject(link, 0, pin.SE3.Identity(), convex(part.vertices_m)) for part in parts.parts]
-    )
+    return parts_of([pin.GeometryObject(link, 0, pin.SE3.Identity(), convex(part.vertices_m)) for part in parts.parts])
 
 
 def shapes_in_link(link: str, shapes: list[LinkShape]) -> Parts:

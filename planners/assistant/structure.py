@@ -23,8 +23,6 @@ MAX_FINGER_JOINTS = 4
 
 MIN_ARM_JOINTS = 2
 
-MOVING_TYPES = ("revolute", "continuous", "prismatic")
-
 
 @dataclass(frozen=True)
 class Structure:
@@ -53,12 +51,10 @@ class Tree:
     Args:
         links: link names, root first.
         joints: every joint by name.
-        mimics: names of the joints that follow another one.
     """
 
-    def __init__(self, links: Sequence[str], joints: Mapping[str, Joint], mimics: frozenset[str]) -> None:
+    def __init__(self, links: Sequence[str], joints: Mapping[str, Joint]) -> None:
         self.root = links[0]
-        self.mimics = mimics
         self.joints = joints
         self._above = {joint.child: joint for joint in joints.values()}
         self._below: dict[str, list[Joint]] = {link: [] for link in links}
@@ -82,7 +78,7 @@ class Tree:
 
     def driven(self, joints: Sequence[Joint]) -> list[Joint]:
         """Return the joints with a position of their own."""
-        return [joint for joint in joints if moves(joint) and joint.name not in self.mimics]
+        return [joint for joint in joints if joint.movable]
 
     def links_below(self, link: str) -> Iterator[str]:
         """Yield a link and all that it carries."""
@@ -94,7 +90,7 @@ class Tree:
         """Yield a link and those that are fixed to it, parents first."""
         yield link
         for joint in self._below[link]:
-            if not moves(joint):
+            if not joint.moves:
                 yield from self.fixed_below(joint.child)
 
     def joints_below(self, link: str) -> list[Joint]:
@@ -108,11 +104,6 @@ class Tree:
     def above(self, link: str) -> Joint:
         """Return the joint that carries a link."""
         return self._above[link]
-
-
-def moves(joint: Joint) -> bool:
-    """Tell whether a joint moves, by a position of its own or with another joint."""
-    return joint.type in MOVING_TYPES
 
 
 def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: str | None) -> Structure:
@@ -154,7 +145,7 @@ def _find_hand(tree: Tree, start: str) -> str:
     """Return the link at the end of the longest chain, fingers left out."""
     chains = [tree.chain(start, link) for link in tree.links_below(start) if tree.leaf(link)]
     longest = max(chains, key=lambda chain: (len(tree.driven(chain)), len(chain)))
-    movable = [joint for joint in longest if moves(joint)]
+    movable = [joint for joint in longest if joint.moves]
     if not movable:
         return start
     for joint in movable:
@@ -166,7 +157,7 @@ def _find_hand(tree: Tree, start: str) -> str:
 def _carries_fingers(tree: Tree, joint: Joint) -> bool:
     """Tell whether a joint is the first one of a finger."""
     longest = max(
-        sum(moves(each) for each in tree.chain(joint.parent, link))
+        sum(each.moves for each in tree.chain(joint.parent, link))
         for link in tree.links_below(joint.child)
         if tree.leaf(link)
     )
@@ -176,10 +167,10 @@ def _carries_fingers(tree: Tree, joint: Joint) -> bool:
         each
         for link in tree.fixed_below(joint.parent)
         for each in tree.joints.values()
-        if each.parent == link and moves(each)
+        if each.parent == link and each.moves
     ]
     named = bool(FINGER_JOINT.search(joint.name) or FINGER_LINK.search(joint.child))
-    follows = any(each.name in tree.mimics for each in siblings)
+    follows = any(each.mimic is not None for each in siblings)
     return follows or named or (len(siblings) > 1 and joint.type == "prismatic")
 
 
@@ -187,7 +178,7 @@ def _hand_of(tree: Tree, start: str, tip: str) -> str:
     """Return the link of the arm that carries the gripper: the first of those that are fixed to the tip."""
     hand = tip
     for joint in reversed(tree.chain(start, tip)):
-        if moves(joint):
+        if joint.moves:
             break
         hand = joint.parent
     return hand
@@ -199,7 +190,7 @@ def _find_tip(tree: Tree, hand: str, shaped: frozenset[str]) -> str:
     frames = [link for link in fixed if tree.leaf(link) and link not in shaped and TOOL_FRAME.search(link)]
     if frames:
         return frames[-1]
-    carriers = [link for link in fixed if any(moves(each) and each.parent == link for each in tree.joints.values())]
+    carriers = [link for link in fixed if any(each.moves and each.parent == link for each in tree.joints.values())]
     if carriers:
         return carriers[-1]
     leaves = [link for link in fixed if tree.leaf(link) and TOOL_FRAME.search(link)]

@@ -191,7 +191,10 @@ def winding_numbers(points_m: Vector, surface: Surface) -> Vector:
 
 
 def measure(surface: Surface, parts: Sequence[ConvexPart], random: np.random.Generator) -> Deviation:
-    """Measure how far parts are from a surface, by :data:`TEST_POINTS` samples each way."""
+    """Measure how far parts are from a surface, by :data:`TEST_POINTS` samples each way.
+
+    Distances are to samples of the surface, so those of parts are too long rather than too short.
+    """
     on_surface = sample(surface, TEST_POINTS, random)
     uncovered_m = np.min([part.depth_m(on_surface) for part in parts], axis=0).max()
     outer_m = _outer_points(parts, random)

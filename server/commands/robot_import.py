@@ -71,7 +71,7 @@ def run_import(options: argparse.Namespace) -> int:
         terminal.say(f"armbridge: {error}")
         return ExitCode.FAILED
     except KeyboardInterrupt:
-        terminal.say(f"armbridge: stopped; {out} is as it was")
+        terminal.say("armbridge: stopped; nothing was written")
         return ExitCode.FAILED
     terminal.tell(f"{out} is made:")
     for line in lines:

@@ -1,10 +1,10 @@
-"""Convex parts of a mesh: its hull where that is close enough, else the hulls of what planes along the axes cut it into.
+"""Convex parts of a mesh: its hull where that is close enough, else the hulls of what planes across the axes leave.
 
 The part that stands out of the mesh furthest is cut next, where that saves most volume, until no part stands out by
 more than the tolerance; then parts that have a common hull within the tolerance are joined. Triangles are clipped at
 the planes and hulls only ever grow afterwards, so the parts always cover the surface. CoACD (Wei et al. 2022), whose
 measure is a concavity that also counts volume, gave 41 parts that stand out by 4.0 mm for the SO-101's lower arm in
-120 s; this gives 15 within 2.5 mm in 20 s, and for a UR5's forearm 10 within 2.7 mm instead of 29 within 7.9 mm.
+120 s; this gave 15 within 2.5 mm in 20 s, and for a UR5's forearm 10 within 2.7 mm instead of 29 within 7.9 mm.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def _cut(
     for piece in pieces:
         add(piece)
     while waiting and len(done) + len(waiting) < limits.max_parts and limits.clock() < until_s:
-        out_m, _, corners_m, part = heapq.heappop(waiting)
+        _, _, corners_m, part = heapq.heappop(waiting)
         place = _best_cut(corners_m, part, np.random.default_rng((limits.seed, next(numbered))))
         if place is None:
             done.append(part)

@@ -44,8 +44,8 @@ def srdf(draft: Draft) -> str:
     structure = draft.structure
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
-        "<!-- Draft by armbridge robot import. Groups are joints that are planned for together; a group_state is a pose",
-        "     with a name, to be sent to /moveit_goal_named; disable_collisions are pairs of links that need no check. -->",
+        "<!-- Draft by armbridge robot import. Groups are joints that are planned for together; a group_state is a",
+        "     pose with a name, for /moveit_goal_named; disable_collisions are pairs of links that need no check. -->",
         f"<robot name={quoteattr(draft.robot.name)}>",
         f"  <group name={quoteattr(ARM)}>",
         f"    <chain base_link={quoteattr(structure.base_link)} tip_link={quoteattr(structure.tip_link)}/>",
@@ -104,8 +104,8 @@ def robot_toml(draft: Draft, urdf: str, srdf_name: str, shapes: Mapping[str, str
         f"tip = {_text(structure.tip_link)}",
         *_gripper_lines(draft),
         "",
-        "# Limits of the joints' motion. CHECK: these are the URDF's, which in many URDFs are placeholders. The arm moves",
-        "# no faster than this; start low. An acceleration that the URDF lacks reaches full speed in 0.4 s.",
+        "# Limits of the joints' motion. CHECK: these are the URDF's, which in many URDFs are placeholders. The arm",
+        "# moves no faster than this; start low. URDFs have no accelerations: these reach full speed in 0.4 s.",
     ]
     named = (*structure.arm_joints, *structure.gripper_joints)
     for name in named:
@@ -119,8 +119,8 @@ def robot_toml(draft: Draft, urdf: str, srdf_name: str, shapes: Mapping[str, str
         ]
     if structure.held_joints:
         lines += [
-            "# Joints of neither arm nor gripper: they are not driven and stay at these positions. CHECK: they must be where",
-            "# the real ones are.",
+            "# Joints of neither arm nor gripper: they are not driven and stay at these positions. CHECK: they must be",
+            "# where the real ones are.",
             "[held_joints]",
             *(f"{_text(name)} = {_number(draft.home[name])}" for name in structure.held_joints),
             "",
@@ -136,7 +136,7 @@ def _gripper_lines(draft: Draft) -> list[str]:
     if not gripper.as_one:
         return [
             "",
-            f"# The gripper has the joints {', '.join(gripper.joints)}, which one number does not open and close together:",
+            f"# The gripper has the joints {', '.join(gripper.joints)}, which one number does not open and close:",
             "# its named states open and closed are in the SRDF, and there is no [gripper].",
         ]
     unsure = "" if gripper.certain else " The shapes do not tell which is which."

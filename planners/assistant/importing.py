@@ -307,15 +307,19 @@ class _Import:
             raise AssistantError(f"the folder that was made cannot be used: {'; '.join(problems)}")
         robot = robot_folder.load(self._folder).model
         planner = Planner(robot)
-        random = np.random.default_rng(self._options.seed)
         names = robot.groups[ARM].joints
-        for _ in range(PROOF_TRIES):
-            drawn = dict(zip(contacts.joint_names, contacts.draw(random).tolist(), strict=True))
+        refusal = "links touch in all of them"
+        for attempt in range(PROOF_TRIES):
+            goal_state, free = free_state(contacts, draft.unchecked, (), HOME_TRIES, self._options.seed + attempt)
+            if not free:
+                break
+            drawn = dict(zip(contacts.joint_names, goal_state.tolist(), strict=True))
             goal = JointGoal({name: drawn[name] for name in names})
             answer = planner.plan(PlanningProblem(ARM, draft.home, goal, seed=self._options.seed))
             if isinstance(answer, Plan):
                 return [f"checked: loads, and a motion of {answer.trajectory.duration_s:.1f} s from home is planned"]
-        return [f"CHECK: no motion from home to one of {PROOF_TRIES} drawn states was found: {answer.message}"]
+            refusal = answer.message
+        return [f"CHECK: no motion from home to one of {PROOF_TRIES} drawn states was found: {refusal}"]
 
     def _note_bare_links(self, root: ET.Element, shapes: Mapping[str, list[LinkShape]]) -> None:
         seen = [link.get("name", "") for link in root.iterfind("link") if link.find("visual") is not None]
@@ -330,8 +334,8 @@ def _surfaces(link: str, shapes: Sequence[LinkShape]) -> list[Surface]:
     """Return the surfaces of a link's shapes in the link's frame."""
     found = []
     for shape in shapes:
-        if shape.is_mesh:
-            surface = surface_of(link, shape.geometry)
+        if shape.mesh is not None:
+            surface = surface_of(link, shape.mesh)
         else:
             surface = ConvexPart(primitive_points(shape.geometry)).surface
         placed = surface.vertices_m @ shape.placement.rotation.T + shape.placement.translation

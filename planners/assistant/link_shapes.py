@@ -38,9 +38,9 @@ class LinkShape:
     placement: pin.SE3
 
     @property
-    def is_mesh(self) -> bool:
-        """True for a mesh."""
-        return isinstance(self.geometry, coal.BVHModelBase)
+    def mesh(self) -> coal.BVHModelBase | None:
+        """The mesh; None for a simple shape."""
+        return self.geometry if isinstance(self.geometry, coal.BVHModelBase) else None
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,8 @@ def convex_links(
         parts: list[ConvexPart] = []
         deviation = Deviation()
         for shape in of_link:
-            if shape.is_mesh:
-                surface = surface_of(link, shape.geometry)
+            if shape.mesh is not None:
+                surface = surface_of(link, shape.mesh)
                 key = hashlib.sha256(surface.vertices_m.tobytes() + surface.triangles.tobytes()).digest()
                 if key not in known:
                     found = decompose(surface, limits)
@@ -108,7 +108,7 @@ def convex_links(
             else:
                 local = [primitive_points(shape.geometry)]
             parts += [ConvexPart(points @ shape.placement.rotation.T + shape.placement.translation) for points in local]
-        links[link] = LinkParts(tuple(parts), deviation, sum(shape.is_mesh for shape in of_link))
+        links[link] = LinkParts(tuple(parts), deviation, sum(shape.mesh is not None for shape in of_link))
         progress(link, links[link])
     return links
 
@@ -140,19 +140,21 @@ def primitive_points(shape: coal.CollisionGeometry) -> Vector:
     if isinstance(shape, coal.Sphere | coal.Capsule):
         half_m = shape.halfLength if isinstance(shape, coal.Capsule) else 0.0
         ball = shape.radius * evenly_spread(SPHERE_POINTS)
-        ends = np.vstack([ball + (0.0, 0.0, end) for end in {-half_m, half_m}])
+        ends = np.vstack([ball + np.array([0.0, 0.0, end]) for end in (-half_m, half_m)])
         return ConvexPart(ends).within(evenly_spread(SPHERE_DIRECTIONS)).vertices_m
     if isinstance(shape, coal.Box):
         corners: Vector = np.array(list(product((-1.0, 1.0), repeat=3))) * shape.halfSide
         return corners
-    return outline(pin.GeometryObject("shape", 0, pin.SE3.Identity(), shape))
+    return outline(pin.GeometryObject("shape", 0, 0, pin.SE3.Identity(), shape))
 
 
 def parts_in_link(link: str, parts: LinkParts) -> Parts:
     """Return a link's convex parts as the contact checks take them."""
-    return parts_of([pin.GeometryObject(link, 0, pin.SE3.Identity(), convex(part.vertices_m)) for part in parts.parts])
+    return parts_of(
+        [pin.GeometryObject(link, 0, 0, pin.SE3.Identity(), convex(part.vertices_m)) for part in parts.parts]
+    )
 
 
 def shapes_in_link(link: str, shapes: list[LinkShape]) -> Parts:
     """Return a link's shapes as they are as the contact checks take them."""
-    return parts_of([pin.GeometryObject(link, 0, shape.placement, shape.geometry) for shape in shapes])
+    return parts_of([pin.GeometryObject(link, 0, 0, shape.placement, shape.geometry) for shape in shapes])

@@ -73,14 +73,14 @@ class SelfContacts:
         """Return those of some pairs that touch in a state."""
         self._forward.place(state)
         links = {link for pair in pairs for link in pair}
-        at = {link: pin.SE3(self._forward.placement(link)) for link in links}
+        at = {link: self._forward.placement(link) for link in links}
         middles = {link: at[link].act(self._middles[link]) for link in links}
         return [pair for pair in pairs if self._touch(pair, at, middles)]
 
     def placements(self, state: Vector) -> dict[str, pin.SE3]:
         """Return the pose of each link with shapes in the root link's frame."""
         self._forward.place(state)
-        return {link: pin.SE3(self._forward.placement(link)) for link in self._parts}
+        return {link: self._forward.placement(link) for link in self._parts}
 
     def _touch(self, pair: Pair, at: Mapping[str, pin.SE3], middles: Mapping[str, Vector]) -> bool:
         first, second = pair
@@ -118,7 +118,7 @@ def unchecked_pairs(
                 seen[pair].add(pair in touching)
         done = min(done + BATCH, samples)
         progress(done)
-    adjacent = [UncheckedPair(*sorted(pair), ADJACENT) for pair in contacts.adjacent]
+    adjacent = [UncheckedPair(min(pair), max(pair), ADJACENT) for pair in contacts.adjacent]
     decided = [
         UncheckedPair(*pair, ALWAYS if True in found else NEVER) for pair, found in seen.items() if len(found) == 1
     ]
@@ -128,17 +128,17 @@ def unchecked_pairs(
 def free_state(
     contacts: SelfContacts, unchecked: Sequence[UncheckedPair], states: Sequence[Vector], tries: int, seed: int
 ) -> tuple[Vector, bool]:
-    """Return the first of some states in which nothing touches, else the nearest drawn one to the first of them.
+    """Return the first of some states in which nothing touches, else the drawn one that is nearest to the first.
 
     Args:
         contacts: the robot's links.
         unchecked: pairs that may touch.
-        states: states to try first, shape (n,) each, at least one.
+        states: states to try first, shape (n,) each; without any the first free one that is drawn is taken.
         tries: states to draw.
         seed: of the draws.
 
     Returns:
-        The state; false where no state is free, with the first one.
+        The state; false where no state is free, with the first of all.
     """
     excused = {frozenset((pair.first, pair.second)) for pair in unchecked}
     checked = [pair for pair in contacts.pairs if frozenset(pair) not in excused]
@@ -146,11 +146,11 @@ def free_state(
         if not contacts.touching(state, checked):
             return state, True
     random = np.random.default_rng(seed)
-    drawn = sorted(
-        (contacts.draw(random) for _ in range(tries)), key=lambda state: float(np.linalg.norm(state - states[0]))
-    )
+    drawn = [contacts.draw(random) for _ in range(tries)]
+    if states:
+        drawn.sort(key=lambda state: float(np.linalg.norm(state - states[0])))
     free = next((state for state in drawn if not contacts.touching(state, checked)), None)
-    return (states[0], False) if free is None else (free, True)
+    return ([*states, *drawn][0], False) if free is None else (free, True)
 
 
 def _adjacent(robot: RobotModel, shaped: frozenset[str]) -> frozenset[frozenset[str]]:

@@ -219,4 +219,5 @@ def _outer_points(parts: Sequence[ConvexPart], random: np.random.Generator) -> V
     outer = np.ones(len(points_m), dtype=bool)
     for index, part in enumerate(parts):
         outer &= (owner == index) | (part.depth_m(points_m) > TOUCH_M)
-    return points_m[outer]
+    found: Vector = points_m[outer]
+    return found

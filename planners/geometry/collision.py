@@ -403,9 +403,9 @@ class CollisionModel:
         depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m if names in allowed else -margin_m
         if names in allowed and -self._broadphase.distance_m(pair) <= depth_m:
             return True
-        if names in allowed and self._exact.solid and not names & self._scaled:
-            if not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
-                return True
+        by_parts = names in allowed and self._exact.solid and not names & self._scaled
+        if by_parts and not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
+            return True
         return names in by_mesh and self._apart_by_mesh(pair, margin_m)
 
     def _overlap_m(self, pair: int) -> float:

@@ -31,8 +31,8 @@ CONTACT_M = 1e-6
 
 
 # Parts that overlap deeper than this touch, whatever the meshes say: those are surfaces, which do not touch what is
-# wholly inside one. Two links' parts within 3 mm of their meshes overlap by 6 mm at most where the meshes are apart, but
-# for grooves that another link reaches into [m].
+# wholly inside one. Two links' parts within 3 mm of their meshes overlap by 6 mm at most where the meshes are apart,
+# but for grooves that another link reaches into [m].
 MESH_EXCUSE_M = 0.01
 
 

@@ -18,8 +18,8 @@ def add_parser(subparsers: Subparsers) -> None:
     command = subparsers.add_parser(
         "import",
         help="make a robot folder of a URDF",
-        description="Make a robot folder of a URDF (docs/bring_your_own_arm.md): convex parts of its meshes, a draft SRDF"
-        " with groups, named states and the pairs of links that never touch, and a draft robot.toml. The folder is"
+        description="Make a robot folder of a URDF (docs/bring_your_own_arm.md): convex parts of its meshes, a draft"
+        " SRDF with groups, named states and the pairs of links that never touch, and a draft robot.toml. The folder is"
         " checked and a motion is planned in it.",
         epilog=EXIT_CODES,
     )

@@ -11,13 +11,19 @@ URDF = """
 <robot name="Mesh Arm">
   <link name="base"><collision><geometry><mesh filename="package://mesh_arm/meshes/base.stl"/></geometry></collision>
     <visual><geometry><mesh filename="package://mesh_arm/meshes/base.stl"/></geometry></visual></link>
-  <link name="turret"><collision><geometry><mesh filename="package://mesh_arm/meshes/turret.stl"/></geometry></collision></link>
-  <link name="upper"><collision><geometry><mesh filename="package://mesh_arm/meshes/channel.stl"/></geometry></collision></link>
-  <link name="fore"><collision><geometry><mesh filename="package://mesh_arm/meshes/channel.stl"/></geometry></collision></link>
-  <link name="palm"><collision><origin xyz="0 0 0.02"/><geometry><box size="0.03 0.08 0.02"/></geometry></collision></link>
+  <link name="turret">
+    <collision><geometry><mesh filename="package://mesh_arm/meshes/turret.stl"/></geometry></collision></link>
+  <link name="upper">
+    <collision><geometry><mesh filename="package://mesh_arm/meshes/channel.stl"/></geometry></collision></link>
+  <link name="fore">
+    <collision><geometry><mesh filename="package://mesh_arm/meshes/channel.stl"/></geometry></collision></link>
+  <link name="palm">
+    <collision><origin xyz="0 0 0.02"/><geometry><box size="0.03 0.08 0.02"/></geometry></collision></link>
   <link name="tool_point"/>
-  <link name="left"><collision><origin xyz="0 0 0.03"/><geometry><box size="0.02 0.008 0.06"/></geometry></collision></link>
-  <link name="right"><collision><origin xyz="0 0 0.03"/><geometry><box size="0.02 0.008 0.06"/></geometry></collision></link>
+  <link name="left">
+    <collision><origin xyz="0 0 0.03"/><geometry><box size="0.02 0.008 0.06"/></geometry></collision></link>
+  <link name="right">
+    <collision><origin xyz="0 0 0.03"/><geometry><box size="0.02 0.008 0.06"/></geometry></collision></link>
   <joint name="turn" type="revolute"><parent link="base"/><child link="turret"/><origin xyz="0 0 0.06"/>
     <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="9"/></joint>
   <joint name="lift" type="revolute"><parent link="turret"/><child link="upper"/><origin xyz="0 0 0.05"/>

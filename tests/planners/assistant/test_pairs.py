@@ -14,7 +14,8 @@ URDF = """
   <link name="slider"/>
   <link name="flag"><collision><geometry><box size="0.2 0.02 0.02"/></geometry></collision></link>
   <link name="bar"><collision><geometry><box size="0.3 0.02 0.02"/></geometry></collision></link>
-  <link name="far"><collision><origin xyz="0.5 0 0"/><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
+  <link name="far">
+    <collision><origin xyz="0.5 0 0"/><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
   <joint name="up" type="prismatic"><parent link="post"/><child link="slider"/><axis xyz="0 0 1"/>
     <limit lower="0" upper="0.01" velocity="1" effort="1"/></joint>
   <joint name="side" type="fixed"><parent link="slider"/><child link="flag"/></joint>

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from benchmarks import (
     busy_machine,
+    classroom,
     event_loop,
     floods,
     gateway,
@@ -53,6 +54,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "idle_connections": idle_connections.run,
     "floods": floods.run,
     "one_frame": one_frame.run,
+    "classroom": classroom.run,
     "soak": soak.run,
     "planning_scene_services": planning_scene_services.run,
 }

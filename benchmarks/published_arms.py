@@ -49,7 +49,7 @@ def published(name: str, more_srdf: str = "") -> RobotModel:
 
 
 ARMS: dict[str, Callable[[], RobotModel]] = {
-    "so101": lambda: robot_folder.built_in("so101").model,
+    "so101": lambda: robot_folder.resolve("so101").model,
     "panda": lambda: published("panda"),
     "ur5": lambda: published("ur5", UR5_GROUP),
 }

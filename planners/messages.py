@@ -28,6 +28,13 @@ class Loaded:
 
 
 @dataclass(frozen=True)
+class Hosted:
+    """The processes behind a host of planners, which several servers share, are ready for requests."""
+
+    pids: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class LoadFailed:
     """The worker cannot plan for this robot."""
 

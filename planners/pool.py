@@ -89,7 +89,7 @@ ANSWER_TO: Mapping[type[Request], type[Answer]] = {
 # What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
 OVERTIME_S = 1.0
 
-# Requests that wait for a worker; past these, requests come faster than they can be answered.
+# Requests of a server that wait for a worker; past these, requests come faster than they can be answered.
 MAX_WAITING = 64
 
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
@@ -297,23 +297,33 @@ class PlannerPool:
 
     Args:
         robot: the arm to plan for.
-        active: number of motions that may be planned at the same time. One more process is kept as a warm spare; while
-            it is spare it answers questions, which so never wait for motions.
+        active: number of motions that may be planned at the same time. More processes are kept as warm spares; while
+            they are spare they answer questions, which so never wait for motions.
         memory_limit_bytes: limit of each process's data [bytes].
+        questions: number of questions that may be answered at the same time, and of the spares.
+        max_waiting: number of requests that may wait for their turn.
 
     Attributes:
         load_failure: reason for which there is no worker and probably never will be; None as long as one may come.
         waiting_count: number of requests that wait for their turn.
     """
 
-    def __init__(self, robot: RobotModel, active: int = 1, memory_limit_bytes: int = MEMORY_LIMIT_BYTES) -> None:
+    def __init__(
+        self,
+        robot: RobotModel,
+        active: int = 1,
+        memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
+        questions: int = 1,
+        max_waiting: int = MAX_WAITING,
+    ) -> None:
         self._robot = robot
-        self._size = active + 1
+        self._size = active + questions
+        self._max_waiting = max_waiting
         self._memory_limit_bytes = memory_limit_bytes
         self._workers: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []
         self._motion_turns = asyncio.Semaphore(active)
-        self._question_turns = asyncio.Semaphore(1)
+        self._question_turns = asyncio.Semaphore(questions)
         # Set for a moment when a worker has become idle, or load_failure known.
         self._changed = asyncio.Event()
         self._closing = asyncio.Event()
@@ -326,17 +336,38 @@ class PlannerPool:
         self.waiting_count = 0
 
     async def start(self) -> None:
-        """Start the processes; they load in the background, and requests sent meanwhile wait for them."""
-        for _ in range(self._size):
+        """Start the processes; they load in the background, and requests sent meanwhile wait for them.
+
+        The spare starts once another has loaded, which so has the cores for itself, as long as nothing else can plan.
+        """
+        for _ in range(self._size - 1):
             await self._spawn()
+        self._in_background(self._spawn_spare())
+
+    async def wait_until_loaded(self) -> str | None:
+        """Wait until a worker takes requests, or it is known why none can.
+
+        Returns:
+            The reason for which no worker can plan for the robot; None where one can, or may later.
+        """
+        while not self._ever_loaded and self.load_failure is None and not self._closing.is_set():
+            await self._changed.wait()
+        return self.load_failure if self._robot_refused else None
 
     async def close(self) -> None:
         """End every process."""
         self._closing.set()
+        self._wake_waiting()
         self._reserve.close()
         await asyncio.gather(*(worker.kill() for worker in self._workers))
         if self._tasks:
             await asyncio.wait(self._tasks, timeout=CLOSE_TIMEOUT_S)
+
+    async def until_loaded(self) -> bool:
+        """Wait until a process has loaded the robot, and return True; False when probably none ever will."""
+        while not self.loaded_count and self.load_failure is None:
+            await self._changed.wait()
+        return self.load_failure is None
 
     @property
     def pids(self) -> tuple[int, ...]:
@@ -377,8 +408,8 @@ class PlannerPool:
 
         Cancelling this call stops the work on it. A worker that dies answers CRASH, one that overruns TIMED_OUT.
         """
-        if self.waiting_count >= MAX_WAITING:
-            message = f"{self.waiting_count} requests wait for a planner already (limit {MAX_WAITING})"
+        if self.waiting_count >= self._max_waiting:
+            message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
             return PlanningFailure(MoveItErrorCode.FAILURE, message)
         motion = isinstance(request, PlanningProblem | CartesianProblem)
         turns = self._motion_turns if motion else self._question_turns
@@ -388,15 +419,19 @@ class PlannerPool:
         finally:
             self.waiting_count -= 1
         try:
-            worker = await self._take_worker(scene)
-            if worker is not None:
-                return await self._work(worker, request, scene)
+            return await self._answer(request, scene)
         finally:
             turns.release()
-        reason = self.load_failure or f"no planner process was ready within {LOAD_TIMEOUT_S:g} s"
-        return PlanningFailure(MoveItErrorCode.FAILURE, f"planning is not available: {reason}")
 
     # Private methods for requests: a worker is taken from the idle ones and put back once it has answered.
+
+    async def _answer(self, request: Request, scene: Scene) -> Answer:
+        """Have a planner answer a request whose turn it is."""
+        worker = await self._take_worker(scene)
+        if worker is not None:
+            return await self._work(worker, request, scene)
+        reason = self.load_failure or f"no planner process was ready within {LOAD_TIMEOUT_S:g} s"
+        return PlanningFailure(MoveItErrorCode.FAILURE, f"planning is not available: {reason}")
 
     async def _take_worker(self, scene: Scene) -> WorkerProcess | None:
         """Wait for an idle worker, of several one that has the scene; one that died a moment ago does not count."""
@@ -485,10 +520,18 @@ class PlannerPool:
             self._count_failed_start("ended while starting")
         self._in_background(self._replace(worker))
 
+    async def _spawn_spare(self) -> None:
+        if await self.wait_until_loaded() is None:
+            await self._spawn_one()
+
     async def _replace(self, worker: WorkerProcess) -> None:
         await worker.kill()
         log.warning("planner process %d ended (%s); starting another", worker.pid, worker.ending)
         await self._pause_after_failed_starts()
+        await self._spawn_one()
+
+    async def _spawn_one(self) -> None:
+        """Start a process, with pauses between the tries."""
         while not self._closing.is_set():
             try:
                 await self._spawn()

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 from protocol.codecs import bson, cbor, cdr, json, png
+from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.dialect import Dialect, to_ros1
 from protocol.framing import split
 from protocol.limits import MAX_PIECES
@@ -32,30 +33,6 @@ _TWO_BYTE_LENGTH, _EIGHT_BYTE_LENGTH = 126, 127
 
 # Messages of this size on are encoded by a thread. The slowest encodings, those in Python, take 1 ms for 10 kB.
 LARGE_BYTES = 65_536
-
-# JSON of a value of a message: a number with its comma, and with the name of its field where it has one.
-_VALUE_BYTES = 12
-
-
-def encoding_cost_bytes(value: object) -> int:
-    """Estimate the JSON of a message, reading no further than `LARGE_BYTES` of it [bytes]."""
-    cost_bytes, stack = 0, [value]
-    while stack and cost_bytes < LARGE_BYTES:
-        each = stack.pop()
-        if type(each) is dict:
-            cost_bytes += len(each) * _VALUE_BYTES
-            stack.extend([member for member in each.values() if type(member) in _COSTLY])
-        elif type(each) is list:
-            cost_bytes += len(each) * _VALUE_BYTES
-            # Elements of a list are of one kind. A list of messages or texts counts as far as the limit.
-            if each and type(each[0]) in _COSTLY:
-                stack.extend(each[: LARGE_BYTES // _VALUE_BYTES])
-        elif type(each) is str or type(each) is bytes:
-            cost_bytes += len(each)
-    return min(cost_bytes, LARGE_BYTES)
-
-
-_COSTLY = frozenset((dict, list, str, bytes))
 
 
 class Frame(NamedTuple):
@@ -231,7 +208,7 @@ class PublishedMessage:
     def cost_bytes(self) -> int:
         """Cost of encoding the message, as an amount of JSON, up to `LARGE_BYTES` where nobody has said it [bytes]."""
         if self._cost_bytes is None:
-            self._cost_bytes = encoding_cost_bytes(self.msg)
+            self._cost_bytes = encoding_cost_bytes(self.msg, LARGE_BYTES)
         return self._cost_bytes
 
     @property
@@ -291,7 +268,7 @@ class PublishedMessage:
     def _encode(self, encoding: Encoding, dialect: Dialect) -> bytes:
         if encoding == "none" and dialect == "ros2":
             # How the server keeps a message is how most clients want it.
-            return json.encode(self.msg)
+            return self._encode_json(self.msg)
         known = self._registry.knows(self.type_name)
         if encoding == "cbor-raw" and known:
             # Serialized messages are the same in both dialects.
@@ -300,7 +277,10 @@ class PublishedMessage:
         msg = self._packed(encoding) if known else self.msg
         if known and dialect == "ros1":
             msg = to_ros1(self._registry, self.type_name, msg)
-        return {"none": json.encode, "bson": bson.encode}.get(encoding, cbor.encode)(msg)
+        return {"none": self._encode_json, "bson": bson.encode}.get(encoding, cbor.encode)(msg)
+
+    def _encode_json(self, msg: Mapping[str, Any]) -> bytes:
+        return json.encode_in_pieces(msg) if self.large else json.encode(msg)
 
     def _packed(self, encoding: Encoding) -> Mapping[str, Any]:
         if encoding == "none":

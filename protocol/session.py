@@ -305,16 +305,18 @@ class Session:
             )
             self._drops_told, self._drops_told_s = self.dropped, now
 
-    def _encode(self, fields: Mapping[str, Any]) -> Frame:
+    def _encode(self, fields: Mapping[str, Any], encode_json: Callable[[object], bytes] = json.encode) -> Frame:
         if self.speaks_bson:
             return Frame(bson.encode(fields), text=False)
-        return Frame(json.encode(fields), text=True)
+        return Frame(encode_json(fields), text=True)
 
     def _encode_message(self, fields: Mapping[str, Any] | LaterFields) -> EncodedMessage:
         fragment_size, mark = self._fragment_size, f"reply:{next(self._fragment_ids)}"
         if isinstance(fields, Mapping):
             return pack(self._encode(fields), fragment_size, mark)
-        return EncodedMessage.later(lambda: pack(self._encode(fields()), fragment_size, mark), LARGE_BYTES)
+        return EncodedMessage.later(
+            lambda: pack(self._encode(fields(), json.encode_in_pieces), fragment_size, mark), LARGE_BYTES
+        )
 
 
 def with_id(fields: dict[str, Any], mark: str | int | None) -> dict[str, Any]:

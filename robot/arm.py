@@ -91,6 +91,7 @@ class Arm:
         on_health: called in the event loop with the arm's condition, once a second.
         started: its process, if it was started ahead.
         restart_delay: delay before each start of a process in place of one that has ended.
+        observed: returns False when nobody sees the arm's states at the moment.
 
     Attributes:
         state: latest state.
@@ -105,8 +106,10 @@ class Arm:
         on_health: Callable[[ArmHealth], None] = lambda _health: None,
         started: StartedChild | None = None,
         restart_delay: RestartDelay | None = None,
+        observed: Callable[[], bool] = lambda: True,
     ) -> None:
         self._config = config
+        self._observed = observed
         self._on_state = on_state
         self._on_health = on_health
         self._process = ArmProcess(self._received, self._exited, started)
@@ -302,7 +305,7 @@ class Arm:
     async def _beat(self) -> None:
         while True:
             await asyncio.sleep(HEARTBEAT_S)
-            self._process.send(Heartbeat())
+            self._process.send(Heartbeat(self._observed()))
             self._silent_heartbeats += self._spoken
             if self._silent_heartbeats > SILENT_HEARTBEATS:
                 log.error("the arm process has said nothing for %g s; ending it", SILENT_S)

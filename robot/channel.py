@@ -158,6 +158,13 @@ class Channel:
             del self._pending[:sent]
 
 
+def leave_signals_to_server() -> None:
+    """Ignore the signals that a child has no use for; the server has started it with them blocked."""
+    for number in SIGNALS_OF_SERVER:
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS_OF_SERVER)
+
+
 def channel_of_child(arguments: list[str] | None = None) -> Channel:
     """Open the channel that a child was started with, and log as its server does.
 
@@ -166,10 +173,7 @@ def channel_of_child(arguments: list[str] | None = None) -> Channel:
     Args:
         arguments: command line; None for that of the process.
     """
-    for number in SIGNALS_OF_SERVER:
-        signal.signal(number, signal.SIG_IGN)
-    # The server has started this process with them blocked.
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS_OF_SERVER)
+    leave_signals_to_server()
     parser = argparse.ArgumentParser()
     parser.add_argument("--fd", type=int, required=True)
     parser.add_argument("--log-level", type=int, default=logging.INFO)

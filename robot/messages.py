@@ -215,7 +215,13 @@ class ChangePace:
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Sign of life of the server, ten times a second."""
+    """Sign of life of the server, ten times a second.
+
+    Attributes:
+        observed: False when nobody sees the arm's states at the moment, so that a simulated one may report fewer.
+    """
+
+    observed: bool = True
 
 
 class Order(Enum):

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator
-from typing import Any, cast
+from typing import Any, NoReturn, Protocol, cast
 
 from robot import logs
 from robot.channel import SIGNALS_OF_SERVER, Decoder, encode
@@ -110,6 +110,94 @@ class RestartDelay:
         return delay_s
 
 
+class Process(Protocol):
+    """Process that this one has started, as far as :class:`subprocess.Popen` is used here."""
+
+    pid: int
+
+    def poll(self) -> int | None:
+        """Return the exit code, the negative number of a signal; None while it runs."""
+
+    def kill(self) -> None:
+        """Kill it, if it runs."""
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the exit code.
+
+        Raises:
+            subprocess.TimeoutExpired: it still runs.
+        """
+
+
+class ForkedProcess:
+    """Child of ``fork``: it shares the memory of what this process has loaded, until one of them writes there.
+
+    To be made before this process has threads or an event loop, of which a child would have dead halves. The child has
+    a session of its own, and is as one of :func:`start_module` but for its modules.
+
+    Args:
+        run: body of the child; its return, or an exception, ends the child.
+
+    Attributes:
+        pid: process id.
+
+    Raises:
+        OSError: the system has no process or memory left for it.
+    """
+
+    def __init__(self, run: Callable[[], None]) -> None:
+        self._code: int | None = None
+        with _blocked(SIGNALS_OF_SERVER):
+            self.pid = os.fork()
+            if self.pid == 0:
+                _be_child(run)
+
+    def poll(self) -> int | None:
+        """Return the exit code, the negative number of a signal; None while it runs."""
+        if self._code is None:
+            try:
+                pid, status = os.waitpid(self.pid, os.WNOHANG)
+            except ChildProcessError:
+                # Waited for elsewhere; how it ended is not known.
+                pid, status = self.pid, 0
+            if pid:
+                self._code = os.waitstatus_to_exitcode(status)
+        return self._code
+
+    def kill(self) -> None:
+        """Kill it, if it runs."""
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the exit code.
+
+        Raises:
+            subprocess.TimeoutExpired: it still runs.
+        """
+        until_s = None if timeout is None else time.monotonic() + timeout
+        while (code := self.poll()) is None:
+            if until_s is not None and time.monotonic() >= until_s:
+                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
+            time.sleep(POLL_S)
+        return code
+
+
+def _be_child(run: Callable[[], None]) -> NoReturn:
+    """Carry out the body of a forked child, and end without the clean-up of the process that it was forked from."""
+    code = 1
+    try:
+        os.setsid()
+        run()
+        code = 0
+    except Exception:
+        log.exception("a child process ends")
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
 class StartedChild:
     """Child process started ahead: it loads its modules, and ends by itself when this process does.
 
@@ -127,6 +215,7 @@ class StartedChild:
 
     def __init__(self, module: str) -> None:
         self.adopted = False
+        self.process: Process
         self.socket, theirs = socket.socketpair()
         with theirs:
             level = str(logging.getLogger().getEffectiveLevel())
@@ -136,6 +225,33 @@ class StartedChild:
             except BaseException:
                 self.socket.close()
                 raise
+
+    @classmethod
+    def forked(cls, run: Callable[[socket.socket], None]) -> StartedChild:
+        """Start a child by ``fork``: see :class:`ForkedProcess`.
+
+        Args:
+            run: body of the child; gets its end of the channel.
+
+        Raises:
+            OSError: the system has no descriptor, process or memory left for it.
+        """
+        started = cls.__new__(cls)
+        started.adopted = False
+        started.socket, theirs = socket.socketpair()
+
+        def child() -> None:
+            # The server's end would keep the channel open when the server has died.
+            started.socket.close()
+            run(theirs)
+
+        with theirs:
+            try:
+                started.process = ForkedProcess(child)
+            except BaseException:
+                started.socket.close()
+                raise
+        return started
 
     def close(self) -> None:
         """Kill the child, unless it is adopted."""
@@ -243,9 +359,7 @@ class _Link(asyncio.Protocol):
         on_end: called once, when the socket is closed from either side.
     """
 
-    def __init__(
-        self, on_message: Callable[[Any], None], process: subprocess.Popen[bytes], on_end: Callable[[], None]
-    ) -> None:
+    def __init__(self, on_message: Callable[[Any], None], process: Process, on_end: Callable[[], None]) -> None:
         self._on_message = on_message
         self._process = process
         self._on_end = on_end
@@ -292,7 +406,7 @@ class _Link(asyncio.Protocol):
             self._transport.close()
 
 
-async def has_ended(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
+async def has_ended(process: Process, timeout_s: float) -> bool:
     """Wait for the end of a process, for ``timeout_s`` at most; return True when it has ended."""
     until_s = time.monotonic() + timeout_s
     while process.poll() is None:

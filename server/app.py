@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import sys
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import uvloop
 
 from planners.pool import PlannerPool
+from planners.shared_pool import SharedPlanners
 from protocol.registry import Registry
 from robot.arm import Arm
 from robot.messages import ArmHealth, ArmState, EndState, Mode
@@ -18,7 +21,7 @@ from server.access.authorization import Access
 from server.access.control_lease import ControlServices
 from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
-from server.arm.topics import ArmStateTopics, JointStates
+from server.arm.topics import ArmStateTopics, JointStates, states_are_observed
 from server.config import RecordingSettings, Settings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
@@ -45,12 +48,26 @@ STOP_TOTAL_S = 2.6
 RELAXING_S = 2.5
 
 
-def serve(settings: Settings, arm_process: StartedChild | None = None) -> None:
+@dataclass(frozen=True)
+class Inherited:
+    """Parts of a server that the process which has forked it made for several.
+
+    Attributes:
+        description: the arm by its files.
+        planners: path of the socket of the planners' host.
+    """
+
+    description: Description
+    planners: Path
+
+
+def serve(settings: Settings, arm_process: StartedChild | None = None, inherited: Inherited | None = None) -> None:
     """Run the server until SIGINT or SIGTERM.
 
     Args:
         settings: everything that can be chosen.
         arm_process: the arm's process, if it was started ahead.
+        inherited: parts that are made already; None for a server on its own.
 
     Raises:
         ConfigurationError: settings that contradict each other or the robot.
@@ -58,7 +75,7 @@ def serve(settings: Settings, arm_process: StartedChild | None = None) -> None:
     """
 
     async def run() -> None:
-        await App(settings, arm_process).run()
+        await App(settings, arm_process, inherited).run()
 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     uvloop.run(run())
@@ -70,10 +87,13 @@ class App:
     Args:
         settings: everything that can be chosen.
         arm_process: the arm's process, if it was started ahead.
+        inherited: parts that are made already; None for a server on its own.
     """
 
-    def __init__(self, settings: Settings, arm_process: StartedChild | None = None) -> None:
-        description = Description.read(settings.arm)
+    def __init__(
+        self, settings: Settings, arm_process: StartedChild | None = None, inherited: Inherited | None = None
+    ) -> None:
+        description = Description.read(settings.arm) if inherited is None else inherited.description
         robot = description.robot
         check_parameters(settings.moveit, robot)
         self._settings = settings
@@ -96,8 +116,18 @@ class App:
             takes_goals_along=settings.goals.on_disconnect == "stop",
         )
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
-        self._arm = Arm(arm_config(settings, description), self._on_state, self._on_health, arm_process)
-        self._pool = PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
+        self._arm = Arm(
+            arm_config(settings, description),
+            self._on_state,
+            self._on_health,
+            arm_process,
+            observed=lambda: states_are_observed(graph),
+        )
+        self._pool = (
+            PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
+            if inherited is None
+            else SharedPlanners(robot, inherited.planners)
+        )
 
         # Behind all that may refuse, so that no file is begun in vain; ahead of the parts that latch messages.
         self._recorder = open_recorder(settings.recording, graph, robot.name)
@@ -122,7 +152,7 @@ class App:
             recorder=self._recorder,
             zenoh=self._bridge,
         )
-        self._collector = CollectorPolicy()
+        self._collector = CollectorPolicy(keeps_frozen=inherited is not None)
         self._memory = MemoryKeeper(self._collector, self._nothing_moves)
         self._monitor = Monitor(sources, SystemdNotifier.from_environment())
         routes.update(self._monitor.routes)
@@ -159,6 +189,7 @@ class App:
         monitor = BackgroundTask("monitor", self._monitor.run)
         diagnostics = BackgroundTask("diagnostics", self._diagnostics.run)
         memory = BackgroundTask("memory", self._memory.run)
+        message_types = BackgroundTask("message types", self._graph.message_types.compile_waiting)
         relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
         parts = [
             Part("the monitor", monitor.start, monitor.stop),
@@ -173,7 +204,11 @@ class App:
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._listener.open),
             Part("the arm's first state", self._wait_for_arm),
+            # Loaded meanwhile; whoever is told that the server is ready need not wait for them.
+            Part("the planners' first plans", self._wait_for_planners),
             Part("memory", memory.start, memory.stop),
+            # Ready without them: whoever comes first waits for a type of his own, at most 20 ms.
+            Part("message types", message_types.start, message_types.stop),
         ]
         if self._bridge is not None:
             bridge = BackgroundTask("zenoh", self._bridge.run)
@@ -190,6 +225,11 @@ class App:
             await self._arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError as error:
             raise StartError(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s") from error
+
+    async def _wait_for_planners(self) -> None:
+        refusal = await self._pool.wait_until_loaded()
+        if refusal is not None:
+            raise StartError(f"the planners cannot load the robot: {refusal}")
 
     async def _close_clients(self) -> None:
         self._control.close()
@@ -234,7 +274,7 @@ class App:
         return (
             f"armbridge is ready: {self._listener.url} (rosbridge), {shown}"
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
-            f"planners in processes {', '.join(str(pid) for pid in self._pool.pids)}"
+            f"planners in processes {', '.join(str(pid) for pid in self._pool.pids) or 'of their own, shared'}"
         )
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from importlib import metadata
 
 from server.commands.arm import add_calibrate_parser, add_doctor_parser, add_relax_parser, add_scan_parser
+from server.commands.classroom import add_classroom_parser
 from server.commands.config import add_config_parser, add_systemd_unit_parser
 from server.commands.plan import add_plan_parser
 from server.commands.robot import add_robot_parser
@@ -25,6 +26,7 @@ COMMANDS = (
     add_relax_parser,
     add_robot_parser,
     add_plan_parser,
+    add_classroom_parser,
     add_replay_parser,
     add_emulate_parser,
     add_config_parser,

@@ -29,6 +29,8 @@ ALLOWED = {
         "planners.assistant",
         "planners.errors",
         "planners.pool",
+        "planners.pool_host",
+        "planners.shared_pool",
         "planners.servo.question",
     ),
     "planners": (
@@ -54,6 +56,8 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
     "planners/pool.py",
+    "planners/pool_host.py",
+    "planners/shared_pool.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 

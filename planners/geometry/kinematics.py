@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import frame_of_link, outline
 from robot.description.model import RobotModel
+from robot.description.urdf import Mimic
 from robot.trajectory import Vector
 
 
@@ -35,22 +36,19 @@ class JointMap:
         names = [str(name) for name in list(model.names)[1:]]
         own = [name for name in names if robot.joints[name].movable]
         self.joint_names = tuple(own if joint_names is None else joint_names)
-        # One of pinocchio's joints a row, so that its position is a multiple of one of ours.
+        # The position of each of pinocchio's joints is a multiple of one of ours.
+        mimics = [robot.joints[name].mimic or Mimic(name, 1.0, 0.0) for name in names]
+        self._leaders = np.array([self.joint_names.index(mimic.joint) for mimic in mimics], dtype=np.intp)
+        self._multipliers = np.array([mimic.multiplier for mimic in mimics])
         self._matrix = np.zeros((len(names), len(self.joint_names)))
-        for row, name in enumerate(names):
-            mimic = robot.joints[name].mimic
-            leader, multiplier = (name, 1.0) if mimic is None else (mimic.joint, mimic.multiplier)
-            self._matrix[row, self.joint_names.index(leader)] = multiplier
-        self._order: NDArray[np.intp] | None = None
+        self._matrix[np.arange(len(names)), self._leaders] = self._multipliers
         self._same = np.array_equal(self._matrix, np.eye(len(names)))
-        if len(own) == len(names):
-            self._order = self._matrix.argmax(axis=1)
 
     def positions(self, q: Vector) -> Vector:
         """Return the positions of pinocchio's joints at a configuration."""
         if self._same:
             return q
-        positions: Vector = self._matrix @ q if self._order is None else q[self._order]
+        positions: Vector = q[self._leaders] * self._multipliers
         return positions
 
     def by_joint(self, rows: Vector) -> Vector:

@@ -10,11 +10,12 @@ import array
 import functools
 import sys
 from binascii import a2b_base64
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import cbor2
 
+from protocol.codecs.pieces import Notation, encoded_pieces
 from protocol.registry import Field, Registry
 
 # Packs one value; None where it stays as it is.
@@ -102,9 +103,6 @@ def _number_packing(base: str) -> Callable[[list[Any]], cbor2.CBORTag]:
     return pack_numbers
 
 
-# Elements of a list that are encoded at a time.
-MAX_PIECE_VALUES = 500
-
 # RFC 8949, 3.1.
 _ARRAY, _MAP = 4, 5
 
@@ -119,32 +117,17 @@ def encode(msg: Mapping[str, Any]) -> bytes:
     Args:
         msg: dicts, lists, text, numbers, booleans, bytes, and typed arrays as `protocol.codecs.cbor` makes them.
     """
-    return b"".join(_pieces(msg))
-
-
-def _pieces(value: Any) -> Iterator[bytes]:
-    """Encode a value piece by piece: the encoder holds the interpreter's lock for each, a second for a million values.
-
-    In front of a map or an array stands its length (RFC 8949, 3.1); nothing stands between its members.
-    """
-    if isinstance(value, Mapping):
-        yield _length(_MAP, len(value))
-        for key, member in value.items():
-            yield cbor2.dumps(key)
-            yield from _pieces(member)
-    elif type(value) is list and len(value) > MAX_PIECE_VALUES:
-        yield _length(_ARRAY, len(value))
-        for start in range(0, len(value), MAX_PIECE_VALUES):
-            piece = value[start : start + MAX_PIECE_VALUES]
-            yield cbor2.dumps(piece)[len(_length(_ARRAY, len(piece))) :]
-    else:
-        yield cbor2.dumps(value)
+    return b"".join(encoded_pieces(msg, _NOTATION))
 
 
 def _length(major_type: int, length: int) -> bytes:
     """Return the head of a map or an array, of which an encoded integer differs in its major type alone."""
     head = cbor2.dumps(length)
     return bytes((head[0] | major_type << 5,)) + head[1:]
+
+
+# In front of a map or an array stands its length (RFC 8949, 3.1); nothing stands between its members.
+_NOTATION = Notation(cbor2.dumps, functools.partial(_length, _MAP), functools.partial(_length, _ARRAY))
 
 
 def publish(topic: str, encoded_msg: bytes) -> bytes:

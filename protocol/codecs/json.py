@@ -14,6 +14,7 @@ from typing import Any, AnyStr
 import orjson
 
 from protocol.codecs.long_json import PIECE_BYTES, decode_in_pieces
+from protocol.codecs.pieces import encoded_pieces, json_notation
 from protocol.errors import FrameError
 
 # The deepest message of the interface tables nests 15 levels; a service and its envelope add three.
@@ -61,6 +62,14 @@ def encode(value: object) -> bytes:
         return encoded
     # Outside of its strings JSON text is ASCII, so whatever is not may be escaped where it stands.
     return _NOT_ASCII.sub(lambda run: json.dumps(run[0])[1:-1], encoded.decode()).encode("ascii")
+
+
+_NOTATION = json_notation(encode)
+
+
+def encode_in_pieces(value: object) -> bytes:
+    """Encode one frame as :func:`encode`; other threads have their turn while a long one is encoded."""
+    return b"".join(encoded_pieces(value, _NOTATION))
 
 
 def _decode_piece(piece: bytes, offset: int) -> object:

@@ -7,17 +7,18 @@ asks for the end, or is gone, the arm is brought to its end state and the proces
 from __future__ import annotations
 
 import contextlib
+import socket
 import time
 from typing import Any, Protocol
 
-from robot.channel import Channel, channel_of_child
+from robot.channel import Channel, channel_of_child, leave_signals_to_server
 from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
 from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
-from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from robot.hardware.config import DynamixelConfig, EmulatedConfig, EmulatedDynamixelConfig, FeetechConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface
 from robot.messages import ArmConfig, Command, Order
 
@@ -54,6 +55,14 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
             from robot.emulator.in_process import EmulatedServos
 
             return EmulatedServos(config.robot, config.hardware, bounds, config.guard_limits, clock)
+        case DynamixelConfig():
+            from robot.hardware.dynamixel.hardware import SerialDynamixels
+
+            return SerialDynamixels(config.hardware, bounds, config.guard_limits, clock)
+        case EmulatedDynamixelConfig():
+            from robot.emulator.dynamixel.in_process import EmulatedDynamixels
+
+            return EmulatedDynamixels(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 
@@ -126,7 +135,7 @@ class ArmLoop:
         """Handle the server's messages, and do steps of orders, until the tick is due.
 
         Returns:
-            Number of ticks that were skipped because the arm needed none; 0 when a message made it need them.
+            Number of ticks that were skipped because the arm needed none; fewer when a message made it need them.
         """
         skipped = self._supervisor.spare_ticks
         pacer.skip(skipped)
@@ -141,9 +150,9 @@ class ArmLoop:
                 time.sleep(max(0.0, idle_s))
             else:
                 self._handle(self._channel.receive(idle_s))
-            if skipped and not self._supervisor.spare_ticks:
-                pacer.hurry(skipped, time.monotonic())
-                skipped = 0
+            if (spare := self._supervisor.spare_ticks) < skipped:
+                pacer.hurry(skipped - spare, time.monotonic())
+                skipped = spare
         return skipped
 
     def _handle(self, messages: list[Any]) -> None:
@@ -169,8 +178,26 @@ def _rank(message: object) -> int:
 
 
 def main() -> None:
-    """Run the arm process: the first message is its configuration."""
-    channel = channel_of_child()
+    """Be the arm process of the server that has started this one."""
+    run_arm(channel_of_child())
+
+
+def run_forked(sock: socket.socket) -> None:
+    """Be the arm process of the server that has forked this one.
+
+    Args:
+        sock: this end of the channel.
+    """
+    leave_signals_to_server()
+    run_arm(Channel(sock))
+
+
+def run_arm(channel: Channel) -> None:
+    """Run an arm until its server ends it.
+
+    Args:
+        channel: channel to the server; the first message is the arm's configuration.
+    """
     config = channel.receive_first()
     if config is not None:
         ArmLoop(channel, checked(config), real_time=become_punctual()).run()

@@ -172,7 +172,8 @@ class Orders:
 
     def _clear_overloads(self, controller: ArmController) -> Steps[None]:
         status = self._readings().status.tolist()
-        overloaded = [joint for joint, word in enumerate(status) if word & StatusFlag.OVERLOAD]
+        latched = self._arm.hardware.latched_status
+        overloaded = [joint for joint, word in enumerate(status) if word & latched]
         if not overloaded:
             return
         with self._arm.writing_paused():

@@ -22,6 +22,7 @@ from robot.control.pacing import PERIOD_S, Pacer, percentiles
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface, Steps
 from robot.logs import LogLimiter, suppressed_note
 from robot.messages import (
@@ -33,6 +34,7 @@ from robot.messages import (
     CommandDone,
     EndState,
     Execute,
+    Heartbeat,
     JointHealth,
     Mode,
     MotionEnded,
@@ -176,8 +178,12 @@ END_TIMEOUT_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 
-# A simulated arm at rest skips every other tick.
+# A simulated arm at rest skips every other tick, and four of five (20 a second are left) while nobody sees its states.
 SPARE_TICKS = 1
+IDLE_SPARE_TICKS = 4
+
+# After so many ticks at rest the joints have come to where their last motion has sent them.
+SETTLED_TICKS = round(0.5 / PERIOD_S)
 
 # A server that is silent for so long hangs, however busy the machine is; a simulated arm can afford to wait.
 SIMULATED_WATCHDOG_S = 5.0
@@ -198,6 +204,17 @@ _NAMES = {
 }
 
 Send = Callable[[object, bool], None]
+
+
+def stays_at_rest(hardware: HardwareConfig) -> bool:
+    """Return True for simulated hardware that at rest has nothing to see: no lost replies, and nobody's hand on it."""
+    match hardware:
+        case IdealConfig():
+            return True
+        case EmulatedConfig():
+            return not hardware.drop and not hardware.corrupt and hardware.control is None
+        case _:
+            return False
 
 
 class Supervisor:
@@ -233,6 +250,9 @@ class Supervisor:
         self._retry_s = FIRST_RETRY_S
         self._check_at_s = clock()
         self._state_due, self._health_due = self._ticks_per_state, HEALTH_PERIOD_TICKS
+        self._undisturbed = stays_at_rest(config.hardware)
+        self._observed = True
+        self._rested_ticks = 0
         self._server_lost = False
         self._reported_fault: Fault | None = None
         self._end: EndState | None = None
@@ -291,6 +311,8 @@ class Supervisor:
             controller.change_pace(message)
         elif isinstance(message, Command):
             self._command(message)
+        elif isinstance(message, Heartbeat):
+            self._observed = message.observed
         elif isinstance(message, Shutdown):
             self._end = self._config.on_exit
 
@@ -303,7 +325,11 @@ class Supervisor:
         """
         if not self._config.hardware.simulated or self.arm is None or self.arm.controller is None or self._task:
             return 0
-        return SPARE_TICKS if self.arm.controller.resting and self._ticks_per_state > SPARE_TICKS else 0
+        if not self.arm.controller.resting:
+            return 0
+        if not self._observed and self._rested_ticks >= SETTLED_TICKS and self._undisturbed:
+            return IDLE_SPARE_TICKS
+        return SPARE_TICKS if self._ticks_per_state > SPARE_TICKS else 0
 
     def tick(self, pacer: Pacer, *, server_gone: bool, ticks: int = 1) -> None:
         """Run one cycle of the arm.
@@ -326,13 +352,16 @@ class Supervisor:
         self._check_fault()
         if arm.controller is None and self._task is None and now_s >= self._check_at_s and self._orders is not None:
             self._begin(_Task(CONNECTING, self._orders.connect(may_enable=self._may_enable), None, now_s))
+        resting = arm.controller is not None and arm.controller.resting
+        self._rested_ticks = self._rested_ticks + ticks if resting else 0
         self._state_due -= ticks
         self._health_due -= ticks
         if min(self._state_due, self._health_due) > 0:
             return
         state = self._state(arm, pacer)
         if self._state_due <= 0:
-            self._state_due += self._ticks_per_state
+            # States that skipped ticks left out are not made up for.
+            self._state_due = max(self._state_due + self._ticks_per_state, 1)
             self._send(state, True)
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS

@@ -16,10 +16,17 @@ from robot.description.srdf import Group as Group
 from robot.description.srdf import Semantics, read_srdf
 from robot.description.urdf import Joint as Joint
 from robot.description.urdf import JointLimits as JointLimits
-from robot.description.urdf import Tree, read_urdf
+from robot.description.urdf import read_urdf
 from robot.errors import DescriptionError
 
 NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})
+
+# Names of the states of a gripper's group, in small letters.
+OPEN_STATES = ("open", "opened")
+CLOSED_STATES = ("closed", "close")
+
+# Groups that are the gripper where no end effector says so, as Panda's.
+GRIPPER_GROUPS = ("gripper", "hand")
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,7 @@ class RobotModel:
         urdf: text of the URDF.
         srdf: text of the SRDF.
         mesh_directory: base of the URDF's relative mesh paths; None for a URDF without meshes.
+        package_directories: folders for ``package://``, beside those around the URDF.
         links: link names, root first.
         joints: every joint by name, in the order of the URDF.
         groups: planning groups by name.
@@ -66,12 +74,11 @@ class RobotModel:
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
         parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
             the link's frame; for the cases in which a hull is too wide.
+        planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
         gripper: the gripper; None for an arm without one.
         default_group: group of goals that name none.
-        tip_link: link that pose goals of this group move; empty where the group's joints are not one chain.
+        tip_link: link that pose goals of this group move; empty for a group that is no chain.
         held_joints: joint -> position at which it stays, for joints that are not driven [rad or m].
-        package_directories: folders of packages that ``package://`` names, beside those around the URDF.
-        planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     """
 
     name: str
@@ -85,12 +92,12 @@ class RobotModel:
     mesh_directory: Path | None = None
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    planning_frame: str = ""
+    package_directories: tuple[Path, ...] = ()
     gripper: Gripper | None = None
     default_group: str = ""
     tip_link: str = ""
     held_joints: Mapping[str, float] = field(default_factory=dict)
-    package_directories: tuple[Path, ...] = ()
-    planning_frame: str = ""
 
     @property
     def root_link(self) -> str:
@@ -111,36 +118,28 @@ class RobotModel:
 def load(
     urdf_path: Path,
     srdf_path: Path,
-    limits: Mapping[str, JointLimits] = NO_LIMITS,
-    *,
     package_directories: Sequence[Path] = (),
-    with_meshes: bool = True,
+    limits: Mapping[str, JointLimits] = NO_LIMITS,
 ) -> RobotModel:
     """Read a robot from files.
 
     Args:
-        urdf_path: the URDF, whose folder its relative mesh paths begin at.
-        srdf_path: the SRDF.
-        limits: limits by joint that replace the URDF's.
+        urdf_path: URDF.
+        srdf_path: SRDF.
         package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
-        with_meshes: the meshes have to be there; not where hulls stand in for them.
+        limits: limits by joint that replace those of the URDF.
 
     Raises:
         DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
     """
-    directory, packages = urdf_path.resolve().parent, (*package_directories, *package_path(os.environ))
-    sources = f"URDF {urdf_path}", f"SRDF {srdf_path}"
-    robot = parse(
+    return parse(
         _text(urdf_path),
         _text(srdf_path),
-        mesh_directory=directory,
-        package_directories=packages,
+        mesh_directory=urdf_path.resolve().parent,
+        package_directories=(*package_directories, *package_path(os.environ)),
         limits=limits,
-        sources=sources,
+        sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
     )
-    if with_meshes:
-        check_meshes(robot.urdf, sources[0], directory, packages)
-    return robot
 
 
 def parse(
@@ -159,18 +158,21 @@ def parse(
     Args:
         urdf: text of the URDF.
         srdf: text of the SRDF.
-        mesh_directory: base of relative mesh paths.
-        package_directories: as of :class:`RobotModel`.
-        hulls: likewise.
-        parts: likewise.
-        limits: limits by joint that replace the URDF's.
+        mesh_directory: see :class:`RobotModel`.
+        package_directories: see :class:`RobotModel`.
+        hulls: see :class:`RobotModel`.
+        parts: see :class:`RobotModel`.
+        limits: limits by joint that replace those of the URDF.
         sources: names of the URDF and of the SRDF, for errors.
 
     Raises:
-        DescriptionError: a text does not parse, or misses what planning needs.
+        DescriptionError: a text does not parse, or misses what planning needs; with a mesh directory and without
+            hulls, a mesh is not there.
     """
     tree = read_urdf(urdf, sources[0], limits)
     semantics = read_srdf(srdf, sources[1], tree)
+    if mesh_directory is not None and not hulls:
+        check_meshes(urdf, sources[0], mesh_directory, package_directories)
     default_group = _default_group(semantics)
     return RobotModel(
         name=tree.name,
@@ -182,57 +184,61 @@ def parse(
         named_states=semantics.named_states,
         disabled_pairs=semantics.disabled_pairs,
         mesh_directory=mesh_directory,
+        package_directories=package_directories,
         hulls=hulls or {},
         parts=parts or {},
-        gripper=_gripper(tree, semantics, default_group),
+        planning_frame=semantics.planning_frame,
+        gripper=_gripper(semantics, tree.joints, default_group),
         default_group=default_group,
         tip_link=semantics.groups[default_group].tip_link,
-        # Nothing drives them: they rest where they are least turned.
-        held_joints={name: _nearest_to_zero(tree.joints[name]) for name in semantics.passive_joints},
-        package_directories=package_directories,
-        planning_frame=semantics.planning_frame,
+        held_joints={
+            joint.name: min(max(0.0, joint.lower), joint.upper)
+            for joint in tree.joints.values()
+            if joint.movable and joint.name in semantics.passive_joints
+        },
     )
 
 
 def _default_group(semantics: Semantics) -> str:
-    """Return the group "arm", else the first that is one chain and no end effector, else the first."""
-    if "arm" in semantics.groups:
-        return "arm"
-    effectors = {effector.group for effector in semantics.end_effectors}
-    chains = [name for name, group in semantics.groups.items() if group.tip_link]
-    return next(name for name in [*(n for n in chains if n not in effectors), *chains, *semantics.groups])
+    """Return the group "arm", else the first that is a chain and no end effector, else the first."""
+    ends = {end.group for end in semantics.end_effectors}
+    chains = [name for name, group in semantics.groups.items() if group.tip_link and name not in ends]
+    return "arm" if "arm" in semantics.groups else next(iter([*chains, *semantics.groups]))
 
 
-def _gripper(tree: Tree, semantics: Semantics, arm: str) -> Gripper | None:
-    """Return the gripper that the SRDF describes: an end effector, or a group "gripper" or "hand", of a joint or two.
+def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gripper | None:
+    """Return the gripper: an end effector of one or two joints, or else such a group "gripper" or "hand".
 
-    Of several, that at the arm's tip; open and closed by their named states, else by the limits.
+    Of several, it is that at the arm's tip. It is open and closed in its named states, or else at its limits.
+
+    Args:
+        semantics: groups, named states and end effectors.
+        joints: joints by name.
+        arm: group whose gripper it is.
     """
-    tip, groups = semantics.groups[arm].tip_link, semantics.groups
-    hands = [effector for effector in semantics.end_effectors if effector.group != arm]
-    at_tip = [effector.group for effector in hands if effector.parent_link == tip]
-    others = [effector.group for effector in hands if effector.parent_link != tip]
-    effectors = at_tip or (others if len(others) == 1 else [])
-    for name in effectors or ("gripper", "hand"):
-        joints = groups[name].joints if name in groups else ()
-        if not 1 <= len(joints) <= 2 or set(joints) & set(groups[arm].joints):
+    groups = semantics.groups
+    hands = [end for end in semantics.end_effectors if end.group != arm]
+    at_tip = [end.group for end in hands if end.parent_link == groups[arm].tip_link]
+    chosen = at_tip or [end.group for end in hands if len(hands) == 1]
+    for name in chosen or GRIPPER_GROUPS:
+        members = groups[name].joints if name in groups else ()
+        if len(members) not in (1, 2) or set(members) & set(groups[arm].joints):
             continue
-        ends = [_ends(tree.joints[joint], semantics.named_states.get(name, {})) for joint in joints]
-        if len(set(ends)) == 1:
-            return Gripper(joints, *ends[0])
+        states = {state.lower(): values for state, values in semantics.named_states.get(name, {}).items()}
+        ends = {_ends(joints[member], states) for member in members}
+        # Two fingers move alike: a gripper has one position.
+        if len(ends) == 1:
+            return Gripper(members, *ends.pop())
     return None
 
 
 def _ends(joint: Joint, states: Mapping[str, Mapping[str, float]]) -> tuple[float, float]:
     """Return where a joint of a gripper is when it is open and when it is closed [rad or m]."""
-    closed = {name: states.get(name, {}).get(joint.name) for name in ("closed", "close")}
-    opened = states.get("open", {}).get(joint.name)
-    shut = next((position for position in closed.values() if position is not None), None)
-    return joint.upper if opened is None else opened, joint.lower if shut is None else shut
-
-
-def _nearest_to_zero(joint: Joint) -> float:
-    return min(max(0.0, joint.lower), joint.upper)
+    opened, closed = (
+        next((states[name][joint.name] for name in names if joint.name in states.get(name, {})), limit)
+        for names, limit in ((OPEN_STATES, joint.upper), (CLOSED_STATES, joint.lower))
+    )
+    return opened, closed
 
 
 def _text(path: Path) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot.arms
-from robot.description import example_robots, model, robot_file
-from robot.description.example_robots import example_names, find_example
+from robot.description import model, robot_file
+from robot.description.example_robots import find_example
 from robot.description.model import Gripper, Hull, JointLimits, RobotModel
 from robot.description.robot_file import GripperTable, RobotFile, ServoTable
 from robot.description.servo_table import HardwareTable, ServoSpec, Zero, ZeroTick
@@ -75,33 +75,11 @@ def find(name_or_folder: str) -> Path:
         return path.parent
     if path.is_dir():
         return path
-    published = f", nor of {example_robots.PACKAGE}: {names}" if (names := ", ".join(example_names())) else ""
     raise DescriptionError(
         f"robot {name_or_folder!r}",
-        f"is no folder, and none of the built-in arms: {', '.join(built_in_names())}{published}",
+        f"is no folder, and none of the built-in arms {', '.join(built_in_names())}; others come with the package "
+        "example-robot-data (pip install example-robot-data)",
     )
-
-
-def load_named(name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None) -> RobotFolder:
-    """Load an arm: a built-in one, one of a folder, or a published one of the package example-robot-data.
-
-    Args:
-        name_or_folder: name of a built-in or published arm, or a path.
-        urdf: as for :func:`load`; it takes the place of a published one's as well.
-        srdf: likewise.
-
-    Raises:
-        DescriptionError: there is no such arm, or its files do not describe one.
-    """
-    try:
-        folder = find(name_or_folder)
-    except DescriptionError:
-        example = find_example(name_or_folder)
-        if example is None:
-            raise
-        arm = model.load(urdf or example.urdf, srdf or example.srdf, package_directories=example.packages)
-        return RobotFolder(name_or_folder, arm.name, arm, HardwareTable(), example.urdf.parent)
-    return load(folder, urdf=urdf, srdf=srdf)
 
 
 def built_in(name: str) -> RobotFolder:
@@ -113,10 +91,35 @@ def built_in(name: str) -> RobotFolder:
     return load(find(name))
 
 
-def problems(folder: Path) -> tuple[str, ...]:
-    """Return everything that is wrong with an arm's folder, a sentence each."""
+def resolve(
+    name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
+) -> RobotFolder:
+    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data.
+
+    Args:
+        name_or_folder: name or path.
+        urdf: as of :func:`load`.
+        srdf: as of :func:`load`.
+        package_directories: as of :func:`load`.
+
+    Raises:
+        DescriptionError: there is no such arm, or its files do not describe one.
+    """
     try:
-        load(folder)
+        folder = find(name_or_folder)
+    except DescriptionError:
+        if (example := find_example(name_or_folder)) is None:
+            raise
+        packages = (*package_directories, *example.packages)
+        arm = model.load(urdf or example.urdf, srdf or example.srdf, packages)
+        return RobotFolder(name_or_folder, name_or_folder, arm, HardwareTable(), example.urdf.parent)
+    return load(folder, urdf=urdf, srdf=srdf, package_directories=package_directories)
+
+
+def problems(name_or_folder: str) -> tuple[str, ...]:
+    """Return everything that is wrong with an arm, a sentence each."""
+    try:
+        resolve(name_or_folder)
     except RobotFileError as error:
         return error.problems
     except DescriptionError as error:
@@ -124,13 +127,16 @@ def problems(folder: Path) -> tuple[str, ...]:
     return ()
 
 
-def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) -> RobotFolder:
+def load(
+    folder: Path, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
+) -> RobotFolder:
     """Load an arm from its folder.
 
     Args:
         folder: the folder.
         urdf: URDF in place of the folder's, whose hulls and parts then do not apply.
         srdf: SRDF that goes with it.
+        package_directories: folders for ``package://``, ahead of the folder's own.
 
     Raises:
         DescriptionError: the folder does not describe an arm; a RobotFileError names all problems.
@@ -147,14 +153,11 @@ def load(folder: Path, *, urdf: Path | None = None, srdf: Path | None = None) ->
     own = urdf is None
     urdf = urdf or found.of(lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
     srdf = srdf or found.of(lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
+    packages = (*package_directories, *((folder / package).resolve() for package in file.robot.packages))
     arm = None
     if urdf is not None and srdf is not None:
         described = urdf, srdf
-        packages = [(folder / package).resolve() for package in file.robot.packages]
-        with_meshes = not own or file.robot.hulls is None
-        arm = found.of(
-            lambda: model.load(*described, limits, package_directories=packages, with_meshes=with_meshes), None
-        )
+        arm = found.of(lambda: model.load(*described, packages, limits), None)
     hulls: dict[str, Hull] = {}
     parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
     if own and (hulls_file := file.robot.hulls) is not None:
@@ -335,7 +338,7 @@ def _unknown_names(
         yield f"planning.group: the SRDF has no group {file.planning.group!r}, but {', '.join(arm.groups)}"
     if file.planning.tip is not None and file.planning.tip not in arm.links:
         yield f"planning.tip: the URDF has no link {file.planning.tip!r}"
-    if file.planning.frame is not None and file.planning.frame not in (arm.root_link, arm.planning_frame):
+    if file.planning.frame is not None and file.planning.frame != arm.root_link:
         yield f"planning.frame: must be the root link {arm.root_link!r}, not {file.planning.frame!r}"
 
 

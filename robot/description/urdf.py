@@ -60,7 +60,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint from beside its URDF; None where the URDF's count.
+    """Limits of a joint from beside the URDF, whose own they replace; None for those that stay.
 
     Attributes:
         lower: lower limit [rad or m].
@@ -150,18 +150,16 @@ def _joint(element: ET.Element, source: str, limits: Mapping[str, JointLimits]) 
     )
 
 
-def _range(element: ET.Element, where: str, kind: str, limits: JointLimits) -> tuple[float, float]:
-    """Return the position limits of a movable joint; a continuous joint may turn half a turn either way."""
-    limit = element.find("limit")
+def _range(element: ET.Element, where: str, kind: str, own: JointLimits) -> tuple[float, float]:
+    """Read the position limits of a movable joint; a continuous joint may turn half a turn either way."""
     if kind == "continuous":
-        lower, upper = -math.pi, math.pi
-    elif limit is None:
+        return -math.pi if own.lower is None else own.lower, math.pi if own.upper is None else own.upper
+    limit = element.find("limit")
+    if limit is None:
         raise DescriptionError(where, 'has no <limit>: add <limit lower="" upper="" velocity="" effort=""/>')
-    else:
-        # URDF: both are 0 where they are left out.
-        lower, upper = (number(limit, end, f"{where} <limit>") if limit.get(end) else 0.0 for end in ("lower", "upper"))
-    lower = lower if limits.lower is None else limits.lower
-    upper = upper if limits.upper is None else limits.upper
+    # URDF: both are 0 where they are left out.
+    lower, upper = (number(limit, end, f"{where} <limit>") if limit.get(end) else 0.0 for end in ("lower", "upper"))
+    lower, upper = lower if own.lower is None else own.lower, upper if own.upper is None else own.upper
     if lower >= upper:
         raise DescriptionError(f"{where} <limit>", f"lower {lower:g} must be below upper {upper:g}")
     return lower, upper

@@ -484,7 +484,7 @@ def _number(highest: float) -> Callable[[str], float]:
 
 def _robot(name_or_folder: str) -> RobotFolder:
     try:
-        found = robot_folder.load(robot_folder.find(name_or_folder))
+        found = robot_folder.resolve(name_or_folder)
     except DescriptionError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
     if found.hardware.kind != "feetech":

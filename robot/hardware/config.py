@@ -81,6 +81,66 @@ class EmulatedConfig:
 
 
 @dataclass(frozen=True)
+class DynamixelConfig:
+    """Dynamixel servos of the X series on a serial port.
+
+    Attributes:
+        simulated: False.
+        calibration: servos of the joints, whose order is that of every array.
+        port: serial device, ``socket://host:port``, or USB id.
+        baud: bits per second.
+    """
+
+    simulated: ClassVar[bool] = False
+
+    calibration: Calibration
+    port: str
+    baud: int = 1_000_000
+
+    def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
+        """Return the joints that have a servo."""
+        return tuple(joint.joint for joint in self.calibration.joints)
+
+    def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> DynamixelConfig:  # noqa: ARG002 - likewise
+        """Return the same: servos stay where they are when the arm process ends."""
+        return self
+
+
+@dataclass(frozen=True)
+class EmulatedDynamixelConfig:
+    """Dynamixel servos emulated inside the arm process.
+
+    Attributes:
+        simulated: True.
+        port: name in place of a port.
+        calibration: as of :class:`DynamixelConfig`; its ranges are the joints' mechanical stops.
+        drop: probability that a reply is lost.
+        corrupt: probability that a reply has a wrong byte.
+        seed: seed of these faults.
+        start_rad: joint -> position at the start [rad]; joints not named start at 0.
+        driven: True if the servos start with torque on, as an arm process leaves them.
+    """
+
+    simulated: ClassVar[bool] = True
+    port: ClassVar[str] = "simulated"
+
+    calibration: Calibration
+    drop: float = 0.0
+    corrupt: float = 0.0
+    seed: int = 0
+    start_rad: Mapping[str, float] = field(default_factory=dict)
+    driven: bool = False
+
+    def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
+        """Return the joints that have a servo."""
+        return tuple(joint.joint for joint in self.calibration.joints)
+
+    def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> EmulatedDynamixelConfig:
+        """Return the servos as an arm process that has ended left them; see :meth:`EmulatedConfig.resumed`."""
+        return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
+
+
+@dataclass(frozen=True)
 class IdealConfig:
     """Joints without actuators, which follow their goals.
 
@@ -108,4 +168,5 @@ class IdealConfig:
         return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
 
 
-HardwareConfig: TypeAlias = FeetechConfig | EmulatedConfig | IdealConfig
+HardwareConfig: TypeAlias = FeetechConfig | EmulatedConfig | DynamixelConfig | EmulatedDynamixelConfig | IdealConfig
+"""Hardware interface of an arm: servos of Feetech or Dynamixel, on a serial port or emulated, and the ideal arm."""

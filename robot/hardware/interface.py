@@ -149,6 +149,7 @@ class HardwareInterface(ABC):
     Attributes:
         joint_names: as given.
         full_torque: as given.
+        latched_status: status flags that last until :meth:`clear_overloads` clears them.
         counters: events on the bus; None for hardware without one.
         round_trips_s: durations of the latest reads [s].
     """
@@ -156,6 +157,7 @@ class HardwareInterface(ABC):
     def __init__(self, joint_names: tuple[str, ...], full_torque: Vector) -> None:
         self.joint_names = joint_names
         self.full_torque = full_torque
+        self.latched_status = StatusFlag.OVERLOAD
         self.counters: BusCounters | None = None
         self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)
 
@@ -245,10 +247,10 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
-        """Clear latched overloads: torque off, and on again at the present position.
+        """Clear latched overloads, and what else is latched: torque off, and on again at the present position.
 
         Args:
-            joints: indices of the overloaded joints.
+            joints: indices of the joints with a status of :attr:`latched_status`.
             hold: True if the arm holds; otherwise torque is off at the end.
 
         Returns:

@@ -34,7 +34,10 @@ ACTIONLIB_GOAL, ACTIONLIB_CANCEL = "/goal", "/cancel"
 ACTIONLIB_CANCEL_TYPE = "actionlib_msgs/msg/GoalID"
 
 # The names of controllers begin with their joint group's.
-FOLLOW_ACTION, FOLLOW_TOPIC = "_controller/follow_joint_trajectory", "_controller/joint_trajectory"
+FOLLOW_TOPIC = "_controller/joint_trajectory"
+CONTROLLER_ACTIONS = tuple(
+    f"_controller/{action}" for action in ("follow_joint_trajectory", "gripper_action", "gripper_cmd")
+)
 
 # Topics that a client is known to be allowed to publish on; those beyond are checked for each message.
 MAX_SETTLED = 1000
@@ -57,20 +60,29 @@ class Rule:
         role: least role of the client.
         stops: True for names that stop the arm; they are open to every client with the role, past filters and control,
             as far as they lead to something that can be stopped.
+        at_once: True for names that go ahead of everything that waits.
+        at_once_data: text in the field ``data`` with which alone a message does so; None for any message.
         drives: True for names that move or switch the arm, which one client does at a time.
         goal: True for names that count against the rate of goals.
         may_plan_only: True for goals whose ``planning_options`` may say that nothing moves.
+        plans: True for services whose answer takes a planner; the calls of one client that wait for it are limited.
     """
 
     role: Role
     stops: bool = False
+    at_once: bool = False
+    at_once_data: str | None = None
     drives: bool = False
     goal: bool = False
     may_plan_only: bool = False
+    plans: bool = False
 
 
 LOOKING = Rule(Role.VIEW)
-STOPPING = Rule(Role.VIEW, stops=True)
+PLANNING = Rule(Role.VIEW, plans=True)
+CANCELLING = Rule(Role.VIEW, stops=True)
+STOPPING = Rule(Role.VIEW, stops=True, at_once=True)
+STOP_EVENT = Rule(Role.VIEW, stops=True, at_once=True, at_once_data="stop")
 WORKING = Rule(Role.OPERATE)
 SWITCHING = Rule(Role.OPERATE, drives=True)
 GOAL = Rule(Role.OPERATE, drives=True, goal=True)
@@ -123,12 +135,12 @@ SERVICES: Mapping[str, Rule] = {
     "/arm/who_am_i": LOOKING,
     "/armbridge/get_logger_levels": LOOKING,
     "/armbridge/set_logger_levels": CONFIGURING,
-    "/check_goals": LOOKING,
-    "/check_state_validity": LOOKING,
+    "/check_goals": PLANNING,
+    "/check_state_validity": PLANNING,
     "/clear_octomap": WORKING,
-    "/compute_cartesian_path": LOOKING,
+    "/compute_cartesian_path": PLANNING,
     "/compute_fk": LOOKING,
-    "/compute_ik": LOOKING,
+    "/compute_ik": PLANNING,
     "/delete_robot_state": CONFIGURING,
     "/file_server/get_file": LOOKING,
     "/get_planner_params": LOOKING,
@@ -139,8 +151,8 @@ SERVICES: Mapping[str, Rule] = {
     "/list_robot_states": LOOKING,
     "/load_geometry_from_file": WORKING,
     "/moveit_goal_confirm_mode": CONFIGURING,
-    "/plan_kinematic_path": LOOKING,
-    "/plan_sequence_path": LOOKING,
+    "/plan_kinematic_path": PLANNING,
+    "/plan_sequence_path": PLANNING,
     "/query_planner_interface": LOOKING,
     "/rename_robot_state": CONFIGURING,
     "/save_geometry_to_file": CONFIGURING,
@@ -154,30 +166,13 @@ SERVICES: Mapping[str, Rule] = {
     "/set_planner_params": CONFIGURING,
 }
 
-# Services whose answer takes a planner; the calls of one client that wait for it are limited.
-PLANNING_SERVICES = frozenset(
-    (
-        "/check_goals",
-        "/check_state_validity",
-        "/compute_cartesian_path",
-        "/compute_ik",
-        "/plan_kinematic_path",
-        "/plan_sequence_path",
-    )
-)
-
-# Names that stop the arm: they go ahead of everything that waits. On the topic for events only one of them does.
-STOP_SERVICES = frozenset(("/arm/emergency_stop", "/arm/stop", "/servo_node/stop_servo"))
-STOP_TOPICS = frozenset(("/emergency_stop", "/stop", "/trajectory_execution_event"))
-EVENT_TOPIC, STOP_EVENT = "/trajectory_execution_event", "stop"
-
 # Rules of publishing; to subscribe needs LOOKING alone.
 TOPICS: Mapping[str, Rule] = {
     "/arm/speed_factor": SWITCHING,
     "/attached_collision_object": WORKING,
     "/collision_object": WORKING,
     "/emergency_stop": STOPPING,
-    "/moveit_goal_cancel": STOPPING,
+    "/moveit_goal_cancel": CANCELLING,
     # The client that confirms may be another than the one that drives.
     "/moveit_goal_confirm": WORKING,
     "/moveit_goal_joints": GOAL,
@@ -189,16 +184,14 @@ TOPICS: Mapping[str, Rule] = {
     "/servo_node/delta_twist_cmds": SWITCHING,
     "/servo_node/pose_target_cmds": SWITCHING,
     "/stop": STOPPING,
-    "/trajectory_execution_event": STOPPING,
+    "/trajectory_execution_event": STOP_EVENT,
 }
 
 ACTIONS: Mapping[str, Rule] = {
     "/execute_trajectory": GOAL,
-    "/gripper_controller/gripper_cmd": GOAL,
     "/joint_trajectory_action": GOAL,
     "/move_action": PLANNING_GOAL,
     "/move_group": PLANNING_GOAL,
-    "/parallel_gripper_controller/gripper_cmd": GOAL,
     "/sequence_move_group": PLANNING_GOAL,
 }
 
@@ -206,13 +199,13 @@ ACTIONS: Mapping[str, Rule] = {
 def rule_of_service(name: str) -> Rule:
     """Return the rule of a service, given by its fully qualified name."""
     if name.endswith(CANCEL_SERVICE):
-        return STOPPING
+        return CANCELLING
     return SERVICES.get(name, WORKING)
 
 
 def rule_of_action(name: str) -> Rule:
     """Return the rule of an action, given by its fully qualified name."""
-    return GOAL if name.endswith(FOLLOW_ACTION) else ACTIONS.get(name, WORKING)
+    return GOAL if name.endswith(CONTROLLER_ACTIONS) else ACTIONS.get(name, WORKING)
 
 
 def rule_of_topic(name: str) -> Rule:
@@ -225,8 +218,38 @@ def rule_of_topic(name: str) -> Rule:
     if name.endswith(ACTIONLIB_GOAL):
         return rule_of_action(name.removesuffix(ACTIONLIB_GOAL))
     if name.endswith(ACTIONLIB_CANCEL) and rule_of_action(name.removesuffix(ACTIONLIB_CANCEL)).drives:
-        return STOPPING
+        return CANCELLING
     return WORKING
+
+
+def is_stop(operation: Operation) -> bool:
+    """Return True for an operation that stops the arm, ahead of everything that waits."""
+    match operation:
+        case Publish():
+            rule = TOPICS.get(qualify(operation.topic), WORKING)
+            return rule.at_once and rule.at_once_data in (None, operation.msg.get("data"))
+        case CallService():
+            return rule_of_service(_name_of(operation.service)).at_once
+        case _:
+            return False
+
+
+def is_driving(operation: Operation) -> bool:
+    """Return True for an operation that may move the arm."""
+    match operation:
+        case Publish():
+            return rule_of_topic(qualify(operation.topic)).drives
+        case CallService():
+            return rule_of_service(_name_of(operation.service)).drives
+        case SendActionGoal():
+            return rule_of_action(qualify(operation.action)).drives
+        case _:
+            return False
+
+
+def _name_of(service: str) -> str:
+    # What follows the sign is the call's id.
+    return qualify(service.partition("#")[0])
 
 
 def plans_only(goal: object) -> bool:
@@ -304,8 +327,7 @@ class Authorizer:
 
     def calling(self, service: str) -> str | None:
         """Check a call of a service, as :meth:`refusal`."""
-        # What follows the sign is the call's id.
-        name = qualify(service.partition("#")[0])
+        name = _name_of(service)
         rule = rule_of_service(name)
         if name.endswith(CANCEL_SERVICE) and self._graph.actions.provider(name.removesuffix(CANCEL_SERVICE)) is None:
             # It belongs to no action, so it stops nothing.

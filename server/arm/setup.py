@@ -12,7 +12,14 @@ from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
-from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.hardware.config import (
+    DynamixelConfig,
+    EmulatedConfig,
+    EmulatedDynamixelConfig,
+    FeetechConfig,
+    HardwareConfig,
+    IdealConfig,
+)
 from robot.messages import ArmConfig
 from server.config import ArmSettings, EmulatorSettings, Settings
 from server.errors import ConfigurationError
@@ -59,7 +66,7 @@ class Description:
         try:
             alone = settings.robot is None and settings.serial is None and settings.calibration is None
             if alone and settings.urdf is not None and settings.srdf is not None:
-                robot = model.load(settings.urdf, settings.srdf)
+                robot = model.load(settings.urdf, settings.srdf, settings.package_path)
                 _refuse_servo_settings(settings, robot.name)
                 return cls(robot.name, robot, HardwareTable(), None)
             return cls._of_folder(settings)
@@ -68,7 +75,12 @@ class Description:
 
     @classmethod
     def _of_folder(cls, settings: ArmSettings) -> Description:
-        found = robot_folder.load_named(settings.robot or DEFAULT_ROBOT, urdf=settings.urdf, srdf=settings.srdf)
+        found = robot_folder.resolve(
+            settings.robot or DEFAULT_ROBOT,
+            urdf=settings.urdf,
+            srdf=settings.srdf,
+            package_directories=settings.package_path,
+        )
         hardware = found.hardware
         if hardware.kind == "ideal":
             _refuse_servo_settings(settings, found.title)
@@ -113,8 +125,13 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     if description.calibration is None:
         _refuse_bus_options(emulator)
         return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled)
+    dynamixel = description.hardware.kind == "dynamixel"
     if settings.arm.serial is not None:
+        if dynamixel:
+            return DynamixelConfig(description.calibration, settings.arm.serial, description.hardware.baud)
         return FeetechConfig(description.calibration, settings.arm.serial)
+    if dynamixel:
+        return _emulated_dynamixels(settings, description.calibration)
     if emulator.write_log is not None:
         _check_place("emulator.write_log", emulator.write_log)
     if emulator.control is not None:
@@ -128,6 +145,18 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
         control=emulator.control,
         # Nothing can jump or fall when it is switched on: the half second that this takes is for real arms.
         driven=settings.arm.start_enabled,
+    )
+
+
+def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedDynamixelConfig:
+    emulator = settings.emulator
+    for name in ("write_log", "control"):
+        if (value := getattr(emulator, name)) is not None:
+            raise ConfigurationError(
+                f"emulator.{name}: emulated Dynamixel servos have none, so that {str(value)!r} cannot be used"
+            )
+    return EmulatedDynamixelConfig(
+        calibration, emulator.drop, emulator.corrupt, emulator.seed, driven=settings.arm.start_enabled
     )
 
 

@@ -58,7 +58,7 @@ def read_hardware(options: argparse.Namespace) -> HardwareTable:
     Raises:
         DescriptionError: there is no such robot, or it has other servos.
     """
-    hardware = robot_folder.load(robot_folder.find(options.robot)).hardware
+    hardware = robot_folder.resolve(options.robot).hardware
     if hardware.kind != "feetech":
         raise DescriptionError(
             f"robot {options.robot!r}", f"has hardware of the kind {hardware.kind}: this command needs Feetech servos"
@@ -112,6 +112,7 @@ _KEYS = {
     "insecure": ("access", "insecure"),
     "urdf": ("arm", "urdf"),
     "srdf": ("arm", "srdf"),
+    "package_path": ("arm", "package_path"),
     "record": ("recording", "file"),
     "record_limit_mb": ("recording", "limit_mb"),
 }
@@ -163,6 +164,13 @@ def _add_arm_options(parser: argparse.ArgumentParser) -> None:
         help="a URDF in place of the robot's; without --robot, --serial and --calibration its arm is an ideal one",
     )
     parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
+    parser.add_argument(
+        "--package-path",
+        type=Path,
+        action="append",
+        metavar="FOLDER",
+        help="where the packages of package:// are looked for, ahead of ROS_PACKAGE_PATH; may be repeated",
+    )
 
 
 def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]]:

@@ -73,7 +73,7 @@ def run_plan(options: argparse.Namespace) -> int:
 
 def _robot(name: str, urdf: Path | None, srdf: Path | None) -> RobotModel:
     if urdf is None and srdf is None:
-        return robot_folder.load_named(name).model
+        return robot_folder.resolve(name).model
     if urdf is None or srdf is None:
         raise ConfigurationError("--urdf and --srdf must be given together")
     return model.load(urdf, srdf)

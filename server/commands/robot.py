@@ -6,7 +6,6 @@ import argparse
 
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
-from robot.errors import DescriptionError
 from server.commands.options import Subparsers
 from server.commands.robot_import import add_parser
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
@@ -40,17 +39,12 @@ def add_robot_parser(subparsers: Subparsers) -> None:
 def run_check(options: argparse.Namespace) -> int:
     """Carry out ``robot check``."""
     terminal = Terminal()
-    try:
-        folder = robot_folder.find(options.folder)
-    except DescriptionError as error:
-        terminal.say(f"armbridge: {error}")
-        return ExitCode.USAGE
-    found = robot_folder.problems(folder)
+    found = robot_folder.problems(options.folder)
     for problem in found:
         terminal.tell(problem)
     if found:
         return ExitCode.PROBLEMS
-    terminal.tell(_summary(robot_folder.load(folder)))
+    terminal.tell(_summary(robot_folder.resolve(options.folder)))
     return ExitCode.DONE
 
 
@@ -63,7 +57,7 @@ def run_list(_options: argparse.Namespace) -> int:
 
 
 def _summary(found: RobotFolder) -> str:
-    arm, hardware = found.model, found.hardware
+    arm, hardware, held = found.model, found.hardware, found.model.held_joints
     servos = {servo.joint: f"{servo.model}, id {servo.servo_id}" for servo in hardware.servos}
     rows = [
         (
@@ -72,9 +66,7 @@ def _summary(found: RobotFolder) -> str:
             f"{joint.lower:.3f} .. {joint.upper:.3f}",
             f"{joint.max_velocity:g}",
             f"{joint.max_acceleration:g}",
-            f"held at {arm.held_joints[joint.name]:g}"
-            if joint.name in arm.held_joints
-            else servos.get(joint.name, "-"),
+            servos.get(joint.name, f"held at {held[joint.name]:g}" if joint.name in held else "-"),
         )
         for joint in arm.movable_joints
     ]

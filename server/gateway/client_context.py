@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 from protocol import dialect
 from protocol.codecs import cbor
+from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.dialect import Dialect
 from protocol.errors import NothingToDoError, OperationError, ProtocolError, one_line, shorten
 from protocol.operations import (
@@ -27,7 +28,7 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import LARGE_BYTES, EncodedMessage, encoding_cost_bytes
+from protocol.publication import LARGE_BYTES, EncodedMessage
 from protocol.registry import Kind, Registry
 from protocol.session import LaterFields, Refusal, Session
 from robot.logs import LogLimiter
@@ -37,6 +38,11 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
+
+# Values in the lists of messages of a client's calls that wait, and as many of its goals: 75 MB. The last one may go
+# beyond.
+MAX_VALUES_IN_FLIGHT = 500_000
+VALUES_LIMIT = f"the limit is {MAX_VALUES_IN_FLIGHT}"
 
 # Log lines about one client: at once, and in the long run [1/s].
 LOG_BURST = 50
@@ -273,4 +279,4 @@ class ClientContext:
         def translated() -> Mapping[str, Any]:
             return {**fields, field: self.translator.to_client(type_name, fields[field])}
 
-        return translated if encoding_cost_bytes(fields[field]) >= LARGE_BYTES else translated()
+        return translated if encoding_cost_bytes(fields[field], LARGE_BYTES) >= LARGE_BYTES else translated()

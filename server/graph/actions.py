@@ -208,7 +208,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         check_lists = None
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
-            self._message_types.prepare(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
+            self._message_types.compile_later(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
         offer = ActionProvider(node, name, canonical, start, check_lists)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)

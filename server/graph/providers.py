@@ -164,6 +164,11 @@ class ProviderDirectory(Generic[AnyProvider]):
         self._offers = offers
         self.names = offers.names
 
+    @property
+    def revision(self) -> int:
+        """Number of changes in what is offered."""
+        return self._offers.names.revision
+
     def types(self) -> dict[str, str]:
         """Canonical type of everything that is offered, by name."""
         return self.names.types()

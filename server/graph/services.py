@@ -252,7 +252,7 @@ class Services(ProviderDirectory[ServiceProvider]):
         check_lists = None
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
-            self._message_types.prepare(f"{canonical}_Request", f"{canonical}_Response")
+            self._message_types.compile_later(f"{canonical}_Request", f"{canonical}_Response")
         self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists))
 
     def withdraw(self, node: Node, name: str) -> None:

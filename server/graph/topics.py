@@ -109,6 +109,7 @@ class Graph:
         services: who offers and calls what.
         actions: who offers which, and the goals on their way.
         topic_names: the topics in use, with their types.
+        revision: number of changes in who publishes, latches or subscribes to which topic.
     """
 
     def __init__(
@@ -134,6 +135,7 @@ class Graph:
         self._subscriptions: Index[Node, str] = Index()
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
+        self.revision = 0
 
     def watch(self, watcher: Watcher) -> None:
         """Call ``watcher`` with every message from now on; nobody sees it in the graph."""
@@ -188,13 +190,19 @@ class Graph:
         topic = self._topic(name, type_name, node)
         self._add_publisher(topic, node)
         if latch:
+            self._add_latching(topic, node)
+
+    def _add_latching(self, topic: Topic, node: Node) -> None:
+        if node not in topic.latching:
             topic.latching.add(node)
+            self.revision += 1
 
     def _add_publisher(self, topic: Topic, node: Node) -> None:
         if node not in topic.publishers:
             self._take_into_use(topic)
             topic.publishers.add(node)
             self._publications.add(node, topic.name)
+            self.revision += 1
 
     def unadvertise(self, node: Node, name: str) -> None:
         """Forget ``node`` as publisher; nothing happens when it is none."""
@@ -221,6 +229,7 @@ class Graph:
         topic = self._topic(name, type_name, node)
         self._take_into_use(topic)
         topic.subscribers[node] = subscriber
+        self.revision += 1
         self._subscriptions.add(node, name)
         return self._latched_messages.of(name, self._clock())
 
@@ -282,7 +291,7 @@ class Graph:
             raise
         self._add_publisher(topic, node)
         if latch:
-            topic.latching.add(node)
+            self._add_latching(topic, node)
         cost_bytes = message.cost_bytes if isinstance(message, ReceivedMessage) else None
         published = PublishedMessage(
             topic.name, topic.type_name, completed, self.message_types.registry, received, node, cost_bytes
@@ -436,6 +445,7 @@ class Graph:
 
     def _left(self, topic: Topic) -> None:
         """Note that someone has just left the topic."""
+        self.revision += 1
         topic.last_used_s = self._clock()
         if not topic.used:
             self.topic_names.remove(topic.name)

@@ -55,10 +55,13 @@ class CollectorPolicy:
 
     Args:
         clock: monotonic time [s].
+        keeps_frozen: True to leave out of every collection what was left out before; a collection writes to each object
+            that it goes through, and so would copy the memory that a forked process shares with others.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter, *, keeps_frozen: bool = False) -> None:
         self._clock = clock
+        self._keeps_frozen = keeps_frozen
         self._before: tuple[int, int, int] | None = None
         self._began_s = 0.0
         self._frozen = False
@@ -84,7 +87,8 @@ class CollectorPolicy:
 
     def collect_all(self) -> None:
         """Collect among all objects, those that were left out as well, and leave out what remains."""
-        gc.unfreeze()
+        if not self._keeps_frozen:
+            gc.unfreeze()
         gc.collect()
         gc.freeze()
         self._frozen = False

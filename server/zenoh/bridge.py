@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
 from server.access.permissions import Identity, Role
+from server.gateway.turns import Threads
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.zenoh.network import NameFilter, Namespace, Network
@@ -26,6 +28,9 @@ log = logging.getLogger("armbridge.zenoh")
 
 # Delay after which a change in the graph, or of another machine, is known on the other side.
 REFRESH_PERIOD_S = 0.5
+
+# Names and types of topics that nobody uses any more become free with time alone.
+FULL_REFRESH_PERIOD_S = 5.0
 
 # Entities of other machines, far more than a few robots have: tokens that somebody invents must not grow the server.
 MAX_ENTITIES = 1_000
@@ -70,6 +75,7 @@ class Bridge:
         self._node = Node("zenoh", remote=True, identity=Identity("", Role[settings.role.upper()]))
         self._authorizer = access.authorizer(self._node, graph)
         self._thread = SessionThread(lambda: zenoh.open(config))
+        self._threads = Threads()
         # None as long as there is no session.
         self._sharing: Sharing | None = None
 
@@ -89,6 +95,7 @@ class Bridge:
             self._sharing = Sharing(self._network(session), self._settings, self._authorizer)
             await self._sharing.run()
         finally:
+            self._threads.close()
             if not await asyncio.to_thread(self._thread.close):
                 log.error("zenoh: the network was not left in time")
             self._authorizer.leave()
@@ -106,6 +113,7 @@ class Bridge:
             namespace=Namespace(settings.namespace),
             tokens=LivelinessTokens(settings.domain_id, session, settings.namespace),
             max_message_bytes=self._max_message_bytes,
+            background=self._threads,
         )
 
 
@@ -116,9 +124,16 @@ class Sharing:
         network: network with an open session.
         settings: the section ``zenoh``.
         authorizer: permissions of other machines.
+        clock: monotonic time [s].
     """
 
-    def __init__(self, network: Network, settings: ZenohSettings, authorizer: Authorizer) -> None:
+    def __init__(
+        self,
+        network: Network,
+        settings: ZenohSettings,
+        authorizer: Authorizer,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._network = network
         # A machine that may command the arm must be able to stop it.
         self._subscribe = NameFilter(settings.subscribe, lambda name: rule_of_topic(name).stops)
@@ -128,6 +143,9 @@ class Sharing:
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)
         self._offered = OfferedServices(network, offer, authorizer)
         self._called = CalledServices(network, self._call)
+        self._clock = clock
+        self._seen: tuple[int, int, tuple[Entity, ...]] | None = None
+        self._refreshed_s = clock()
         self._entities: tuple[Entity, ...] = ()
         self._foreign: frozenset[str] = frozenset()
         self._discovery = Discovery(network.domain_id, network.session, self._is_relevant)
@@ -140,13 +158,23 @@ class Sharing:
         return self._outgoing.dropped + self._incoming.dropped
 
     async def run(self) -> None:
-        """Refresh regularly, until cancelled."""
+        """Refresh after every change, and in any case from time to time, until cancelled."""
         while True:
-            try:
-                self.refresh()
-            except Exception:  # an error with one name must not end the rest
-                log.exception("zenoh: a refresh failed")
+            self.follow()
             await asyncio.sleep(REFRESH_PERIOD_S)
+
+    def follow(self) -> None:
+        """Refresh if anything has changed, or the last refresh is long ago."""
+        graph, entities, now_s = self._network.graph, self._discovery.entities(), self._clock()
+        # Noted before the refresh: what that changes is looked at once more.
+        seen = graph.revision, graph.services.revision, entities
+        if seen == self._seen and now_s < self._refreshed_s + FULL_REFRESH_PERIOD_S:
+            return
+        self._seen, self._refreshed_s = seen, now_s
+        try:
+            self.refresh()
+        except Exception:  # an error with one name must not end the rest
+            log.exception("zenoh: a refresh failed")
 
     def refresh(self) -> None:
         """Follow changes in the graph and of other machines."""

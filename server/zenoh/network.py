@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import fnmatch
+import functools
 import logging
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -14,8 +15,10 @@ from protocol import type_descriptions
 from protocol.errors import InterfaceError
 from protocol.registry import Registry
 from robot.logs import LogLimiter
+from server.gateway.turns import Background, Threads
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.zenoh.decoding import Decoder
 from server.zenoh.rmw import Endpoint, LivelinessTokens, is_name
 from server.zenoh.session import SessionThread
 
@@ -135,6 +138,7 @@ class Network:
         namespace: of this server's names on the network.
         tokens: liveliness tokens of this server.
         max_message_bytes: limit of a message, request or response, as for any other client [bytes].
+        background: threads for large messages.
         warnings: limiter of warnings, each of which is logged once.
     """
 
@@ -147,7 +151,13 @@ class Network:
     namespace: Namespace
     tokens: LivelinessTokens
     max_message_bytes: int
+    background: Background = field(default_factory=Threads)
     warnings: LogLimiter = field(default_factory=lambda: LogLimiter(max_keys=MAX_WARNINGS))
+
+    @functools.cached_property
+    def decoder(self) -> Decoder:
+        """Decoder of the messages of other machines."""
+        return Decoder(self.graph.message_types, self.background)
 
     @property
     def registry(self) -> Registry:

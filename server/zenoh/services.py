@@ -11,6 +11,7 @@ from protocol.codecs import cdr
 from protocol.errors import MessageError
 from server.access.authorization import Authorizer
 from server.errors import GraphError
+from server.graph.message_types import ReceivedMessage
 from server.graph.services import LOCAL_TIMEOUT_S, Call, Response
 from server.zenoh.network import MAX_SHARED, Declared, NameFilter, Network
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
@@ -159,13 +160,14 @@ class OfferedServices:
             network.warn(refusal)
             respond(Response(ok=False, values=refusal))
             return
-        try:
-            type_name = f"{call.service.endpoint.type_name}_Request"
-            request = cdr.deserialize(network.registry, type_name, call.octets)
-        except MessageError as error:
-            respond(Response(ok=False, values=f"Service {name}: {error}"))
-        else:
-            network.graph.services.call(network.node, name, request, respond)
+
+        def take(request: ReceivedMessage | MessageError) -> None:
+            if isinstance(request, MessageError):
+                respond(Response(ok=False, values=f"Service {name}: {request}"))
+            else:
+                network.graph.services.call(network.node, name, request, respond)
+
+        network.decoder.decode(f"{call.service.endpoint.type_name}_Request", call.octets, take)
 
     def _fail(self, call: IncomingCall, reason: str) -> None:
         response = Response(ok=False, values=f"Service {call.service.name}: {reason}")
@@ -210,19 +212,19 @@ class CalledService:
             return
         self._in_progress += 1
         call.when_ended(self._on_end)
-        octets = cdr.serialize(self._network.registry, f"{self.endpoint.type_name}_Request", call.request)
         self._sent += 1
         attachment = Attachment(self._sent, time.time_ns(), self._gid).encode()
-        if not self._network.thread.submit_call(lambda session: self._get(session, call, octets, attachment)):
+        if not self._network.thread.submit_call(lambda session: self._get(session, call, attachment)):
             call.fail(f"Service {self._name}: the network stands still")
 
     def _on_end(self, _response: object) -> None:
         self._in_progress -= 1
 
-    def _get(self, session: zenoh.Session, call: Call, octets: bytes, attachment: bytes) -> None:
+    def _get(self, session: zenoh.Session, call: Call, attachment: bytes) -> None:
         import zenoh
 
         loop, limit = self._network.loop, self._network.max_message_bytes
+        octets = cdr.serialize(self._network.registry, f"{self.endpoint.type_name}_Request", call.request)
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None and len(reply.ok.payload) > limit:
@@ -247,10 +249,15 @@ class CalledService:
         )
 
     def _respond(self, call: Call, octets: bytes) -> None:
-        try:
-            call.succeed(cdr.deserialize(self._network.registry, f"{self.endpoint.type_name}_Response", octets))
-        except MessageError as error:
-            call.fail(f"Service {self._name} gave a response that does not fit {self.endpoint.type_name}: {error}")
+        def take(response: ReceivedMessage | MessageError) -> None:
+            try:
+                if isinstance(response, MessageError):
+                    raise response
+                call.succeed(response)
+            except MessageError as error:
+                call.fail(f"Service {self._name} gave a response that does not fit {self.endpoint.type_name}: {error}")
+
+        self._network.decoder.decode(f"{self.endpoint.type_name}_Response", octets, take)
 
 
 class CalledServices:

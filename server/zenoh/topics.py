@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from server.access.authorization import Authorizer
 from server.errors import GraphError
+from server.graph.message_types import ReceivedMessage
 from server.graph.topics import Subscriber
 from server.zenoh.network import MAX_SHARED, Declared, NameFilter, Network
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of
@@ -166,6 +167,12 @@ class IncomingTopic:
         source: the topic on the network.
         received: takes its messages.
 
+    Attributes:
+        name: as given.
+        source: as given.
+        waiting: messages that come after one that a thread decodes, in order; the newest.
+        decoding: True while a thread decodes one.
+
     Raises:
         GraphError: this server has a topic of that name and another type.
     """
@@ -175,6 +182,8 @@ class IncomingTopic:
     ) -> None:
         self.name = name
         self.source = source
+        self.waiting: deque[bytes] = deque(maxlen=MAX_WAITING)
+        self.decoding = False
         self._network = network
         self._received = received
         self._key = source.endpoint.key(network.domain_id)
@@ -229,13 +238,14 @@ class IncomingTopics:
         self._authorizer = authorizer
         self._received = ReceiveQueue[tuple[IncomingTopic, bytes]](network.loop, self._publish)
         self._topics: dict[str, IncomingTopic] = {}
+        self._dropped_waiting = 0
         self._entities: tuple[Entity, ...] = ()
         self._announced: dict[str, Source] = {}
 
     @property
     def dropped(self) -> int:
         """Messages dropped because this server was too slow."""
-        return self._received.dropped
+        return self._received.dropped + self._dropped_waiting
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Subscribe to the topics that exist now, and to no others.
@@ -301,9 +311,27 @@ class IncomingTopics:
         topic, octets = item
         if self._topics.get(topic.name) is not topic:
             return
-        network, type_name = self._network, topic.source.endpoint.type_name
+        if topic.decoding:
+            self._dropped_waiting += len(topic.waiting) == MAX_WAITING
+            topic.waiting.append(octets)
+            return
+        topic.decoding = True
+
+        def take(message: ReceivedMessage | MessageError) -> None:
+            topic.decoding = False
+            self._deliver(topic, message)
+            if topic.waiting:
+                self._publish((topic, topic.waiting.popleft()))
+
+        self._network.decoder.decode(topic.source.endpoint.type_name, octets, take)
+
+    def _deliver(self, topic: IncomingTopic, message: ReceivedMessage | MessageError) -> None:
+        if self._topics.get(topic.name) is not topic:
+            return
+        network = self._network
         try:
-            message = cdr.deserialize(network.registry, type_name, octets)
+            if isinstance(message, MessageError):
+                raise message
             if not self._is_rejected(topic.name, message):
                 lost = network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
                 if lost is not None:
@@ -311,11 +339,11 @@ class IncomingTopics:
         except (MessageError, GraphError) as error:
             network.warn(f"a message on {topic.name} is left out: {error}")
 
-    def _is_rejected(self, name: str, message: Mapping[str, Any]) -> bool:
+    def _is_rejected(self, name: str, message: ReceivedMessage) -> bool:
         """Reject a message to the server that other machines have no permission for; return True if it was rejected."""
         if not self._network.is_own_subscription(name):
             return False
-        refusal = self._authorizer.publishing(name, message)
+        refusal = self._authorizer.publishing(name, message.value if isinstance(message.value, dict) else {})
         if refusal is None:
             return False
         self._network.graph.turn_away(self._network.node, name, message, refusal)

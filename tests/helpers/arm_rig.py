@@ -92,6 +92,7 @@ class ArmRig:
         self.bus: Bus = self.emulator.open_bus()
         self.pacer = Pacer(self.clock())
         self._numbers = 0
+        self.observed = True
         self.connect()
 
     def connect(self) -> None:
@@ -134,7 +135,7 @@ class ArmRig:
         self.clock.advance(PERIOD_S)
         self.pacer.start_tick(self.clock())
         if self.alive:
-            self.supervisor.handle(Heartbeat())
+            self.supervisor.handle(Heartbeat(self.observed))
         self.supervisor.tick(self.pacer, server_gone=False)
 
     def run(self, seconds: float) -> None:

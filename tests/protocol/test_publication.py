@@ -13,6 +13,7 @@ from websockets.frames import Opcode
 from websockets.streams import StreamReader
 
 from protocol.codecs import png
+from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp, complete
 from protocol.publication import (
@@ -21,7 +22,6 @@ from protocol.publication import (
     EncodedMessage,
     Frame,
     PublishedMessage,
-    encoding_cost_bytes,
     pack,
 )
 from protocol.registry import Registry
@@ -225,11 +225,11 @@ def test_the_fragments_of_a_large_message_are_made_later_too():
     st.recursive(st.integers() | st.text(max_size=5), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner))
 )
 def test_the_cost_of_encoding_is_estimated_without_looking_at_everything(value):
-    assert 0 <= encoding_cost_bytes(value) <= LARGE_BYTES
+    assert 0 <= encoding_cost_bytes(value, LARGE_BYTES) <= LARGE_BYTES
 
 
 @pytest.mark.parametrize(
     "value", [[0.5] * 10_000, {"data": "x" * LARGE_BYTES}, [{"x": 1.0, "y": 1.0}] * 3000, [["x" * 100] * 10] * 100]
 )
 def test_what_is_large_is_found_to_be(value):
-    assert encoding_cost_bytes(value) == LARGE_BYTES
+    assert encoding_cost_bytes(value, LARGE_BYTES) == LARGE_BYTES

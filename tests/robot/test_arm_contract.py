@@ -1,7 +1,7 @@
 """The contract of an arm: what a server may rely on, whatever is at the other end of the bus.
 
-It holds on each back end: the servos emulated in the arm process, the same on a pseudo terminal, a scripted bus, the
-ideal arm, and, with ``--arm PORT,CALIBRATION``, is tried on a real arm. The tests
+It holds on each back end: the servos emulated in the arm process, of Feetech and of Dynamixel, Feetech's on a pseudo
+terminal, a scripted bus, the ideal arm, and, with ``--arm PORT,CALIBRATION``, is tried on a real arm. The tests
 turn the wrist by ``REACH_RAD`` from where the arm is found, and move the gripper by as much; nothing else moves.
 Emergency stops hold, and torque is taken off only where nothing falls; at the end the arm holds.
 """
@@ -22,9 +22,17 @@ import pytest_asyncio
 from robot.arm import Arm
 from robot.calibration import Calibration, find_calibration
 from robot.description.limits import within_calibration
-from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.description.model import RobotModel
+from robot.hardware.config import (
+    EmulatedConfig,
+    EmulatedDynamixelConfig,
+    FeetechConfig,
+    HardwareConfig,
+    IdealConfig,
+)
 from robot.messages import ArmConfig, ArmState, EmergencyPolicy, GuardLimits, Mode, MotionEnded, Order, Outcome
 from robot.trajectory import Trajectory
+from tests.helpers import dynamixel
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, so101
 from tests.helpers.scripted_servos import ScriptedServos
@@ -113,8 +121,14 @@ PATIENT = GuardLimits(silent_after_s=1.0)
 SLOW_S = 6.0
 
 
-def place_with(hardware: HardwareConfig, calibration: Calibration = NOMINAL, *, may_fall: bool = True) -> Place:
-    robot = within_calibration(so101(), calibration)
+def place_with(
+    hardware: HardwareConfig,
+    calibration: Calibration = NOMINAL,
+    *,
+    may_fall: bool = True,
+    model: RobotModel | None = None,
+) -> Place:
+    robot = within_calibration(model or so101(), calibration)
     config = ArmConfig(robot, hardware, on_emergency_stop=EmergencyPolicy.HOLD, guard_limits=PATIENT)
     return Place(config, may_fall)
 
@@ -124,6 +138,7 @@ def place_with(hardware: HardwareConfig, calibration: Calibration = NOMINAL, *, 
     scope="module",
     params=[
         "emulated",
+        "emulated Dynamixel servos",
         "ideal",
         *(pytest.param(name, marks=pytest.mark.real_time) for name in ("pseudo terminal", "scripted bus", "real arm")),
     ],
@@ -133,6 +148,9 @@ async def place(request: pytest.FixtureRequest) -> AsyncIterator[Place]:
     bus: RunningEmulator | ScriptedPeer | None = None
     if request.param == "emulated":
         made = place_with(EmulatedConfig(NOMINAL, start_rad=START))
+    elif request.param == "emulated Dynamixel servos":
+        config = EmulatedDynamixelConfig(dynamixel.CALIBRATION, start_rad=START)
+        made = place_with(config, dynamixel.CALIBRATION, model=dynamixel.KOCH.model)
     elif request.param == "ideal":
         made = place_with(IdealConfig(start_rad=START))
     elif request.param == "pseudo terminal":

@@ -5,6 +5,7 @@ import json
 import logging
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -233,3 +234,63 @@ def test_the_delay_before_a_start_grows_to_its_bound() -> None:
 def test_the_delay_begins_anew_behind_a_process_that_has_run_for_long() -> None:
     delay = RestartDelay(0.2, 10.0)
     assert [delay.after(ran_s) for ran_s in (3600.0, 9.9, 9.9, 10.0, 0.0)] == [0.2, 0.4, 0.8, 0.2, 0.4]
+
+
+FORKED = """
+import asyncio, json, os, signal, subprocess
+from robot.channel import Channel
+from robot.processes import Child, StartedChild
+
+def echo(sock):
+    channel = Channel(sock)
+    while not channel.closed:
+        for message in channel.receive(None):
+            if message == "raise":
+                raise ValueError("as told")
+            channel.send((message, os.getpid(), os.getsid(0)))
+
+async def main(started):
+    received, exited = [], asyncio.Event()
+    child = Child(started, received.append, exited.set)
+    await child.connect()
+    child.send("hello")
+    while not received:
+        await asyncio.sleep(0.01)
+    running = child.running
+    {end}
+    await asyncio.wait_for(exited.wait(), 20)
+    await child.wait(20)
+    print(json.dumps([received[0], child.pid, running, child.ending]))
+
+asyncio.run(main(StartedChild.forked(echo)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "ending"),
+    [
+        ("await child.kill()", "SIGKILL"),
+        ("child.send('raise')", "exit code 1"),
+        ("child._link._unlink()", "exit code 0"),
+    ],
+)
+def test_a_forked_child_is_one_like_any_other(end: str, ending: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED.replace("{end}", end)], capture_output=True, text=True, timeout=60, check=True
+    )
+    (message, pid, session), seen_pid, running, ended = json.loads(done.stdout)
+    assert (message, running, ended) == ("hello", True, ending)
+    # Out of reach of the terminal's Ctrl-C.
+    assert pid == seen_pid == session
+
+
+def test_a_forked_child_that_nobody_adopts_is_killed() -> None:
+    program = """
+import time
+from robot.processes import StartedChild
+started = StartedChild.forked(lambda sock: time.sleep(60))
+started.close()
+print(started.process.poll())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "-9\n"

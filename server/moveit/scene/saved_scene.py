@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from protocol.codecs.pieces import encoded_pieces, json_notation
 from protocol.errors import MessageError
 from robot import files
 from robot.description.model import RobotModel
@@ -41,27 +42,6 @@ DELAY_S = 1.0
 
 # Share of its time that a slow disk may spend on the scene.
 WRITING_SHARE = 0.1
-
-# Fields of a planning scene that may be long are encoded by themselves, their lists so many elements at a time, a
-# millisecond: the encoder holds the interpreter's lock, which the event loop needs.
-LONG_FIELDS = {
-    "allowed_collision_matrix",
-    "attached_collision_objects",
-    "collision_objects",
-    "detach_posture",
-    "enabled",
-    "entry_values",
-    "fixed_frame_transforms",
-    "meshes",
-    "object",
-    "object_colors",
-    "points",
-    "robot_state",
-    "triangles",
-    "vertices",
-    "world",
-}
-SLICE = 500
 
 
 class SceneFile:
@@ -277,26 +257,11 @@ class SavedScene:
 
 
 def encoded(value: Any) -> Iterator[bytes]:
-    """Encode a message as JSON, in pieces each of which takes a millisecond at most."""
-    if isinstance(value, dict):
-        short = {key: each for key, each in value.items() if key not in LONG_FIELDS}
-        yield json.dumps(short).encode()[:-1]
-        opening = b", " if short else b""
-        for key in LONG_FIELDS & value.keys():
-            yield opening + json.dumps(key).encode() + b": "
-            yield from encoded(value[key])
-            opening = b", "
-        yield b"}"
-    elif isinstance(value, list) and value and isinstance(value[0], dict):
-        step = 1 if LONG_FIELDS & value[0].keys() else SLICE
-        opening = b"["
-        for first in range(0, len(value), step):
-            yield opening
-            yield from encoded(value[first]) if step == 1 else (json.dumps(value[first : first + step]).encode()[1:-1],)
-            opening = b", "
-        yield b"]"
-    else:
-        yield json.dumps(value).encode()
+    """Encode a message as JSON, with numbers that are not finite, in pieces of at most a millisecond."""
+    return encoded_pieces(value, _NOTATION)
+
+
+_NOTATION = json_notation(lambda value: json.dumps(value).encode())
 
 
 def _taken(content: dict[str, Any], part: str, field: str) -> tuple[list[Any], dict[str, Any]]:

@@ -6,7 +6,7 @@ import { Connection, serverUrl } from "./link/connection";
 import { moveObject } from "./link/messages";
 import { MoveGroupClient, subscribeDisplayedPlans } from "./link/move-group";
 import { checkReachability } from "./link/reachability";
-import { resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
+import { fetchActions, resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
 import { emptyState } from "./state/state";
 import { Store } from "./state/store";
@@ -35,6 +35,7 @@ function startPage(): void {
       if (!connected) return;
       resetAfterReconnect(store);
       subscribeControllerState(connection, store, subscribed_topics).catch(() => undefined);
+      fetchActions(connection, store).catch(() => undefined);
     },
   );
   connection.open();

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
-import robot.description as robot_description
 from planners.geometry import contacts
 from planners.geometry.collision import CollisionModel, PairFilter, link_bodies, object_bodies
 from planners.geometry.contacts import Broadphase, ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
@@ -17,6 +15,7 @@ from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
 from planners.scene import Box
 from robot.description import model
+from tests.helpers import robots
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
@@ -225,7 +224,7 @@ def test_a_motion_out_of_a_gap_is_judged_by_the_mesh(crane):
 
 
 def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
-    srdf = Path(robot_description.__file__).with_name("so101.srdf")
+    srdf = robots.SO101.folder / "so101.srdf"
     official = model.load(shared_data / "so101" / "so101_new_calib.urdf", srdf)
     pin_model = pin.buildModelFromXML(kinematic_urdf(official))
     rng = np.random.default_rng(1)

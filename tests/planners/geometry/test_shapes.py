@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import coal
 import numpy as np
 import pinocchio as pin
@@ -9,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import robot.description
 from planners.errors import ShapeError
 from planners.geometry.collision import CollisionModel
 from planners.geometry.plain_urdf import kinematic_urdf
@@ -28,6 +25,7 @@ from planners.geometry.shapes import (
 )
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Sphere
 from robot.description import model
+from tests.helpers import robots
 from tests.helpers.resources import examples
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
@@ -105,10 +103,13 @@ def test_robot_without_any_shape_is_refused():
         shapes_of(bare)
 
 
-def test_missing_mesh_is_refused_by_name(tmp_path):
-    urdf = CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', '<mesh filename="gone.stl"/>')
-    with pytest.raises(ShapeError, match=r"gone\.stl"):
-        shapes_of(model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path))
+def test_a_mesh_that_goes_after_the_description_was_read_is_refused_by_name(tmp_path):
+    (tmp_path / "boom.stl").write_text(_tetrahedron_stl())
+    urdf = CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', '<mesh filename="boom.stl"/>')
+    robot = model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path)
+    (tmp_path / "boom.stl").unlink()
+    with pytest.raises(ShapeError, match=r"boom\.stl"):
+        shapes_of(robot)
 
 
 @pytest.mark.parametrize("prefix", ["", "package://{folder}/"])
@@ -141,7 +142,7 @@ def test_a_scaled_shape_grows_about_its_middle(shape):
 
 
 def test_official_description_collides_only_where_the_hulls_do(shared_data, collision):
-    srdf = Path(robot.description.__file__).with_name("so101.srdf")
+    srdf = robots.SO101.folder / "so101.srdf"
     official = CollisionModel(model.load(shared_data / "so101" / "so101_new_calib.urdf", srdf))
     assert official.joint_names == collision.joint_names
     rng = np.random.default_rng(1)

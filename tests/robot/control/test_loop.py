@@ -8,8 +8,16 @@ import pytest
 from robot.control.loop import hardware_source
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
-from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.hardware.config import (
+    DynamixelConfig,
+    EmulatedConfig,
+    EmulatedDynamixelConfig,
+    FeetechConfig,
+    HardwareConfig,
+    IdealConfig,
+)
 from robot.messages import ArmConfig
+from tests.helpers import dynamixel
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import nominal_calibration, so101
 
@@ -23,6 +31,13 @@ def test_simulated_hardware_opens_and_can_be_read_at_once(hardware: HardwareConf
     opened = hardware_source(ArmConfig(ROBOT, hardware), SteppedClock()).open()
     assert opened.joint_names == NAMES
     measured = opened.read()
+    assert measured is not None
+    assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
+
+
+def test_emulated_dynamixel_servos_open_and_can_be_read_at_once() -> None:
+    config = ArmConfig(dynamixel.ROBOT, EmulatedDynamixelConfig(dynamixel.CALIBRATION))
+    measured = hardware_source(config, SteppedClock()).open().read()
     assert measured is not None
     assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
 
@@ -44,6 +59,13 @@ def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened() -> None:
         source.open()
 
 
+def test_a_port_of_dynamixel_servos_that_is_not_there_is_an_error_only_when_it_is_opened() -> None:
+    config = ArmConfig(dynamixel.ROBOT, DynamixelConfig(dynamixel.CALIBRATION, "/dev/does-not-exist"))
+    source = hardware_source(config, SteppedClock())
+    with pytest.raises(PortNotFound):
+        source.open()
+
+
 def test_an_unknown_adapter_is_an_error_when_it_is_opened() -> None:
     source = hardware_source(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "usb:0000:0001")), SteppedClock())
     with pytest.raises(PortError, match="0000:0001"):
@@ -56,7 +78,7 @@ def test_the_ideal_arm_loads_no_serial_library() -> None:
         "from robot.hardware.config import IdealConfig; from robot.hardware.clock import MachineClock; "
         "from robot.control.loop import hardware_source; "
         "hardware_source(ArmConfig(built_in('so101').model, IdealConfig()), MachineClock()).open(); "
-        "print(sorted({'serial', 'scservo_sdk'} & set(sys.modules)))"
+        "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk'} & set(sys.modules)))"
     )
     printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
     assert printed.stdout.strip() == "[]"

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,17 @@ from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
 from robot.hardware.feetech.registers import Register
-from robot.messages import ArmHealth, ArmState, EmergencyPolicy, EndState, GuardLimits, Mode, Order, Outcome, Shutdown
+from robot.messages import (
+    ArmHealth,
+    ArmState,
+    EmergencyPolicy,
+    EndState,
+    GuardLimits,
+    Mode,
+    Order,
+    Outcome,
+    Shutdown,
+)
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ArmRig
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
@@ -365,6 +376,57 @@ def test_a_simulated_arm_at_rest_can_spare_a_tick(start_rig: Start, hardware: Ha
     assert rig.supervisor.spare_ticks == 1
     rig.execute(PAN)
     assert rig.supervisor.spare_ticks == 0
+
+
+def at_rest_unseen(start_rig: Start, hardware: HardwareConfig, **config: Any) -> ArmRig:
+    """An arm that has held for a second, and whose states nobody sees."""
+    rig = start_rig(hardware=hardware, **config)
+    rig.until_mode(Mode.HOLDING)
+    rig.run(1.0)
+    rig.observed = False
+    rig.tick()
+    return rig
+
+
+@pytest.mark.parametrize("hardware", SIMULATED)
+def test_a_simulated_arm_at_rest_that_nobody_sees_can_spare_four_ticks_of_five(
+    start_rig: Start, hardware: HardwareConfig
+) -> None:
+    rig = at_rest_unseen(start_rig, hardware)
+    assert rig.supervisor.spare_ticks == 4
+    rig.observed = True
+    rig.tick()
+    assert rig.supervisor.spare_ticks == 1
+
+
+@pytest.mark.parametrize("hardware", SIMULATED)
+def test_a_simulated_arm_that_nobody_sees_moves_with_every_tick_and_settles_before_it_spares_them(
+    start_rig: Start, hardware: HardwareConfig
+) -> None:
+    rig = at_rest_unseen(start_rig, hardware)
+    rig.execute(PAN)
+    assert rig.supervisor.spare_ticks == 0
+    rig.until(lambda: bool(rig.ended))
+    assert rig.supervisor.spare_ticks <= 1
+    rig.run(0.6)
+    assert rig.supervisor.spare_ticks == 4
+
+
+def test_emulated_servos_that_lose_replies_have_every_other_tick(start_rig: Start) -> None:
+    rig = at_rest_unseen(start_rig, EmulatedConfig(CALIBRATION, drop=0.001))
+    assert rig.supervisor.spare_ticks == 1
+
+
+def test_states_that_were_left_out_are_not_made_up_for(start_rig: Start) -> None:
+    rig = at_rest_unseen(start_rig, EmulatedConfig(CALIBRATION), state_rate_hz=50.0)
+    for _ in range(20):
+        rig.clock.advance(5 * PERIOD_S)
+        rig.supervisor.tick(rig.pacer, ticks=5, server_gone=False)
+    rig.sent.clear()
+    for _ in range(20):
+        rig.clock.advance(PERIOD_S)
+        rig.supervisor.tick(rig.pacer, ticks=1, server_gone=False)
+    assert sum(isinstance(each, ArmState) for each in rig.sent) in (10, 11)
 
 
 def test_an_order_leaves_no_tick_to_spare(start_rig: Start) -> None:

@@ -88,15 +88,9 @@ def test_a_robot_without_srdf_is_refused_with_the_place_where_one_is_missed() ->
 
 @needs_package
 def test_a_published_robot_is_loaded_by_its_name_with_ideal_joints() -> None:
-    found = robot_folder.load_named("panda")
+    found = robot_folder.resolve("panda")
     assert found.model.gripper == model.Gripper(("panda_finger_joint1",), 0.04, 0.0)
     assert found.hardware.kind == "ideal"
-
-
-@needs_package
-def test_the_names_of_published_robots_are_told_where_one_is_mistyped() -> None:
-    with pytest.raises(DescriptionError, match=r"example-robot-data: .*panda"):
-        robot_folder.load_named("pandas")
 
 
 def test_a_name_that_the_package_does_not_have_is_not_found() -> None:

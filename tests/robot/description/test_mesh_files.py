@@ -96,10 +96,8 @@ def test_a_collision_mesh_that_is_not_there_stops_the_reading_with_file_and_link
 
 
 def test_a_mesh_that_is_only_seen_is_missed_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "r.urdf").write_text(urdf("gone.dae", "visual"))
-    (tmp_path / "r.srdf").write_text(SRDF)
     with caplog.at_level(logging.WARNING):
-        model.load(tmp_path / "r.urdf", tmp_path / "r.srdf")
+        model.parse(urdf("gone.dae", "visual"), SRDF, mesh_directory=tmp_path)
     assert "gone.dae" in caplog.text
 
 
@@ -109,7 +107,7 @@ def test_folders_given_and_of_the_environment_are_those_of_the_robot(
     (tmp_path / "r.urdf").write_text(urdf(URL))
     (tmp_path / "r.srdf").write_text(SRDF)
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(package.parent))
-    robot = model.load(tmp_path / "r.urdf", tmp_path / "r.srdf", package_directories=(tmp_path,))
+    robot = model.load(tmp_path / "r.urdf", tmp_path / "r.srdf", (tmp_path,))
     assert robot.package_directories == (tmp_path, package.parent)
 
 

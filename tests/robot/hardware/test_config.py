@@ -4,7 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from robot.hardware.config import (
+    DynamixelConfig,
+    EmulatedConfig,
+    EmulatedDynamixelConfig,
+    FeetechConfig,
+    IdealConfig,
+)
 from tests.helpers.robots import nominal_calibration, so101
 
 CALIBRATION = nominal_calibration()
@@ -16,6 +22,8 @@ def test_an_arm_with_servos_has_the_joints_of_its_calibration_and_an_ideal_one_a
     robot = so101()
     assert FeetechConfig(CALIBRATION, "/dev/arm").joint_names(robot) == SERVOS
     assert EmulatedConfig(CALIBRATION).joint_names(robot) == SERVOS
+    assert DynamixelConfig(CALIBRATION, "/dev/arm").joint_names(robot) == SERVOS
+    assert EmulatedDynamixelConfig(CALIBRATION).joint_names(robot) == SERVOS
     assert IdealConfig().joint_names(robot) == tuple(joint.name for joint in robot.movable_joints)
 
 
@@ -27,6 +35,12 @@ def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_them
     )
     assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True, resumes=True)
     assert ideal.resumed(POSE, driven=False) == IdealConfig(0.2, POSE, driven=False)
+    assert real.resumed(POSE, driven=True) == real
+
+
+def test_dynamixel_servos_resume_as_others_do() -> None:
+    emulated, real = EmulatedDynamixelConfig(CALIBRATION, drop=0.1), DynamixelConfig(CALIBRATION, "/dev/arm")
+    assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True)
     assert real.resumed(POSE, driven=True) == real
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from protocol.operations import Auth, parse
+from protocol.operations import Auth, CallService, Operation, Publish, SendActionGoal, parse
 from protocol.registry import Registry
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
@@ -449,3 +449,53 @@ def test_names_that_look_like_a_stop_are_none(name: str) -> None:
 )
 def test_a_goal_that_only_asks_for_a_plan_says_so_in_its_options(goal: object, planned_only: bool) -> None:
     assert authorization.plans_only(goal) is planned_only
+
+
+@pytest.mark.parametrize(
+    "operation",
+    [
+        Publish(topic="/stop"),
+        Publish(topic="stop"),
+        Publish(topic="/emergency_stop"),
+        Publish(topic="/trajectory_execution_event", msg={"data": "stop"}),
+        CallService(service="/arm/stop#7"),
+        CallService(service="/arm/emergency_stop"),
+        CallService(service="/servo_node/stop_servo"),
+    ],
+)
+def test_what_stops_the_arm_goes_ahead_of_everything_that_waits(operation: Operation) -> None:
+    assert authorization.is_stop(operation)
+
+
+@pytest.mark.parametrize(
+    "operation",
+    [
+        Publish(topic="/trajectory_execution_event", msg={"data": "go"}),
+        Publish(topic="/trajectory_execution_event"),
+        Publish(topic="/moveit_goal_cancel"),
+        Publish(topic="/move_group/cancel"),
+        CallService(service="/move_action/_action/cancel_goal"),
+        CallService(service="/arm/pause"),
+        SendActionGoal(action="/stop", action_type="std_msgs/Empty"),
+    ],
+)
+def test_what_ends_single_goals_waits_its_turn(operation: Operation) -> None:
+    assert not authorization.is_stop(operation)
+
+
+@pytest.mark.parametrize("name", ["/check_goals", "/compute_ik", "/plan_kinematic_path"])
+def test_services_that_plan_are_known(name: str) -> None:
+    assert authorization.rule_of_service(name).plans
+    assert not authorization.rule_of_service("/compute_fk").plans
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/left_gripper_controller/gripper_action",
+        "/gripper_controller/gripper_cmd",
+        "/a_controller/follow_joint_trajectory",
+    ],
+)
+def test_actions_of_every_controller_drive(name: str) -> None:
+    assert authorization.rule_of_action(name).goal

@@ -3,20 +3,27 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from robot.calibration import JointCalibration, new_calibration_path, save
-from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig, IdealConfig
+from robot.calibration import Calibration, JointCalibration, new_calibration_path, save
+from robot.hardware.config import (
+    DynamixelConfig,
+    EmulatedConfig,
+    EmulatedDynamixelConfig,
+    FeetechConfig,
+    HardwareConfig,
+    IdealConfig,
+)
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.arm.setup import Description, arm_config, check_parameters
 from server.config import ArmSettings, EmulatorSettings, GuardSettings, Settings
 from server.errors import ConfigurationError
 from server.moveit.parameters import MoveItParameters
-from tests.helpers import robots
+from tests.helpers import dynamixel, robots
 from tests.helpers.robots import nominal_calibration, so101
 
 
@@ -101,6 +108,35 @@ def test_no_port_means_emulated_servos_with_the_faults_that_are_set(tmp_path: Pa
     assert hardware_of(emulator=emulator) == wanted
     files = described(tmp_path, so101().urdf, so101().srdf)
     assert hardware_of(arm=ArmSettings(**files, calibration=calibrated(tmp_path)), emulator=emulator) == wanted
+
+
+def test_a_koch_has_dynamixel_servos_on_a_port_and_emulated() -> None:
+    servos = dynamixel.SERVOS
+    nominal = Calibration.nominal(servos)
+    on_port = hardware_of(arm=ArmSettings(robot="koch_v1_1", serial="/dev/arm"))
+    assert on_port == DynamixelConfig(nominal, "/dev/arm", 1_000_000)
+    assert isinstance(on_port, DynamixelConfig)
+    assert not on_port.calibration.zero_is_known
+    emulated = hardware_of(arm=ArmSettings(robot="koch_v1_1"), emulator=EmulatorSettings(drop=0.1, corrupt=0.2, seed=3))
+    assert emulated == EmulatedDynamixelConfig(nominal, drop=0.1, corrupt=0.2, seed=3, driven=True)
+
+
+@pytest.mark.parametrize("name", ["write_log", "control"])
+def test_an_option_that_emulated_dynamixel_servos_do_not_have_is_refused(name: str) -> None:
+    emulator = EmulatorSettings(**{name: BUS_OPTIONS[name]})
+    with pytest.raises(ConfigurationError, match=rf"emulator\.{name}: emulated Dynamixel servos have none"):
+        hardware_of(arm=ArmSettings(robot="koch_v1_1"), emulator=emulator)
+
+
+def test_a_calibration_of_a_koch_may_have_whole_turns_in_its_homing_offsets(tmp_path: Path) -> None:
+    joints = tuple(replace(joint, homing_offset=-7000) for joint in dynamixel.CALIBRATION.joints)
+    save(Calibration(joints), tmp_path / "koch.json")
+    on_port = hardware_of(
+        arm=ArmSettings(robot="koch_v1_1", serial="/dev/arm", calibration=tmp_path / "koch.json")
+    )
+    assert isinstance(on_port, DynamixelConfig)
+    assert on_port.calibration.joints == joints
+    assert on_port.calibration.zero_is_known
 
 
 BUS_OPTIONS = {"drop": 0.1, "corrupt": 0.1, "seed": 1, "write_log": Path("writes.jsonl"), "control": Path("control")}

@@ -8,7 +8,7 @@ import pytest
 
 from protocol.registry import Registry
 from robot.messages import ArmState, Mode
-from server.arm.topics import TOPIC, JointStates
+from server.arm.topics import TOPIC, JointStates, states_are_observed
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 
@@ -43,3 +43,25 @@ def test_an_arm_that_is_not_there_has_no_joint_states(heard: tuple[JointStates, 
     states, messages = heard
     states.publish(ArmState(time.time(), Mode.DISCONNECTED, ("a",), reason="unplugged"))
     assert messages == []
+
+
+@pytest.mark.parametrize(
+    ("topic", "observed"),
+    [
+        ("/joint_states", True),
+        ("/tf", True),
+        ("/arm_controller/state", True),
+        ("/arm_with_torso_controller/controller_state", True),
+        ("/arm/state", False),
+        ("/diagnostics", False),
+    ],
+)
+def test_states_are_observed_while_somebody_subscribes_to_what_follows_them(topic: str, observed: bool) -> None:
+    graph, node = Graph(Registry.load()), Node("test")
+    publisher = Node("arm")
+    graph.advertise(publisher, topic, "std_msgs/String")
+    assert not states_are_observed(graph)
+    graph.subscribe(node, topic, None, Subscriber(lambda _: None))
+    assert states_are_observed(graph) is observed
+    graph.remove(node)
+    assert not states_are_observed(graph)

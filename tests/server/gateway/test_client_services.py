@@ -4,7 +4,7 @@ import pytest
 
 from protocol.limits import Limits
 from server.access.permissions import Identity, Role
-from server.gateway import client as client_module
+from server.gateway import client_services
 from server.graph.node import Node
 from server.graph.services import Call
 from tests.helpers.gateway import InProcess
@@ -165,7 +165,7 @@ def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
 
 
 def test_values_in_calls_that_wait_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client_module, "MAX_VALUES_IN_FLIGHT", 2500)
+    monkeypatch.setattr(client_services, "MAX_VALUES_IN_FLIGHT", 2500)
     world = InProcess()
     started: list[Call] = []
     world.graph.services.offer_calls(Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append)

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from protocol.errors import InterfaceError, MessageError
-from protocol.messages import Stamp
+from protocol.messages import Stamp, quick_way
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Registry
 from server.graph.message_types import (
@@ -133,3 +135,28 @@ def test_a_message_grows_by_what_came_and_a_little_no_more() -> None:
 
 def test_messages_of_the_server_itself_are_completed_at_once_however_large() -> None:
     assert len(STRICT.complete(POSES, {"poses": [{}] * FREE_VALUES})["poses"]) == FREE_VALUES
+
+
+async def test_types_are_compiled_when_there_is_time_and_not_when_they_are_offered() -> None:
+    types = MessageTypes(Registry.load())
+    names = ("moveit_msgs/action/MoveGroup_Goal", "moveit_msgs/action/MoveGroup_Result")
+    compiled_before = quick_way.cache_info().misses
+    types.compile_later(*names)
+    assert quick_way.cache_info().misses == compiled_before
+    await types.compile_waiting()
+    compiled = quick_way.cache_info().misses
+    assert compiled >= compiled_before + len(names)
+    for name in names:
+        types.complete(name, {})
+    assert quick_way.cache_info().misses == compiled
+
+
+async def test_the_event_loop_goes_on_while_types_are_compiled() -> None:
+    types = MessageTypes(Registry.load())
+    types.compile_later("moveit_msgs/action/MoveGroup_Goal")
+    compiling = asyncio.create_task(types.compile_waiting())
+    turns = 0
+    while not compiling.done():
+        await asyncio.sleep(0)
+        turns += 1
+    assert turns > 2

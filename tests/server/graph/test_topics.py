@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -512,3 +513,25 @@ def test_one_subscriber_alone_is_told(graph: Graph) -> None:
 def test_a_node_that_has_not_subscribed_is_not_told(graph: Graph) -> None:
     graph.advertise(TALKER, "/a", "std_msgs/String")
     graph.tell(Node("nobody"), "/a", {"data": "for you"})
+
+
+def test_every_change_of_who_uses_a_topic_counts_and_a_message_does_not() -> None:
+    graph, first, second = Graph(REGISTRY, call_later=FakeClock().call_later), Node("first"), Node("second")
+    graph.advertise(first, "/a", "std_msgs/String")
+    changes: list[Callable[[], object]] = [
+        lambda: graph.advertise(second, "/a", "std_msgs/String"),
+        lambda: graph.advertise(second, "/a", "std_msgs/String", latch=True),
+        lambda: graph.publish(first, "/a", {"data": "x"}, latch=True),
+        lambda: graph.subscribe(second, "/a", None, Subscriber(lambda _: None)),
+        lambda: graph.unsubscribe(second, "/a"),
+        lambda: graph.unadvertise(second, "/a"),
+        lambda: graph.remove(first),
+        lambda: graph.advertise(first, "/a", "std_msgs/String"),
+    ]
+    for number, change in enumerate(changes):
+        before = graph.revision
+        change()
+        assert graph.revision > before, number
+    before = graph.revision
+    graph.publish(first, "/a", {"data": "x"})
+    assert graph.revision == before

@@ -214,3 +214,18 @@ def test_free_memory_between_used_memory_is_given_back() -> None:
     trim_heap()
     assert full - resident_bytes() > 40_000_000
     assert kept
+
+
+def test_a_forked_server_leaves_what_was_frozen_before_the_fork_alone() -> None:
+    gc.collect()
+    Node()
+    gc.freeze()
+    try:
+        collector = CollectorPolicy(keeps_frozen=True)
+        collector.start()
+        alive = Node.alive
+        collector.stop()
+    finally:
+        gc.unfreeze()
+        gc.collect()
+    assert (alive, Node.alive) == (1, 0)

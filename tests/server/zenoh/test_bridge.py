@@ -12,7 +12,7 @@ from server.access.authorization import unlimited
 from server.errors import ConfigurationError
 from server.graph.topics import Graph
 from server.zenoh import bridge, settings
-from server.zenoh.bridge import Bridge, Discovery, bridge_of
+from server.zenoh.bridge import FULL_REFRESH_PERIOD_S, Bridge, Discovery, Sharing, bridge_of
 from server.zenoh.rmw import Endpoint, Entity, EntityKind, LivelinessTokens
 from server.zenoh.settings import ZenohSettings
 from server.zenoh.topics import OutgoingTopics
@@ -277,3 +277,29 @@ def test_an_invalid_liveliness_token_changes_nothing() -> None:
     others.update("@ros2_lv/0/nonsense", alive=True)
     others.update("@ros2_lv/0/nonsense", alive=False)
     assert others.entities() == ()
+
+
+async def test_names_are_looked_at_again_after_changes_and_from_time_to_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, refreshes = 0.0, 0
+    async with Site(free_port(), publish=("/news",)) as site:
+        network = site.bridge._sharing._network  # type: ignore[union-attr]
+        sharing = Sharing(
+            network, ZenohSettings(mode="peer", publish=("/news",)), site.bridge._authorizer, lambda: now_s
+        )
+
+        def count() -> None:
+            nonlocal refreshes
+            refreshes += 1
+
+        monkeypatch.setattr(sharing, "refresh", count)
+        for _ in range(3):
+            sharing.follow()
+        assert refreshes == 1
+        site.graph.advertise(site.part, "/news", STRING)
+        for _ in range(3):
+            sharing.follow()
+        assert refreshes == 2
+        now_s += FULL_REFRESH_PERIOD_S
+        for _ in range(3):
+            sharing.follow()
+        assert refreshes == 3

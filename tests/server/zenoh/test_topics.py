@@ -18,6 +18,9 @@ from tests.helpers.zenoh_network import RosMachine, Site, free_port, until
 
 STRING = "std_msgs/msg/String"
 
+# A subscription is known to the other session of this machine.
+SETTLED_S = 1.0
+
 
 async def test_a_message_goes_out_as_a_ros_2_machine_expects_it() -> None:
     port = free_port()
@@ -328,3 +331,18 @@ async def test_a_topic_of_another_version_of_its_type_is_told_once(caplog: pytes
             await asyncio.sleep(0.1)
     assert caplog.text.count("another version") == 1
     assert site.graph.topic_type("/news") is None
+
+
+async def test_a_small_message_after_a_large_one_waits_for_it() -> None:
+    port = free_port()
+    texts = ["x" * 300_000, "small", "y" * 200_000, "last"]
+    async with Site(port, subscribe=("/camera/*",)) as site, Site(to=(port,), publish=("/camera/*",)) as camera:
+        camera.graph.advertise(camera.part, "/camera/news", STRING)
+        await until(lambda: site.graph.topic_type("/camera/news") == STRING)
+        heard = site.hear("/camera/news", STRING)
+        await until(lambda: camera.graph.subscribers("/camera/news"))
+        await asyncio.sleep(SETTLED_S)
+        for text in texts:
+            camera.graph.publish(camera.part, "/camera/news", {"data": text})
+        await until(lambda: len(heard) == len(texts))
+    assert [published.msg["data"] for published in heard] == texts

@@ -1,7 +1,7 @@
 import { expect, test, vi } from "vitest";
-import { emptyState } from "../state/state";
+import { emptyState, type State } from "../state/state";
 import { Store } from "../state/store";
-import { StopCommand } from "./commands";
+import { ArmCommands, StopCommand } from "./commands";
 import type { Connection } from "./connection";
 
 function stopCommand(link: Partial<Connection>): { press: () => Promise<void>; phase: () => string; text: () => string; cancelled: () => number } {
@@ -46,4 +46,32 @@ test("says when the arm did not stop", async () => {
   const s = stopCommand({ call: (() => Promise.resolve({ success: false, message: "it is disconnected" })) as Connection["call"] });
   await s.press();
   expect([s.phase(), s.text()]).toEqual(["failed", "not stopped: it is disconnected"]);
+});
+
+const URDF = `<robot><joint name="a" type="revolute"><limit lower="-1" upper="1"/></joint>
+<joint name="left" type="prismatic"><limit lower="0" upper="0.05"/></joint></robot>`;
+const SRDF = `<robot><group name="arm"><joint name="a"/></group><group name="fingers"><joint name="left"/></group>
+<end_effector name="hand" parent_link="x" group="fingers" parent_group="arm"/></robot>`;
+
+test("a gripper is moved by the action that the server offers for it", async () => {
+  const store = new Store<State>({ ...emptyState("ws://here"), urdf: URDF, srdf: SRDF, actions: ["/fingers_controller/gripper_cmd"] });
+  const sent: unknown[] = [];
+  const goal = (action: string, _type: string, message: unknown): unknown => {
+    sent.push([action, message]);
+    return { result: Promise.resolve({ status: 4, values: {}, reason: "" }) };
+  };
+  const commands = new ArmCommands({ goal } as unknown as Connection, store);
+  await commands.moveGripper(0.02);
+  expect(sent).toEqual([["/fingers_controller/gripper_cmd", { command: { position: 0.02, max_effort: 0 } }]]);
+});
+
+test("a joint group is selected for this page and for the server, and the goal of the group before is gone", () => {
+  const store = new Store<State>({ ...emptyState("ws://here"), selection: { kind: "joints", joints_rad: { a: 1 } } });
+  const sent: unknown[] = [];
+  const publish = (...message: unknown[]): void => void sent.push(message);
+  const commands = new ArmCommands({ publish } as unknown as Connection, store);
+  commands.selectGroup("left");
+  expect(sent).toEqual([["/moveit_goal_group", "std_msgs/String", { data: "left" }]]);
+  expect(store.state.group).toBe("left");
+  expect(store.state.selection.kind).toBe("none");
 });

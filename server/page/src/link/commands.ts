@@ -1,5 +1,6 @@
+import { armGripper, gripperAction } from "../logic/joints";
 import type { JointValues, State, SuggestedGoal } from "../state/state";
-import { setNotice, type PageStore } from "../state/store";
+import { selectGroup, setNotice, type PageStore } from "../state/store";
 import { STATUS_ABORTED, type Connection } from "./connection";
 import { gripperGoal, jointJog, type TriggerResponse } from "./messages";
 
@@ -54,12 +55,20 @@ export class ArmCommands {
     this.attempt(() => this.connection.publish("/arm/speed_factor", "std_msgs/Float64", { data: factor }));
   }
 
-  /** Move the gripper to a position. */
-  async moveGripper(position_rad: number): Promise<void> {
+  /** Select the joint group that goals are for, of this page and of the server's goal topics. */
+  selectGroup(group: string): void {
+    selectGroup(this.store, group);
+    this.attempt(() => this.connection.publish("/moveit_goal_group", "std_msgs/String", { data: group }));
+  }
+
+  /** Move the gripper to a position [rad or m]. */
+  async moveGripper(position: number): Promise<void> {
     await this.attempt(async () => {
-      const action = "/gripper_controller/gripper_cmd";
+      const gripper = armGripper(this.store.state);
+      const action = gripper && gripperAction(gripper, this.store.state.actions);
+      if (action === null) return;
       const type = "control_msgs/action/GripperCommand";
-      const { status, values, reason } = await this.connection.goal(action, type, gripperGoal(position_rad)).result;
+      const { status, values, reason } = await this.connection.goal(action, type, gripperGoal(position)).result;
       const refused = status === STATUS_ABORTED || values === null;
       setNotice(this.store, "gripper", refused ? `Gripper: ${reason || "the goal was aborted; the log says why"}` : "");
     });

@@ -12,6 +12,7 @@ import {
   readGoal,
   readIdentity,
   readJoints,
+  readLimits,
   readNamedStates,
   readPlan,
   readServos,
@@ -42,8 +43,33 @@ test("a target that can be reached is asked for as the ghost shows it, any other
   expect(goalConstraints({ selection, target: { ...target, reachable: null } })).toEqual(positionConstraints([0.3, 0, 0.2], 0.01));
 });
 
+test("a pose that cannot be reached is asked for with its orientation", () => {
+  const selection = { kind: "target" as const, joints_rad: null };
+  const target = { ...empty.target, position_m: [0.3, 0, 0.2] as [number, number, number], reachable: false };
+  const constraints = goalConstraints({ selection, target: { ...target, orientation: [0, 1, 0, 0] } });
+  expect(constraints).toMatchObject({
+    ...positionConstraints([0.3, 0, 0.2], 0.01),
+    orientation_constraints: [{ orientation: { x: 0, y: 1, z: 0, w: 0 }, link_name: "" }],
+  });
+});
+
+test("a goal is for the selected group", () => {
+  expect(moveGroupGoal({}, 0.4, true, "left")).toMatchObject({ request: { group_name: "left" } });
+});
+
+test("a joint without limits goes through a whole turn", () => {
+  const limit = { joint_name: "a", has_position_limits: true, min_position: -1, max_position: 2 };
+  const any = { joint_name: "b", has_position_limits: false, min_position: 0, max_position: 0 };
+  const endless = { joint_name: "c", has_position_limits: true, min_position: null, max_position: null };
+  expect(readLimits({ joint_names: [], limits: [limit, any, endless] })).toEqual({
+    a: [-1, 2],
+    b: [-Math.PI, Math.PI],
+    c: [-Math.PI, Math.PI],
+  });
+});
+
 test("the speed goes into the request, and plan_only beside it", () => {
-  expect(moveGroupGoal({}, 0.4, true)).toMatchObject({
+  expect(moveGroupGoal({}, 0.4, true, "")).toMatchObject({
     request: { max_velocity_scaling_factor: 0.4, max_acceleration_scaling_factor: 0.4, group_name: "" },
     planning_options: { plan_only: true },
   });

@@ -8,6 +8,7 @@ import {
   type JointValues,
   type LogEntry,
   type NamedState,
+  type Orientation,
   type Plan,
   type Point,
   type ServoState,
@@ -54,7 +55,12 @@ export interface DiagnosticArray {
 /** moveit_msgs/KinematicSolverInfo. */
 export interface KinematicSolverInfo {
   joint_names: string[];
-  limits: { joint_name: string; has_position_limits: boolean; min_position: number; max_position: number }[];
+  limits: {
+    joint_name: string;
+    has_position_limits: boolean;
+    min_position: number | null;
+    max_position: number | null;
+  }[];
 }
 
 /** rcl_interfaces/Log. */
@@ -190,8 +196,15 @@ export function errorCodeName(code: number): string {
 /** std_msgs/Header: the root link, which an empty frame means, and a stamp of zero, which means now. */
 const HEADER = { stamp: { sec: 0, nanosec: 0 }, frame_id: "" };
 
-function pose([x, y, z]: Point): object {
-  return { position: { x, y, z }, orientation: { x: 0, y: 0, z: 0, w: 1 } };
+/** Orientation of what has none of its own. */
+const UPRIGHT: Orientation = [0, 0, 0, 1];
+
+function pose([x, y, z]: Point, orientation: Orientation = UPRIGHT): object {
+  return { position: { x, y, z }, orientation: quaternion(orientation) };
+}
+
+function quaternion([x, y, z, w]: Orientation): object {
+  return { x, y, z, w };
 }
 
 /** Build moveit_msgs/Constraints of joint positions. */
@@ -217,10 +230,26 @@ export function positionConstraints(position_m: Point, radius_m: number): object
 /** Tolerance of a point goal [m], as for /moveit_goal_pose. */
 const POINT_TOLERANCE_M = 0.01;
 
-/** Build the goal of /move_action; an empty group name means the configured group. */
-export function moveGroupGoal(constraints: object, speed: number, plan_only: boolean): object {
+/** Tolerance of an orientation about each axis [rad]. */
+const ORIENTATION_TOLERANCE_RAD = 0.01;
+
+/** Build moveit_msgs/OrientationConstraint of the tip. */
+function orientationConstraint(orientation: Orientation): object {
+  return {
+    header: HEADER,
+    orientation: quaternion(orientation),
+    link_name: "",
+    absolute_x_axis_tolerance: ORIENTATION_TOLERANCE_RAD,
+    absolute_y_axis_tolerance: ORIENTATION_TOLERANCE_RAD,
+    absolute_z_axis_tolerance: ORIENTATION_TOLERANCE_RAD,
+    weight: 1,
+  };
+}
+
+/** Build the goal of /move_action; an empty group name means the server's default group. */
+export function moveGroupGoal(constraints: object, speed: number, plan_only: boolean, group_name: string): object {
   const request = {
-    group_name: "",
+    group_name,
     goal_constraints: [constraints],
     max_velocity_scaling_factor: speed,
     max_acceleration_scaling_factor: speed,
@@ -235,17 +264,19 @@ export function goalConstraints({ selection, target }: Pick<State, "selection" |
   if (!target.position_m) return null;
   // The joint values that the ghost shows, as a point alone may be reached in another configuration.
   if (target.reachable && target.joints_rad) return jointConstraints(target.joints_rad);
-  return positionConstraints(target.position_m, POINT_TOLERANCE_M);
+  const point = positionConstraints(target.position_m, POINT_TOLERANCE_M);
+  if (!target.orientation) return point;
+  return { ...point, orientation_constraints: [orientationConstraint(target.orientation)] };
 }
 
-/** Build the request of armbridge_msgs/srv/CheckGoals for one point. */
-export function checkGoalsRequest(position_m: Point): object {
-  return { poses: [{ header: HEADER, pose: pose(position_m) }], joints: [] };
+/** Build the request of armbridge_msgs/srv/CheckGoals for one pose; a group of few joints leaves the orientation out. */
+export function checkGoalsRequest(position_m: Point, orientation: Orientation | null): object {
+  return { poses: [{ header: HEADER, pose: pose(position_m, orientation ?? UPRIGHT) }], joints: [] };
 }
 
-/** Build the goal of control_msgs/action/GripperCommand; an effort of 0 means the maximum. */
-export function gripperGoal(position_rad: number): object {
-  return { command: { position: position_rad, max_effort: 0 } };
+/** Build the goal of control_msgs/action/GripperCommand [rad or m]; an effort of 0 means the maximum. */
+export function gripperGoal(position: number): object {
+  return { command: { position, max_effort: 0 } };
 }
 
 /** Build moveit_msgs/CollisionObject ADD of a box in the root link. */
@@ -256,11 +287,8 @@ export function addBox(id: string, position_m: Point, size_m: Point): object {
 }
 
 /** Build moveit_msgs/CollisionObject MOVE to a pose in the root link. */
-export function moveObject(id: string, position_m: Point, orientation: [number, number, number, number]): object {
-  const [x, y, z] = position_m;
-  const [qx, qy, qz, qw] = orientation;
-  const moved = { position: { x, y, z }, orientation: { x: qx, y: qy, z: qz, w: qw } };
-  return { header: HEADER, id, pose: moved, operation: 3 };
+export function moveObject(id: string, position_m: Point, orientation: Orientation): object {
+  return { header: HEADER, id, pose: pose(position_m, orientation), operation: 3 };
 }
 
 /** Build moveit_msgs/CollisionObject REMOVE. */
@@ -380,10 +408,13 @@ function readSuggestion(text: string | undefined): SuggestedGoal | null {
   }
 }
 
-/** Read the soft limits of /arm/joint_limits. */
-export function readLimits(message: KinematicSolverInfo): Record<string, [number, number]> {
-  const limited = message.limits.filter((limit) => limit.has_position_limits);
-  return Object.fromEntries(limited.map((limit) => [limit.joint_name, [limit.min_position, limit.max_position]]));
+/** Read the soft limits of /arm/joint_limits, for a joint without limits those of a whole turn. */
+export function readLimits({ limits }: KinematicSolverInfo): Record<string, [number, number]> {
+  const range = (limit: KinematicSolverInfo["limits"][number]): [number, number] => {
+    const { has_position_limits: limited, min_position: low, max_position: high } = limit;
+    return limited && typeof low === "number" && typeof high === "number" ? [low, high] : [-Math.PI, Math.PI];
+  };
+  return Object.fromEntries(limits.map((limit) => [limit.joint_name, range(limit)]));
 }
 
 /** Read the JSON of /named_states; an empty record when it is not valid. */

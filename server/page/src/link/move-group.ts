@@ -1,4 +1,5 @@
 import { currentPositions } from "../logic/joints";
+import { planningGroup } from "../logic/robot-info";
 import { duration_s, samplePlan } from "../logic/trajectory";
 import { noGoal, type PendingRequest, type Plan, type State } from "../state/state";
 import type { PageStore } from "../state/store";
@@ -74,7 +75,10 @@ export class MoveGroupClient {
       this.report(null, "Choose first where to go: a named pose, joints, or the target.");
       return null;
     }
-    const goal = moveGroupGoal(constraints, this.store.state.settings.speed, plan_only);
+    const { settings, group } = this.store.state;
+    // Before the server has told a group, it knows its own default best.
+    const group_name = group && (planningGroup(this.store.state)?.name ?? "");
+    const goal = moveGroupGoal(constraints, settings.speed, plan_only, group_name);
     return this.sendGoal(pending_request, "/move_action", "moveit_msgs/action/MoveGroup", goal);
   }
 

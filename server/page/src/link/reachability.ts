@@ -1,4 +1,4 @@
-import type { Point, State } from "../state/state";
+import type { Orientation, Point, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import { checkGoalsRequest, valuesByJoint, type GoalCheck } from "./messages";
@@ -39,12 +39,14 @@ const CHECK_TIMEOUT_S = 3;
 /** Distance of the tip from a point within which the point counts as reached [m], as for /moveit_goal_pose. */
 const REACHED_TOLERANCE_M = 0.01;
 
+type CheckedPose = { position_m: Point; orientation: Orientation | null };
+
 /** Check with the server that the arm can reach each new target; skip targets that are replaced meanwhile. */
 export function checkReachability(connection: Connection, store: PageStore): void {
-  const checks = new LatestRequestQueue<Point>(async (position_m) => {
+  const checks = new LatestRequestQueue<CheckedPose>(async ({ position_m, orientation }) => {
     if (!connection.isConnected) return;
     try {
-      const request = checkGoalsRequest(position_m);
+      const request = checkGoalsRequest(position_m, orientation);
       const { results } = await connection.call<{ results: GoalCheck[] }>("/check_goals", request, CHECK_TIMEOUT_S);
       if (results[0]) store.set(applyGoalCheck(store.state, position_m, results[0]));
     } catch {
@@ -53,13 +55,13 @@ export function checkReachability(connection: Connection, store: PageStore): voi
   });
   store.subscribe(
     (state) => state.target.position_m,
-    (position_m) => position_m && checks.put(position_m),
+    (position_m, { target: { orientation } }) => position_m && checks.put({ position_m, orientation }),
   );
   // A target set while the server was away has no answer, and a restarted server may answer differently.
   store.subscribe(
     (state) => state.link.connected,
-    (connected, { selection, target: { position_m } }) => {
-      if (connected && selection.kind === "target" && position_m) checks.put(position_m);
+    (connected, { selection, target: { position_m, orientation } }) => {
+      if (connected && selection.kind === "target" && position_m) checks.put({ position_m, orientation });
     },
   );
 }

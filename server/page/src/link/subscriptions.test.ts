@@ -3,7 +3,13 @@ import { emptyState, noGoal, type GoalState, type State } from "../state/state";
 import { Store, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import type { DiagnosticStatus } from "./messages";
-import { applyGoalStatus, subscribeControl } from "./subscriptions";
+import {
+  applyGoalStatus,
+  fetchActions,
+  subscribeControl,
+  subscribeControllerState,
+  subscribeTopics,
+} from "./subscriptions";
 
 const empty = emptyState("ws://here");
 const news = (id: string, state: string, patch: Partial<GoalState> = {}): GoalState => ({ ...noGoal(), id, state, ...patch });
@@ -88,4 +94,41 @@ test("a message of /arm/control is shown", () => {
   const values = [{ key: "address", value: "10.0.0.1:6" }, { key: "policy", value: "lease" }, { key: "free_in_s", value: "7" }];
   tell({ level: 0, name: "control", message: "", hardware_id: "bob", values });
   expect(store.state.control).toEqual({ holder: "bob", address: "10.0.0.1:6", policy: "lease", free_in_s: 7 });
+});
+
+/** Connection that keeps the listeners of topics and answers calls. */
+function listening(answers: Record<string, unknown>): { connection: Connection; tell: (topic: string, message: unknown) => void } {
+  const listeners = new Map<string, (message: unknown) => void>();
+  const connection = {
+    subscribe: (topic: string, _type: string, listener: (message: unknown) => void) => listeners.set(topic, listener),
+    call: (service: string) => Promise.resolve(answers[service]),
+  } as unknown as Connection;
+  return { connection, tell: (topic, message) => listeners.get(topic)?.(message) };
+}
+
+test("commanded positions come from the controllers of all groups", async () => {
+  const store = new Store(emptyState("ws://here"));
+  const topics = ["/arm_controller/state", "/arm_controller/controller_state", "/lift_controller/controller_state"];
+  const { connection, tell } = listening({ "/rosapi/topics_for_type": { topics } });
+  await subscribeControllerState(connection, store, new Set());
+  tell("/arm_controller/controller_state", { joint_names: ["a"], reference: { positions: [1] } });
+  tell("/lift_controller/controller_state", { joint_names: ["b"], reference: { positions: [2] } });
+  expect(store.state.commanded_rad).toEqual({ a: 1, b: 2 });
+});
+
+test("the group of the server is that of the page, and telling it again keeps what the user has selected", () => {
+  const store = new Store(emptyState("ws://here"));
+  const { connection, tell } = listening({});
+  subscribeTopics(connection, store);
+  tell("/moveit_goal_group", { data: "left" });
+  expect(store.state.group).toBe("left");
+  store.set({ selection: { kind: "joints", joints_rad: { a: 1 } } });
+  tell("/moveit_goal_group", { data: "left" });
+  expect(store.state.selection.kind).toBe("joints");
+});
+
+test("the server's actions are asked for", async () => {
+  const store = new Store(emptyState("ws://here"));
+  await fetchActions(listening({ "/rosapi/action_servers": { action_servers: ["/move_action"] } }).connection, store);
+  expect(store.state.actions).toEqual(["/move_action"]);
 });

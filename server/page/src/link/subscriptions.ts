@@ -1,5 +1,5 @@
 import { noGoal, type GoalState, type State } from "../state/state";
-import { setNotice, type PageStore } from "../state/store";
+import { selectGroup, setNotice, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import {
   PREEMPTED,
@@ -60,6 +60,7 @@ function subscribeRobot(connection: Connection, store: PageStore): void {
   connection.subscribe<StringMessage>("/robot_description_semantic", "std_msgs/String", ({ data }) => {
     store.set({ srdf: data });
   });
+  connection.subscribe<StringMessage>("/moveit_goal_group", "std_msgs/String", ({ data }) => selectGroup(store, data));
   connection.subscribe<KinematicSolverInfo>("/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", (message) => {
     store.set({ limits: readLimits(message) });
   });
@@ -72,7 +73,7 @@ function subscribeRobot(connection: Connection, store: PageStore): void {
 }
 
 /**
- * Subscribe to the commanded joint positions, on the state topic of the arm's controller.
+ * Subscribe to the commanded joint positions, on the state topics of the groups' controllers.
  *
  * @param subscribed_topics - topics of earlier calls; each is subscribed once, as the connection restores them.
  */
@@ -83,13 +84,23 @@ export async function subscribeControllerState(
 ): Promise<void> {
   const type = "control_msgs/msg/JointTrajectoryControllerState";
   const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
-  const topic = topics.find((name) => name.endsWith("/controller_state")) ?? topics[0];
-  if (topic === undefined || subscribed_topics.has(topic)) return;
-  subscribed_topics.add(topic);
+  // Each controller has its state under an old and a new name.
+  const of_controllers = topics.filter((name) => name.endsWith("/controller_state"));
   const onState = ({ joint_names, reference }: ControllerState): void => {
-    store.set({ commanded_rad: valuesByJoint(joint_names, reference.positions) });
+    const commanded = valuesByJoint(joint_names, reference.positions);
+    store.set({ commanded_rad: { ...store.state.commanded_rad, ...commanded } });
   };
-  connection.subscribe<ControllerState>(topic, type, onState, REDRAW_PERIOD_MS);
+  for (const topic of of_controllers.length > 0 ? of_controllers : topics.slice(0, 1)) {
+    if (subscribed_topics.has(topic)) continue;
+    subscribed_topics.add(topic);
+    connection.subscribe<ControllerState>(topic, type, onState, REDRAW_PERIOD_MS);
+  }
+}
+
+/** Ask for the actions of the server, which tell whether it moves a gripper. */
+export async function fetchActions(connection: Connection, store: PageStore): Promise<void> {
+  const { action_servers } = await connection.call<{ action_servers: string[] }>("/rosapi/action_servers", {});
+  store.set({ actions: action_servers });
 }
 
 /** Forget goals and commands that may have ended while the page was disconnected. */

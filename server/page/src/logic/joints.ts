@@ -1,28 +1,83 @@
 import type { Joints, JointValues, State } from "../state/state";
+import { planningGroup, robotInfo, type GripperInfo, type JointKind } from "./robot-info";
 
 /** Parts of the state that tell which joints there are. */
-type RobotInfo = Pick<State, "limits" | "named" | "urdf" | "joints">;
+type KnownJoints = Pick<State, "limits" | "named" | "urdf" | "srdf" | "group" | "actions">;
 
-/** Return the joints of the planning group: those of the named states; without any, all but the gripper. */
-export function armJoints(known: RobotInfo): string[] {
-  const names = Object.keys(jointLimits(known));
-  const in_states = new Set(Object.values(known.named).flatMap(({ joints }) => Object.keys(joints)));
-  if (in_states.size > 0) return names.filter((name) => in_states.has(name));
-  return names.filter((name) => name !== "gripper");
+/** Return the joints that goals are for: those of the planning group that are driven; without groups, all. */
+export function armJoints(known: KnownJoints): string[] {
+  const driven = Object.keys(jointLimits(known));
+  const group = planningGroup(known);
+  return group === null ? driven : group.joints.filter((name) => driven.includes(name));
 }
 
-/** Return the joint of the gripper; null without one. */
-export function gripperJoint(known: RobotInfo): string | null {
-  const arm = new Set(armJoints(known));
-  return Object.keys(jointLimits(known)).find((name) => !arm.has(name)) ?? null;
+/** Return the named poses that say something of the planning group's joints, without what they say of others. */
+export function groupPoses(known: KnownJoints): State["named"] {
+  const joints = new Set(armJoints(known));
+  const poses = Object.entries(known.named).flatMap(([name, { saved, joints: all }]) => {
+    const own = Object.entries(all).filter(([joint]) => joints.has(joint));
+    // A described pose belongs to one group, a saved one has the joints of all.
+    const is_of_group = own.length > 0 && (saved || own.length === Object.keys(all).length);
+    return is_of_group ? [[name, { saved, joints: Object.fromEntries(own) }] as const] : [];
+  });
+  return Object.fromEntries(poses);
 }
 
-/** Return the joint limits: those of the server, within those of the robot description [rad]. */
-export function jointLimits({ limits, urdf }: Pick<State, "limits" | "urdf">): Record<string, [number, number]> {
-  const described = urdf === null ? {} : urdfLimits(urdf);
-  if (Object.keys(limits).length === 0) return described;
+/** Most fingers of a gripper. */
+const MAX_FINGERS = 2;
+
+/** Return the gripper of the planning group: that of its end effector, else the joints of no group; null without one. */
+export function armGripper(known: KnownJoints): GripperInfo | null {
+  const { groups, grippers } = robotInfo(known);
+  const limits = jointLimits(known);
+  const parent = planningGroup(known)?.name ?? "";
+  const of_group = grippers.find(({ parent_group }) => parent_group === parent) ?? grippers[0];
+  const gripper = of_group?.gripper ?? gripperOf(limits, groups.flatMap(({ joints }) => joints));
+  const driven = gripper?.joints.every((name) => name in limits) ?? false;
+  return gripper && driven && gripperAction(gripper, known.actions) !== null ? gripper : null;
+}
+
+/** Return a gripper of the driven joints of no group; null where all have one, or there are more than fingers. */
+function gripperOf(limits: Record<string, [number, number]>, in_groups: readonly string[]): GripperInfo | null {
+  const joints = Object.keys(limits).filter((name) => in_groups.length > 0 && !in_groups.includes(name));
+  const [closed, open] = limits[joints[0] ?? ""] ?? [0, 0];
+  return joints.length > 0 && joints.length <= MAX_FINGERS ? { group: "", joints, open, closed } : null;
+}
+
+/** Controller of the gripper of an arm that has one. */
+const GRIPPER_CONTROLLER = "/gripper_controller";
+
+/** Return the action that moves a gripper; null when the server offers none. */
+export function gripperAction(gripper: GripperInfo, offered: State["actions"]): string | null {
+  const controllers = [`/${gripper.group}_controller`, GRIPPER_CONTROLLER];
+  const names = controllers.flatMap((controller) => ["gripper_cmd", "gripper_action"].map((name) => `${controller}/${name}`));
+  // Before the server has answered, or where it tells nobody, the usual one.
+  if (offered === null) return `${GRIPPER_CONTROLLER}/gripper_cmd`;
+  return names.find((name) => offered.includes(name)) ?? null;
+}
+
+/** Number of joints from which on a pose of the tool has an orientation of its own choice. */
+const POSE_JOINTS = 6;
+
+/** Return true when targets of the planning group are whole poses, and not points alone. */
+export function takesOrientation(known: KnownJoints): boolean {
+  return armJoints(known).length >= POSE_JOINTS;
+}
+
+/** Return the kind of a joint; one that the description does not have turns. */
+export function jointKind(known: Pick<State, "urdf" | "srdf">, name: string): JointKind {
+  return robotInfo(known).joints.get(name)?.kind ?? "revolute";
+}
+
+/** Return the joint limits: those of the server, within those of the robot description [rad or m]. */
+export function jointLimits(known: Pick<State, "limits" | "urdf" | "srdf">): Record<string, [number, number]> {
+  const described = robotInfo(known).joints;
+  const { limits } = known;
+  if (Object.keys(limits).length === 0) {
+    return Object.fromEntries([...described.values()].map((joint) => [joint.name, joint.limits]));
+  }
   const pairs = Object.entries(limits).map(([name, [low, high]]) => {
-    const [lower, upper] = described[name] ?? [low, high];
+    const [lower, upper] = described.get(name)?.limits ?? [low, high];
     const within: [number, number] = [Math.max(low, lower), Math.min(high, upper)];
     // Of limits that exclude each other take the server's, which are those that reject goals.
     return [name, within[0] <= within[1] ? within : [low, high]] as const;
@@ -30,24 +85,9 @@ export function jointLimits({ limits, urdf }: Pick<State, "limits" | "urdf">): R
   return Object.fromEntries(pairs) as Record<string, [number, number]>;
 }
 
-/** Limits of the last description, as every update of the panel needs them once per joint. */
-let cached: { urdf: string; limits: Record<string, [number, number]> } | null = null;
-
-function urdfLimits(urdf: string): Record<string, [number, number]> {
-  if (cached?.urdf === urdf) return cached.limits;
-  const limits: Record<string, [number, number]> = {};
-  for (const [, attributes = "", inside = ""] of urdf.matchAll(/<joint\b([^>]*[^/>])>([\s\S]*?)<\/joint>/g)) {
-    const limit = inside.match(/<limit\b[^>]*>/)?.[0] ?? "";
-    const [lower, upper] = [attributeValue(limit, "lower"), attributeValue(limit, "upper")];
-    const name = attributes.match(/\bname\s*=\s*["']([^"']*)/)?.[1];
-    if (name !== undefined && lower < upper) limits[name] = [lower, upper];
-  }
-  cached = { urdf, limits };
-  return limits;
-}
-
-function attributeValue(tag: string, attribute: string): number {
-  return Number(tag.match(new RegExp(`\\b${attribute}\\s*=\\s*["']([^"']+)`))?.[1] ?? Number.NaN);
+/** Return the position of a joint as it is shown: that of a continuous joint within half a turn of zero. */
+export function shownPosition(value: number, kind: JointKind): number {
+  return kind === "continuous" ? value - 2 * Math.PI * Math.round(value / (2 * Math.PI)) : value;
 }
 
 /** Return the measured positions, without joints that have no number. */

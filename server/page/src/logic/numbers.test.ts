@@ -1,17 +1,28 @@
 import { describe, expect, it, test } from "vitest";
-import { angleText, distanceText, fromUnit, parseNumber, toUnit } from "./numbers";
+import { distanceText, fromUnit, parseNumber, positionText, toUnit, unitOf } from "./numbers";
+
+const DEG = unitOf("revolute", "deg");
+const RAD = unitOf("continuous", "rad");
+const MM = unitOf("prismatic", "deg");
+const M = unitOf("prismatic", "rad");
 
 test("there and back is the same angle", () => {
-  expect(fromUnit(toUnit(1.234, "deg"), "deg")).toBeCloseTo(1.234, 12);
-  expect(toUnit(Math.PI, "deg")).toBeCloseTo(180, 12);
-  expect(toUnit(1.5, "rad")).toBe(1.5);
+  expect(fromUnit(toUnit(1.234, DEG), DEG)).toBeCloseTo(1.234, 12);
+  expect(toUnit(Math.PI, DEG)).toBeCloseTo(180, 12);
+  expect(toUnit(1.5, RAD)).toBe(1.5);
 });
 
 test("texts have the digits that matter, no minus before nought, and a dash for what is no number", () => {
-  expect(angleText(Math.PI / 2, "deg")).toBe("90.0");
-  expect(angleText(0.12345, "rad")).toBe("0.123");
-  expect(angleText(-0.0001, "deg")).toBe("0.0");
-  expect(angleText(Number.NaN, "deg")).toBe("–");
+  expect(positionText(Math.PI / 2, DEG)).toBe("90.0");
+  expect(positionText(0.12345, RAD)).toBe("0.123");
+  expect(positionText(-0.0001, DEG)).toBe("0.0");
+  expect(positionText(Number.NaN, DEG)).toBe("–");
+});
+
+test("a joint that slides is shown in millimetres beside degrees, and in metres beside radians", () => {
+  expect([positionText(0.1234, MM), MM.suffix]).toEqual(["123.4", " mm"]);
+  expect([positionText(0.12345, M), M.suffix]).toEqual(["0.1235", " m"]);
+  expect(fromUnit(toUnit(0.1234, MM), MM)).toBeCloseTo(0.1234, 12);
 });
 
 describe("distanceText", () => {

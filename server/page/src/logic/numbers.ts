@@ -1,34 +1,47 @@
-const DEGREES_PER_RADIAN = 180 / Math.PI;
+import type { JointKind } from "./robot-info";
 
-/** Unit of displayed and typed angles. */
-export type AngleUnit = "deg" | "rad";
+/** Units that the user has chosen: degrees and millimetres, or radians and metres. */
+export type UnitSystem = "deg" | "rad";
 
-/** Convert an angle from radians. */
-export function toUnit(value_rad: number, unit: AngleUnit): number {
-  return unit === "deg" ? value_rad * DEGREES_PER_RADIAN : value_rad;
+/** Unit of displayed and typed positions of a joint. */
+export interface Unit {
+  /** Unit as written after a number. */
+  suffix: string;
+  /** Units per radian or metre. */
+  scale: number;
+  /** Decimals of displayed numbers, from the servo's resolution of 0.0015 rad, and a tenth of a millimetre. */
+  digits: number;
+  /** Step of sliders. */
+  step: number;
 }
 
-/** Convert an angle to radians. */
-export function fromUnit(value: number, unit: AngleUnit): number {
-  return unit === "deg" ? value / DEGREES_PER_RADIAN : value;
+const ANGLES: Record<UnitSystem, Unit> = {
+  deg: { suffix: "°", scale: 180 / Math.PI, digits: 1, step: 0.1 },
+  rad: { suffix: " rad", scale: 1, digits: 3, step: 0.001 },
+};
+const LENGTHS: Record<UnitSystem, Unit> = {
+  deg: { suffix: " mm", scale: 1000, digits: 1, step: 0.1 },
+  rad: { suffix: " m", scale: 1, digits: 4, step: 0.0001 },
+};
+
+/** Return the unit of a joint's positions. */
+export function unitOf(kind: JointKind, system: UnitSystem): Unit {
+  return (kind === "prismatic" ? LENGTHS : ANGLES)[system];
 }
 
-/** Decimals of displayed angles, from the servo's resolution of 0.0015 rad. */
-const DIGITS: Record<AngleUnit, number> = { deg: 1, rad: 3 };
-
-/** Format an angle without its unit; a dash where it is not finite. */
-export function angleText(value_rad: number, unit: AngleUnit): string {
-  return Number.isFinite(value_rad) ? withoutNegativeZero(toUnit(value_rad, unit).toFixed(DIGITS[unit])) : "–";
+/** Convert a position from radians or metres. */
+export function toUnit(value: number, unit: Unit): number {
+  return value * unit.scale;
 }
 
-/** Return the step of sliders, in the unit. */
-export function angleStep(unit: AngleUnit): number {
-  return unit === "deg" ? 0.1 : 0.001;
+/** Convert a position to radians or metres. */
+export function fromUnit(value: number, unit: Unit): number {
+  return value / unit.scale;
 }
 
-/** Return the unit as written after a number. */
-export function unitSuffix(unit: AngleUnit): string {
-  return unit === "deg" ? "°" : " rad";
+/** Format a position without its unit; a dash where it is not finite. */
+export function positionText(value: number, unit: Unit): string {
+  return Number.isFinite(value) ? withoutNegativeZero(toUnit(value, unit).toFixed(unit.digits)) : "–";
 }
 
 function withoutNegativeZero(text: string): string {

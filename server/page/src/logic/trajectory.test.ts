@@ -56,7 +56,7 @@ describe("ghostPose", () => {
     expect(ghostPose(state({ selection: { kind: "named", joints_rad: { pan: 2 } } }))?.joints_rad).toEqual({ pan: 2 });
   });
   it("tells how far the target is when it is off", () => {
-    const target = { position_m: null, dragging: true, reachable: false, distance_m: 0.12, joints_rad: { pan: 3 } };
+    const target = { position_m: null, orientation: null, dragging: true, reachable: false, distance_m: 0.12, joints_rad: { pan: 3 } };
     const selection = { kind: "target" as const, joints_rad: null };
     expect(ghostPose(state({ target, selection }))).toEqual({ joints_rad: { pan: 3 }, off_target_m: 0.12 });
     expect(ghostPose(state({ target: { ...target, reachable: true }, selection }))?.off_target_m).toBeNull();

@@ -75,7 +75,7 @@ export function storePreference(key: string, value: string): void {
 export interface NumberField {
   input: HTMLInputElement;
   problem: HTMLElement;
-  /** Show a value, unless the user is typing. */
+  /** Show a value; while the field has the focus it keeps its text, and shows the newest value when it is left. */
   show: (text: string) => void;
 }
 
@@ -95,24 +95,32 @@ export function numberField(
   const problem = el("small", { class: "problem", testid: `${testid}-problem`, role: "alert" });
   const attributes = { inputmode: "decimal", autocomplete: "off", spellcheck: "false" };
   const input = el("input", { type: "text", class: "number", testid, label, attributes });
-  let shown = "";
+  let newest = "";
+  // Enter and, after it, the browser's change come for one text.
+  let edited = false;
+  const write = (text: string): void => {
+    if (input.value !== text) input.value = text;
+  };
   const commit = (): void => {
-    // After Enter the browser also fires change, with the number that commit has written.
-    if (input.value === shown) return;
+    if (!edited) return;
+    edited = false;
     const { value, message } = parseNumber(input.value, range());
     setText(problem, message);
-    input.value = value === null ? shown : String(Number(value.toFixed(range().digits)));
-    shown = input.value;
+    if (value !== null) newest = String(Number(value.toFixed(range().digits)));
+    write(newest);
     if (value !== null) take(value);
   };
-  input.addEventListener("input", () => setText(problem, ""));
+  input.addEventListener("input", () => {
+    edited = true;
+    setText(problem, "");
+  });
   input.addEventListener("change", commit);
+  input.addEventListener("blur", () => write(newest));
   input.addEventListener("keydown", (event) => event.key === "Enter" && commit());
   const show = (text: string): void => {
-    if (document.activeElement !== input || input.value === shown) {
-      if (input.value !== text) input.value = text;
-      shown = text;
-    }
+    newest = text;
+    // A new text would end the user's selection, and what is typed next would be added to it.
+    if (document.activeElement !== input) write(text);
   };
   return { input, problem, show };
 }

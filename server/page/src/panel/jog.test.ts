@@ -11,4 +11,7 @@ test("only the keys of joints that there are count", () => {
   expect(isJogKey("Digit2", 2)).toBe(true);
   expect(isJogKey("KeyE", 2)).toBe(false);
   expect(keyNames(0)).toBe("1 / Q");
+  expect(keyNames(11)).toBe("= / ]");
+  expect(isJogKey("BracketRight", 12)).toBe(true);
+  expect(keyNames(12)).toBe("– / –");
 });

@@ -5,12 +5,16 @@ import { permissionFieldset, type PanelContext } from "./context";
 import { el, section } from "./dom";
 
 /** Keys of the joints in their order: a digit raises the joint, the key below it lowers it. */
-const UP = ["Digit1", "Digit2", "Digit3", "Digit4", "Digit5", "Digit6", "Digit7"];
-const DOWN = ["KeyQ", "KeyW", "KeyE", "KeyR", "KeyT", "KeyY", "KeyU"];
+const UP = [..."1234567890"].map((digit) => `Digit${digit}`).concat("Minus", "Equal");
+const DOWN = [..."QWERTYUIOP"].map((letter) => `Key${letter}`).concat("BracketLeft", "BracketRight");
 
-/** Return the names of a joint's keys. */
+/** Keys without a digit or letter, as an English keyboard prints them. */
+const PRINTED: Record<string, string> = { Minus: "-", Equal: "=", BracketLeft: "[", BracketRight: "]" };
+
+/** Return the names of a joint's keys; dashes for a joint without. */
 export function keyNames(index: number): string {
-  return `${UP[index]?.slice(-1) ?? "–"} / ${DOWN[index]?.slice(-1) ?? "–"}`;
+  const printed = (code: string | undefined): string => (code === undefined ? "–" : (PRINTED[code] ?? code.slice(-1)));
+  return `${printed(UP[index])} / ${printed(DOWN[index])}`;
 }
 
 /** Return true for a key of one of so many joints. */
@@ -45,7 +49,7 @@ export function jogSection(context: PanelContext): HTMLElement {
   );
   listenForKeys(context, () => on.checked, () => Number(share.value));
   const permission = permissionFieldset(context, "drive", on);
-  const switch_line = el("label", { class: "line" }, permission, "Turn joints by keys while they are held");
+  const switch_line = el("label", { class: "line" }, permission, "Move joints by keys while they are held");
   const speed_line = el("label", { class: "line" }, "Speed ", share);
   return section("jog", "Keyboard jog", false, switch_line, speed_line, keys);
 }

@@ -1,7 +1,8 @@
 import type { ArmCommands } from "../link/commands";
+import { groupPoses } from "../logic/joints";
 import { duration_s } from "../logic/trajectory";
 import type { ActiveGoal, State } from "../state/state";
-import { selectNamedPose, type PageStore } from "../state/store";
+import { selectGoal, type PageStore } from "../state/store";
 import { permissionFieldset, type PanelContext } from "./context";
 import { button, el, section, setText } from "./dom";
 
@@ -28,19 +29,28 @@ export function motionSection(context: PanelContext): HTMLElement {
 function namedPoses(context: PanelContext): HTMLElement {
   const { store, commands } = context;
   const list = el("div", { class: "chips", testid: "named", role: "group", label: "named poses" });
-  const choose = (name: string): void => selectNamedPose(store, name);
-  store.subscribe(
-    (state) => state.named,
-    (named) => {
-      const chips = Object.entries(named).map(([name, { saved }]) => {
+  const choose = (name: string): void => {
+    selectGoal(store, "named", groupPoses(store.state)[name]?.joints ?? null, name);
+  };
+  let shown = "";
+  const show = (state: State): void => {
+    const poses = Object.entries(groupPoses(state));
+    // The rest of the state changes often, and would take the focus from a chip.
+    const key = JSON.stringify(poses.map(([name, { saved }]) => [name, saved]));
+    if (key === shown) return;
+    shown = key;
+    list.replaceChildren(
+      ...poses.map(([name, { saved }]) => {
         const chip = button(name, `named-${name}`, () => choose(name), `Choose the pose “${name}”; nothing moves`);
         if (!saved) return chip;
         const forget = button("×", `delete-${name}`, () => void commands.deletePose(name), `Forget “${name}”`);
         return el("span", { class: "chip-pair" }, chip, permissionFieldset(context, "configure", forget));
-      });
-      list.replaceChildren(...chips);
-    },
-  );
+      }),
+    );
+  };
+  for (const part of ["named", "limits", "urdf", "srdf", "group"] as const) {
+    store.subscribe((state) => state[part], (_, state) => show(state));
+  }
   store.subscribe(
     (state) => state.selection,
     ({ name }) => {

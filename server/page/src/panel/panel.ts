@@ -2,7 +2,7 @@ import { controlBar, tokenForm } from "./access";
 import { watchPermissions, type PanelContext } from "./context";
 import { logSection, servosSection } from "./diagnostics";
 import { button, el, loadPreference, setText, storePreference } from "./dom";
-import { gripperSection, jointsSection, targetSection } from "./goal-inputs";
+import { gripperSection, groupChoice, jointsSection, targetSection } from "./goal-inputs";
 import { jogSection } from "./jog";
 import { activeGoalsSection, motionSection, planScrubber } from "./motion";
 import { plotsSection } from "./plots";
@@ -12,6 +12,7 @@ import { noticeList, statusHeader } from "./status";
 type Section = (context: PanelContext) => HTMLElement;
 
 const SECTIONS: Section[] = [
+  groupChoice,
   motionSection,
   targetSection,
   jointsSection,

@@ -1,7 +1,7 @@
 import "uplot/dist/uPlot.min.css";
 import uPlot from "uplot";
-import { armJoints, currentPositions } from "../logic/joints";
-import { toUnit, unitSuffix } from "../logic/numbers";
+import { armJoints, currentPositions, jointKind } from "../logic/joints";
+import { toUnit, unitOf, type Unit } from "../logic/numbers";
 import type { State } from "../state/state";
 import type { PanelContext } from "./context";
 import { el, section, throttle } from "./dom";
@@ -74,12 +74,13 @@ export function plotsSection({ store }: PanelContext): HTMLElement {
   const box = section("plots", "Plot: commanded and measured", true, line, host);
   const rings = new Map<string, RingBuffer>();
   let chart: uPlot | null = null;
+  const unit = (state: State): Unit => unitOf(jointKind(state, choice.value), state.settings.units);
   const draw = throttle<State>(REDRAW_PERIOD_MS, (state) => {
     if (!box.open || !host.isConnected) return;
     updateChoices(choice, armJoints(state));
-    chart ??= createChart(host, () => unitSuffix(store.state.settings.units));
+    chart ??= createChart(host, () => unit(store.state).suffix);
     chart.setSize({ width: Math.max(host.clientWidth, 50), height: HEIGHT_PX });
-    chart.setData(plotData(rings.get(choice.value), state));
+    chart.setData(plotData(rings.get(choice.value), unit(state)));
   });
   store.subscribe(
     (state) => state.joints,
@@ -107,10 +108,10 @@ function recordSample(rings: Map<string, RingBuffer>, state: State): void {
   }
 }
 
-function plotData(ring: RingBuffer | undefined, state: State): uPlot.AlignedData {
+function plotData(ring: RingBuffer | undefined, unit: Unit): uPlot.AlignedData {
   const [times = [], ...rows] = ring?.columns() ?? [[], [], []];
   const newest_s = ring?.newest_s ?? 0;
-  const shown = rows.map((row) => row.map((value) => (value === null ? null : toUnit(value, state.settings.units))));
+  const shown = rows.map((row) => row.map((value) => (value === null ? null : toUnit(value, unit))));
   return [times.map((time_s) => (time_s ?? 0) - newest_s), ...shown] as uPlot.AlignedData;
 }
 

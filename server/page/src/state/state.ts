@@ -3,6 +3,9 @@
 /** Position in the root link's frame. */
 export type Point = [number, number, number];
 
+/** Orientation in the root link's frame, as a unit quaternion: x, y, z, w. */
+export type Orientation = [number, number, number, number];
+
 /** Joint values by joint name, in radians (metres for a joint that slides). */
 export type JointValues = Record<string, number>;
 
@@ -127,8 +130,10 @@ export interface PlanState {
 
 /** Target of the tool, which the user drags or types. */
 export interface TargetState {
-  /** Null hides the target. */
+  /** Null hides the target; every new target has a new array. */
   position_m: Point | null;
+  /** Null for a point that may be reached in any orientation. */
+  orientation: Orientation | null;
   dragging: boolean;
   /** Null until the server has answered for this position. */
   reachable: boolean | null;
@@ -186,7 +191,7 @@ export interface Shape {
   kind: "box" | "sphere" | "cylinder" | "cone" | "prism" | "plane" | "mesh";
   position_m: Point;
   /** x, y, z, w. */
-  orientation: [number, number, number, number];
+  orientation: Orientation;
   /** SolidPrimitive.dimensions, or a plane's four coefficients. */
   dimensions: number[];
   /** Corners of a mesh's triangles, or of a prism's polygon. */
@@ -201,7 +206,7 @@ export interface SceneObject {
   frame: string;
   attached: boolean;
   position_m: Point;
-  orientation: [number, number, number, number];
+  orientation: Orientation;
   shapes: Shape[];
   /** Red, green, blue, alpha, 0 to 1; null takes the theme's colour. */
   color: [number, number, number, number] | null;
@@ -217,6 +222,10 @@ export interface State {
   /** Null until /robot_description has come. */
   urdf: string | null;
   srdf: string | null;
+  /** Joint group that goals are for, of /moveit_goal_group; empty before the server has told it. */
+  group: string;
+  /** Actions that the server offers; null before it has told them. */
+  actions: string[] | null;
   joints: Joints;
   limits: Record<string, [number, number]>;
   arm: ArmState;
@@ -239,6 +248,8 @@ export interface State {
   commanded_rad: JointValues;
   /** Position of the drawn tool, which the view computes; null without an arm. */
   tool_m: Point | null;
+  /** Orientation of the drawn tool; null without an arm. */
+  tool_orientation: Orientation | null;
   collision_shapes: boolean;
   /** Id of the selected object of the planning scene, which the user can drag. */
   selected_object: string | null;
@@ -253,12 +264,14 @@ export function emptyState(url: string): State {
     control: { holder: "", address: "", policy: "lease", free_in_s: null },
     urdf: null,
     srdf: null,
+    group: "",
+    actions: null,
     joints: { names: [], position_rad: [], velocity: [], effort: [], stamp: 0 },
     limits: {},
     arm: noArm(),
     goal: noGoal(),
     plan: { trajectory: null, tool_path: [], scrub_s: null },
-    target: { position_m: null, dragging: false, reachable: null, distance_m: 0, joints_rad: null },
+    target: { position_m: null, orientation: null, dragging: false, reachable: null, distance_m: 0, joints_rad: null },
     selection: { kind: "none", joints_rad: null },
     executing_selection: null,
     named: {},
@@ -272,6 +285,7 @@ export function emptyState(url: string): State {
     settings: { units: "deg", speed: 0.3 },
     commanded_rad: {},
     tool_m: null,
+    tool_orientation: null,
     collision_shapes: false,
     selected_object: null,
   };

@@ -1,4 +1,4 @@
-import type { GoalSelection, JointValues, Point, State } from "./state";
+import type { GoalSelection, JointValues, Orientation, Point, State } from "./state";
 
 /** Callback with the new value of the selected part, and with the whole state. */
 type Listener<State, Value> = (value: Value, state: State) => void;
@@ -72,6 +72,8 @@ export function clearNotices(store: PageStore, prefix: string): void {
   if (others.length < notices.length) store.set({ notices: others });
 }
 
+const NO_PLAN: State["plan"] = { trajectory: null, tool_path: [], scrub_s: null };
+
 /** Select a goal, and remove the plan, which was made for another one. */
 export function selectGoal(
   store: PageStore,
@@ -79,16 +81,25 @@ export function selectGoal(
   joints_rad: JointValues | null,
   name = "",
 ): void {
-  store.set({ selection: { kind, joints_rad, name }, plan: { trajectory: null, tool_path: [], scrub_s: null } });
+  store.set({ selection: { kind, joints_rad, name }, plan: NO_PLAN });
 }
 
-/** Select a named pose as the goal. */
-export function selectNamedPose(store: PageStore, name: string): void {
-  selectGoal(store, "named", store.state.named[name]?.joints ?? null, name);
+/**
+ * Select a pose as the goal of the tool.
+ *
+ * @param orientation - null for a point that may be reached in any orientation.
+ */
+export function selectTarget(store: PageStore, position_m: Point, orientation: Orientation | null = null): void {
+  const { target } = store.state;
+  store.set({
+    selection: { kind: "target", joints_rad: null },
+    target: { ...target, position_m: [...position_m], orientation },
+    plan: NO_PLAN,
+  });
 }
 
-/** Select a point as the goal of the tool. */
-export function selectTarget(store: PageStore, position_m: Point): void {
-  selectGoal(store, "target", null);
-  store.patch("target", { position_m });
+/** Select the joint group that goals are for, and remove the goal of the group before. */
+export function selectGroup(store: PageStore, group: string): void {
+  if (group === store.state.group) return;
+  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: NO_PLAN });
 }

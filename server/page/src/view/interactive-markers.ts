@@ -1,8 +1,9 @@
 import { Mesh, MeshBasicMaterial, SphereGeometry, type Object3D } from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
+import { takesOrientation } from "../logic/joints";
 import { denialReason } from "../logic/permissions";
-import type { Point, State } from "../state/state";
-import type { PageStore } from "../state/store";
+import type { Orientation, Point, State } from "../state/state";
+import { selectTarget, type PageStore } from "../state/store";
 import type { Theme } from "./appearance";
 import type { Ghost } from "./plan-preview";
 import type { SceneObjects } from "./scene-objects";
@@ -68,13 +69,10 @@ export class TargetMarker implements SceneComponent {
   }
 
   private dragged(): void {
-    const { target, plan } = this.store.state;
+    const { selection, target, tool_orientation } = this.store.state;
     this.moved = true;
-    this.store.set({
-      target: { ...target, position_m: this.ball.position.toArray() },
-      selection: { kind: "target", joints_rad: null },
-      plan: plan.trajectory === null ? plan : { trajectory: null, tool_path: [], scrub_s: null },
-    });
+    const orientation = selection.kind === "target" ? target.orientation : tool_orientation;
+    selectTarget(this.store, this.ball.position.toArray(), takesOrientation(this.store.state) ? orientation : null);
   }
 }
 
@@ -83,7 +81,7 @@ const TAP_PX = 5;
 const OBJECT_ARROWS_SIZE = 0.6;
 
 /** Callback with the pose that an object was dragged to, in the root link's frame. */
-export type ObjectMoved = (id: string, position_m: Point, orientation: [number, number, number, number]) => void;
+export type ObjectMoved = (id: string, position_m: Point, orientation: Orientation) => void;
 
 /** Selection of an object of the planning scene by a tap, and its drag by three arrows. */
 export class ObjectMarkers implements SceneComponent {

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { descriptionProblem, farthestLink, hasNumbers, tipLink } from "./robot-description";
+import { descriptionProblem, farthestLink, hasNumbers } from "./robot-description";
 
 const JOINT = { name: "pan", parent: "base", child: "arm", mimic: null };
 const GOOD = { links: ["base", "arm"], joints: [JOINT], without_shape: [], without_numbers: [] };
@@ -29,13 +29,8 @@ describe("hasNumbers", () => {
   });
 });
 
-describe("tip", () => {
-  it("is that of the chain", () => {
-    expect(tipLink('<group><chain base_link="base" tip_link="tool"/></group>')).toBe("tool");
-    expect(tipLink("<robot/>")).toBeNull();
-    expect(tipLink(null)).toBeNull();
-  });
-  it("is else the farthest link", () => {
+describe("farthestLink", () => {
+  it("is the tip of a robot without groups", () => {
     expect(farthestLink(GOOD)).toBe("arm");
     expect(farthestLink({ ...GOOD, links: [] , joints: [] })).toBeNull();
   });

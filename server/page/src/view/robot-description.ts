@@ -37,11 +37,6 @@ export function hasNumbers(text: string | null, count: number): boolean {
   return words.length === count && words.every((word) => word !== "" && Number.isFinite(Number(word)));
 }
 
-/** Return the tip of the first chain in a semantic description (SRDF); null without one. */
-export function tipLink(srdf: string | null): string | null {
-  return srdf?.match(/<chain\b[^>]*\btip_link\s*=\s*["']([^"']+)["']/)?.[1] ?? null;
-}
-
 /** Return the link that is the most joints away from the root, for use as the tip. */
 export function farthestLink(parts: DescriptionParts): string | null {
   const parent = new Map(parts.joints.map((joint) => [joint.child, joint.parent]));

@@ -1,6 +1,6 @@
 import { Matrix4, Mesh, Quaternion, Vector3, type Material, type Object3D } from "three";
 import URDFLoader, { type URDFRobot, type URDFVisual } from "urdf-loader";
-import type { JointValues, Point } from "../state/state";
+import type { JointValues, Orientation, Point } from "../state/state";
 import type { Meshes } from "./meshes";
 import type { Description } from "./robot-description";
 
@@ -72,6 +72,14 @@ export class RobotModel {
     return [x, y, z];
   }
 
+  /** Return the orientation of a link in the root link's frame; null for an unknown link. */
+  linkOrientation(link: string): Orientation | null {
+    const pose = this.linkPose(link);
+    if (pose === null) return null;
+    const { x, y, z, w } = new Quaternion().setFromRotationMatrix(pose);
+    return [x, y, z, w];
+  }
+
   /** Remove it from its scene, and free its shapes. */
   dispose(): void {
     this.robot.removeFromParent();
@@ -89,7 +97,7 @@ export class RobotModel {
 }
 
 /** Convert an orientation x, y, z, w to three's quaternion of length 1. */
-export function toQuaternion(orientation: readonly [number, number, number, number]): Quaternion {
+export function toQuaternion(orientation: Readonly<Orientation>): Quaternion {
   return new Quaternion(...orientation).normalize();
 }
 

@@ -1,10 +1,11 @@
 import type { Scene } from "three";
+import { planningGroup } from "../logic/robot-info";
 import { jointReport, unknownNamesText, withoutNumberText } from "../logic/joints";
 import type { Joints, State } from "../state/state";
 import { clearNotices, setNotice, type PageStore } from "../state/store";
 import type { Materials, Theme } from "./appearance";
 import { Meshes } from "./meshes";
-import { farthestLink, readDescription, tipLink, type Description } from "./robot-description";
+import { farthestLink, readDescription, type Description } from "./robot-description";
 import { RobotModel, type GeometryKind, type MaterialSelector } from "./robot-model";
 import type { SceneComponent } from "./viewer";
 
@@ -17,7 +18,8 @@ export class Robot implements SceneComponent {
   private description: Description | null = null;
   private meshes: Meshes | null = null;
   private urdf: string | null = null;
-  private srdf: string | null = null;
+  /** Tool of a robot whose semantic description names none. */
+  private farthest_link = "";
 
   /**
    * @param scene - scene to add the models to.
@@ -36,7 +38,7 @@ export class Robot implements SceneComponent {
 
   update(state: State): void {
     if (state.urdf !== this.urdf) this.load(state.urdf);
-    if (state.srdf !== this.srdf || this.tip === "") this.findTip(state.srdf);
+    this.tip = this.findTip(planningGroup(state)?.tip ?? null);
   }
 
   /** Create another model of the robot; null while there is no description. */
@@ -66,22 +68,19 @@ export class Robot implements SceneComponent {
       setNotice(this.store, "view:urdf", `The robot description cannot be drawn: ${(error as Error).message}. ${kept}.`);
       return;
     }
-    this.tip = "";
+    this.farthest_link = farthestLink(this.description.parts) ?? "";
     this.changed(true);
   }
 
-  private findTip(srdf: string | null): void {
-    this.srdf = srdf;
-    if (this.description === null) return;
-    const tip = tipLink(srdf);
-    const is_known = tip !== null && this.description.parts.links.includes(tip);
-    this.tip = is_known ? tip : (farthestLink(this.description.parts) ?? "");
+  private findTip(tip: string | null): string {
+    return tip !== null && this.arm?.robot.links[tip] !== undefined ? tip : this.farthest_link;
   }
 }
 
 /** Display of /joint_states by the arm, and by its collision shapes while they are shown. */
 export class JointStateDisplay implements SceneComponent {
   private joints: Joints | null = null;
+  private tip = "";
   private arm: RobotModel | null = null;
   private collision: RobotModel | null = null;
 
@@ -102,8 +101,9 @@ export class JointStateDisplay implements SceneComponent {
     const is_new = arm !== this.arm;
     if (is_new) this.replace(arm);
     const toggled = this.showCollision(state.collision_shapes);
-    if (!is_new && !toggled && state.joints === this.joints) return;
+    if (!is_new && !toggled && state.joints === this.joints && this.robot.tip === this.tip) return;
     this.joints = state.joints;
+    this.tip = this.robot.tip;
     this.move(arm, state.joints);
   }
 
@@ -119,9 +119,11 @@ export class JointStateDisplay implements SceneComponent {
     setNotice(this.store, "view:joint-numbers", withoutNumberText(report));
     arm.setJoints(report.values);
     this.collision?.setJoints(report.values);
-    const tool_m = arm.linkPosition_m(this.robot.tip);
-    const before_m = this.store.state.tool_m;
-    if (tool_m?.some((value, axis) => value !== before_m?.[axis])) this.store.set({ tool_m });
+    const [tool_m, tool_orientation] = [arm.linkPosition_m(this.tip), arm.linkOrientation(this.tip)];
+    const before = this.store.state;
+    const moved = tool_m?.some((value, axis) => value !== before.tool_m?.[axis]);
+    const turned = tool_orientation?.some((value, index) => value !== before.tool_orientation?.[index]);
+    if (moved || turned) this.store.set({ tool_m, tool_orientation });
   }
 
   private showCollision(shown: boolean): boolean {

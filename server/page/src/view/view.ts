@@ -126,6 +126,7 @@ export class SceneView {
     const shown: ((state: State) => unknown)[] = [
       (state) => state.urdf,
       (state) => state.srdf,
+      (state) => state.group,
       (state) => state.plan,
       (state) => state.target,
       (state) => state.selection,

@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from robot.calibration import RAD_PER_TICK
 from robot.emulator.process import PseudoTerminal
-from robot.errors import PortNotFound
+from robot.errors import PortNotFound, StartupError
 from robot.faults import FaultCode
 from robot.hardware.config import FeetechConfig
 from robot.hardware.feetech.hardware import (
@@ -417,3 +418,26 @@ def test_an_adapter_is_looked_for_anew_each_time_that_it_is_opened(monkeypatch: 
         monkeypatch.setattr(Adapter, "device", terminal.port)
         with contextlib.closing(source.open()) as hardware:
             assert hardware.joint_names == NAMES
+
+
+def assumed(emulator: SteppedEmulator, *, simulated: bool) -> FeetechHardware:
+    """Hardware whose calibration nobody has measured."""
+    calibration = replace(CALIBRATION, measured=False)
+    hardware = FeetechHardware(
+        emulator.open_bus(), calibration, BOUNDS, GuardLimits(), emulator.clock, simulated=simulated
+    )
+    run_to_end(hardware.survey())
+    return hardware
+
+
+def test_a_real_arm_whose_zero_nobody_has_measured_is_not_enabled(emulator: SteppedEmulator) -> None:
+    hardware = assumed(emulator, simulated=False)
+    with pytest.raises(StartupError, match="no calibration says where the joints' zero is"):
+        run_to_end(hardware.enable(range(6)), emulator.run)
+    assert not run_to_end(hardware.driven(), emulator.run).any()
+
+
+def test_an_emulated_arm_needs_no_calibration(emulator: SteppedEmulator) -> None:
+    hardware = assumed(emulator, simulated=True)
+    run_to_end(hardware.enable(range(6)), emulator.run)
+    assert run_to_end(hardware.driven(), emulator.run).all()

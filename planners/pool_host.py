@@ -1,0 +1,167 @@
+"""Host of planners that several servers share: one pool, reached over a Unix socket.
+
+A server's connection (:mod:`planners.shared_pool`) carries the messages of :mod:`planners.messages`: scenes in parts,
+and requests, of which several may be on their way. The pool gives turns in the order in which requests come. A server
+asks for one motion and one question at a time, so however many goals one has, it takes one turn of each round.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import itertools
+import logging
+from pathlib import Path
+from typing import Any
+
+from planners.messages import Answered, Ask, Cancel, Hosted, LoadFailed, MoreObjects, NewScene
+from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
+from planners.problem import (
+    CartesianProblem,
+    IkQuestion,
+    MoveItErrorCode,
+    PlanningFailure,
+    PlanningProblem,
+    Request,
+)
+from planners.scene import EMPTY_SCENE, Scene, SceneObject
+from robot.channel import Decoder, encode
+from robot.description.model import RobotModel
+
+log = logging.getLogger("armbridge.planners")
+
+# Longest planning of one request, whatever it allows itself: others wait for the same planners. MoveIt's default is 5.
+LONGEST_PLANNING_S = 10.0
+
+# A server that asks for one motion and one question at a time has two requests under way.
+REQUESTS_OF_SERVER = 2
+
+READ_BYTES = 64 << 10
+
+
+class PlannerHost:
+    """Host of one pool of planners.
+
+    Args:
+        robot: the arm to plan for.
+        address: path of the Unix socket; whoever may open it is trusted, so its folder is the user's alone.
+        servers: number of servers that share the planners.
+        active: number of motions that may be planned at the same time.
+        questions: number of questions that may be answered at the same time.
+        memory_limit_bytes: limit of each process's data [bytes].
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        address: Path,
+        servers: int,
+        active: int,
+        questions: int,
+        memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
+    ) -> None:
+        self._address = address
+        self._pool = PlannerPool(robot, active, memory_limit_bytes, questions, max_waiting=REQUESTS_OF_SERVER * servers)
+        self._versions = itertools.count(EMPTY_SCENE.version + 1)
+        self._writers: set[asyncio.StreamWriter] = set()
+
+    async def run(self) -> None:
+        """Serve until cancelled.
+
+        Raises:
+            OSError: the socket cannot be made, or a process cannot be started.
+        """
+        self._address.unlink(missing_ok=True)
+        server = await asyncio.start_unix_server(self._serve, self._address)
+        try:
+            async with server:
+                await self._pool.start()
+                await server.serve_forever()
+        finally:
+            for writer in self._writers:
+                writer.close()
+            await self._pool.close()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one server until it closes its connection; what it has asked for is cancelled then."""
+        connection = _Connection(self._pool, writer, self._versions)
+        self._writers.add(writer)
+        try:
+            loaded = await self._pool.until_loaded()
+            writer.write(encode(Hosted(self._pool.pids) if loaded else LoadFailed(str(self._pool.load_failure))))
+            decoder = Decoder()
+            while data := await reader.read(READ_BYTES):
+                for message in decoder.feed(data):
+                    connection.take(message)
+        except (OSError, ValueError) as error:
+            log.debug("the connection of a server to the planners ends: %s", error)
+        finally:
+            self._writers.discard(writer)
+            connection.close()
+            writer.close()
+
+
+class _Connection:
+    """Requests of one server, and its scene.
+
+    Args:
+        pool: answers them.
+        writer: takes the answers.
+        versions: numbers of scenes, which no two servers' scenes have in common.
+    """
+
+    def __init__(self, pool: PlannerPool, writer: asyncio.StreamWriter, versions: itertools.count[int]) -> None:
+        self._pool = pool
+        self._writer = writer
+        self._versions = versions
+        self._scene = EMPTY_SCENE
+        self._objects: list[SceneObject] | None = None
+        self._tasks: dict[int, asyncio.Task[None]] = {}
+
+    def take(self, message: Any) -> None:
+        """Take a message of the server."""
+        match message:
+            case NewScene(scene):
+                self._scene, self._objects = scene, []
+            case MoreObjects(objects) if self._objects is not None:
+                self._objects += objects
+            case Ask(number, request):
+                scene = self._whole_scene()
+                task = asyncio.create_task(self._answer(number, bounded(request), scene), name="planners' request")
+                self._tasks[number] = task
+                task.add_done_callback(lambda _: self._tasks.pop(number, None))
+            case Cancel(number) if number in self._tasks:
+                self._tasks[number].cancel()
+
+    def close(self) -> None:
+        """Cancel what is under way."""
+        for task in self._tasks.values():
+            task.cancel()
+
+    def _whole_scene(self) -> Scene:
+        """Return the scene of the next request, once it has come whole."""
+        if self._objects is not None:
+            version = next(self._versions)
+            self._scene = dataclasses.replace(self._scene, objects=tuple(self._objects), version=version)
+            self._objects = None
+        return self._scene
+
+    async def _answer(self, number: int, request: Request, scene: Scene) -> None:
+        try:
+            answer = await self._pool.ask(request, scene)
+        except asyncio.CancelledError:
+            raise
+        except Exception as error:  # whatever a request does must not leave its server without an answer
+            log.exception("a request to the planners failed")
+            answer = PlanningFailure(MoveItErrorCode.CRASH, f"the planners failed: {type(error).__name__}: {error}")
+        # A server that has gone needs no answer.
+        with contextlib.suppress(OSError):
+            self._writer.write(encode(Answered(number, answer)))
+
+
+def bounded(request: Request) -> Request:
+    """Return the request with no more planning time than others can wait for."""
+    if isinstance(request, PlanningProblem | CartesianProblem | IkQuestion):
+        return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))
+    return request

@@ -1,0 +1,1 @@
+"""Emulated Dynamixel servos of the X series, inside the arm process."""

@@ -1,0 +1,1 @@
+"""Classroom: many simulated arms on one machine, a server for each student."""

@@ -1,0 +1,200 @@
+"""Classroom: a server with a simulated arm for each student, forked from one process, and one host of planners.
+
+This process loads every module and the robot once; the servers and their arms' processes are forks of it, which share
+that memory. Planners are processes of the host, and the servers take turns with them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import logging
+import os
+import socket
+import ssl
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import uvloop
+
+# The last two are loaded ahead for the arms' processes, each of which would load what its hardware needs for itself.
+import robot.control.loop
+import robot.emulator.in_process
+import robot.hardware.ideal
+from planners.pool_host import PlannerHost
+from robot.processes import OF_SERVICE_MANAGER, StartedChild
+from server.app import Inherited, serve
+from server.arm.setup import Description, check_parameters
+from server.classroom.students import LIST_FILE, TEACHER, Student, new_token, places, read_tokens, write_list
+from server.classroom.supervisor import Member, supervise
+from server.config import Settings
+from server.errors import ConfigurationError, StartError
+from server.lifecycle import stop_signals
+
+log = logging.getLogger("armbridge.classroom")
+
+# Questions that are answered at the same time: checks of motions under way among them, which others' must not hold up.
+QUESTIONS = 2
+
+READY_TIMEOUT_S = 0.3
+
+
+@dataclass(frozen=True)
+class ClassroomOptions:
+    """Size and place of a classroom.
+
+    Attributes:
+        students: number of them.
+        planners: number of motions that may be planned at the same time.
+        folder: for the list of students, and a folder for each.
+    """
+
+    students: int
+    planners: int
+    folder: Path
+
+
+def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
+    """Run a classroom until SIGINT or SIGTERM.
+
+    Args:
+        settings: those that all servers have; the port is that of the first.
+        options: size and place.
+
+    Raises:
+        ConfigurationError: settings that contradict each other, the robot, or a classroom.
+        StartError: a port is in use, or the folder cannot be used.
+    """
+    _check_settings(settings)
+    description = Description.read(settings.arm)
+    check_parameters(settings.moveit, description.robot)
+    host, file = settings.server.host, options.folder / LIST_FILE
+    students = places(options.students, settings.server.port, options.folder, host)
+    teacher_token = read_tokens(file).get(TEACHER) or new_token()
+    all_settings = [student.settings(settings, teacher_token) for student in students]
+    _check_ports(host, students)
+    _make_folders(options.folder, students)
+    write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)
+    with tempfile.TemporaryDirectory(prefix="armbridge") as private:
+        inherited = Inherited(description, Path(private) / "planners")
+        planner_host = _host_member(settings, options, inherited)
+        servers = [_server_member(student, own, inherited) for student, own in zip(students, all_settings, strict=True)]
+        supervise([planner_host, *servers], _Readiness(students, host, file, tls=bool(settings.server.tls_certificate)))
+    log.info("stopped")
+
+
+def _host_member(settings: Settings, options: ClassroomOptions, inherited: Inherited) -> Member:
+    async def serve_planners() -> None:
+        ending, _ = stop_signals()
+        host = PlannerHost(
+            inherited.description.robot,
+            inherited.planners,
+            options.students,
+            options.planners,
+            QUESTIONS,
+            settings.planning.memory_limit_bytes,
+        )
+        serving = asyncio.create_task(host.run())
+        ended = asyncio.create_task(ending.wait())
+        await asyncio.wait([serving, ended], return_when=asyncio.FIRST_COMPLETED)
+        serving.cancel()
+        await asyncio.wait([serving])
+        if not serving.cancelled():
+            serving.result()
+
+    return Member("the planners", lambda: uvloop.run(serve_planners()), options.folder / "planners.log")
+
+
+def _server_member(student: Student, settings: Settings, inherited: Inherited) -> Member:
+    def run() -> None:
+        for name in OF_SERVICE_MANAGER:
+            os.environ.pop(name, None)
+        arm_process = StartedChild.forked(robot.control.loop.run_forked)
+        try:
+            serve(settings, arm_process, inherited)
+        finally:
+            arm_process.close()
+
+    return Member(student.name, run, student.folder / "server.log")
+
+
+def _check_settings(settings: Settings) -> None:
+    for section, name in (("arm", "serial"), ("emulator", "control"), ("emulator", "write_log")):
+        if (value := getattr(getattr(settings, section), name)) is not None:
+            raise ConfigurationError(
+                f"{section}.{name}: the arms of a classroom are simulated, and {value} is for one arm; leave it out"
+            )
+    if settings.zenoh.mode != "off":
+        raise ConfigurationError(
+            f"zenoh.mode: must be off in a classroom, not {settings.zenoh.mode}: its servers have the same topics, "
+            "which would mix"
+        )
+
+
+def _check_ports(host: str, students: Sequence[Student]) -> None:
+    """Refuse a port that is in use, before anything is started."""
+    for student in students:
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, student.port))
+            except OSError as error:
+                message = f"port {student.port}, for {student.name}, cannot be taken: {error}; choose others by --port"
+                raise StartError(message) from error
+
+
+def _make_folders(folder: Path, students: Sequence[Student]) -> None:
+    for each in (folder, *(student.folder for student in students)):
+        try:
+            each.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise StartError(f"{each}: the folder cannot be made: {error}") from error
+
+
+class _Readiness:
+    """Tells once when all servers are ready."""
+
+    def __init__(self, students: Sequence[Student], host: str, file: Path, *, tls: bool) -> None:
+        self._waited = list(students)
+        self._host = "127.0.0.1" if host in ("0.0.0.0", "") else "::1" if host == "::" else host  # noqa: S104 - compared
+        self._file = file
+        self._tls = tls
+        self._first, self._last = students[0], students[-1]
+        self._count = len(students)
+        self._began_s = time.monotonic()
+
+    def __call__(self) -> None:
+        """Look which servers are ready by now, until one is not; without effect once all are."""
+        if not self._waited:
+            return
+        while self._waited and self._ready(self._waited[0]):
+            self._waited.pop(0)
+        if not self._waited:
+            log.info(
+                "the classroom is ready after %.1f s: %d arms on ports %d to %d; names, addresses and tokens are in %s",
+                time.monotonic() - self._began_s,
+                self._count,
+                self._first.port,
+                self._last.port,
+                self._file,
+            )
+
+    def _ready(self, student: Student) -> bool:
+        if self._tls:
+            # This machine asks itself; the certificate names others' way here.
+            context = ssl._create_unverified_context()  # noqa: S323, SLF001
+            connection: http.client.HTTPConnection = http.client.HTTPSConnection(
+                self._host, student.port, timeout=READY_TIMEOUT_S, context=context
+            )
+        else:
+            connection = http.client.HTTPConnection(self._host, student.port, timeout=READY_TIMEOUT_S)
+        try:
+            connection.request("GET", "/readyz")
+            return connection.getresponse().status == http.client.OK
+        except (OSError, http.client.HTTPException):
+            return False
+        finally:
+            connection.close()

@@ -1,0 +1,133 @@
+"""Emulated Dynamixel servos of a Koch v1.1 in the test's own process and time, and a supervisor on them."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+
+from robot.calibration import Calibration, JointCalibration
+from robot.description import robot_folder
+from robot.description.limits import JointBounds, within_calibration
+from robot.emulator.dynamixel.in_process import EmulatedDynamixels
+from robot.emulator.dynamixel.servo import DynamixelServo
+from robot.hardware.config import DynamixelConfig, EmulatedDynamixelConfig
+from robot.hardware.dynamixel.bus import Bus
+from robot.hardware.dynamixel.hardware import DynamixelHardware
+from robot.hardware.dynamixel.registers import Register
+from robot.hardware.interface import HardwareInterface, Measured, Survey, run_to_end
+from robot.messages import GuardLimits
+from tests.helpers.arm_rig import ArmRig
+from tests.helpers.emulator import SteppedClock
+
+KOCH = robot_folder.built_in("koch_v1_1")
+SERVOS = KOCH.hardware.servos
+NAMES = tuple(servo.joint for servo in SERVOS)
+
+# As lerobot writes one: offsets anywhere within half a turn, the two joints that turn freely with all ticks.
+_OFFSETS_AND_RANGES = (
+    (-300, 0, 4095),
+    (900, 1300, 2790),
+    (-1700, 1020, 3080),
+    (2000, 780, 3310),
+    (0, 0, 4095),
+    (120, 1900, 3000),
+)
+CALIBRATION = Calibration(
+    tuple(
+        JointCalibration(servo, servo.servo_id, 0, *numbers)
+        for servo, numbers in zip(SERVOS, _OFFSETS_AND_RANGES, strict=True)
+    )
+)
+ROBOT = within_calibration(KOCH.model, CALIBRATION)
+BOUNDS = JointBounds.of(ROBOT, NAMES)
+METAL = DynamixelConfig(CALIBRATION, "/dev/arm")
+
+
+class SteppedDynamixels:
+    """Emulated servos at the other end of an in-process port.
+
+    Args:
+        settings: of the emulated servos' configuration.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        self.clock = SteppedClock()
+        self.config = EmulatedDynamixelConfig(**{"calibration": CALIBRATION, **settings})
+        self.source = EmulatedDynamixels(ROBOT, self.config, BOUNDS, GuardLimits(), self.clock)
+        self.servo_bus = self.source.bus
+        self.port = self.source.port
+
+    def servo(self, servo_id: int) -> DynamixelServo:
+        return next(servo for servo in self.servo_bus.servos if servo.servo_id == servo_id)
+
+    def open_bus(self) -> Bus:
+        """The host's end of the wire."""
+        return Bus(self.port, self.clock)
+
+    def run(self, seconds: float) -> None:
+        """Let the servos move on their own; also serves as a wait."""
+        until_s = self.clock() + seconds
+        while (left_s := until_s - self.clock()) > 0.0:
+            self.clock.advance(min(left_s, 0.01))
+            self.servo_bus.advance(self.clock())
+
+    def registers(self, register: Register) -> list[int]:
+        """A register of every servo, read without the bus."""
+        return [servo.value(register) for servo in self.servo_bus.servos]
+
+    def writes(self) -> int:
+        """Number of writes that the servos have accepted."""
+        return sum(servo.writes for servo in self.servo_bus.servos)
+
+
+class DynamixelsInUse:
+    """Hardware on emulated servos, found and read once, which it takes for real ones."""
+
+    def __init__(
+        self, emulator: SteppedDynamixels | None = None, config: DynamixelConfig = METAL, **limits: float
+    ) -> None:
+        self.emulator = emulator or SteppedDynamixels()
+        self.hardware = DynamixelHardware(
+            self.emulator.open_bus(), config, BOUNDS, GuardLimits(**limits), self.emulator.clock
+        )
+        self.found: Survey = run_to_end(self.hardware.survey())
+        self.read()
+
+    def read(self, after_s: float = 0.01) -> Measured:
+        self.emulator.run(after_s)
+        measured = self.hardware.read()
+        assert measured is not None
+        return measured
+
+    def enable(self) -> np.ndarray:
+        """Bring all joints to hold; returns their goals."""
+        return run_to_end(self.hardware.enable(range(len(NAMES))), self.emulator.run)
+
+    def hold_for(self, seconds: float) -> Measured:
+        """Tick as the controller does while it holds: the goals are written again and again."""
+        measured = self.read()
+        goal_rad = measured.position_rad
+        for _ in range(round(seconds / 0.01)):
+            measured = self.read()
+            self.hardware.write_goals(goal_rad)
+        return measured
+
+
+class DynamixelRig(ArmRig):
+    """A supervisor on emulated servos, which it takes for real ones unless ``hardware`` says otherwise."""
+
+    def __init__(self, dynamixels: SteppedDynamixels | None = None, **settings: Any) -> None:
+        self.dynamixels = dynamixels or SteppedDynamixels()
+        settings = {"robot": ROBOT, "hardware": METAL, **settings}
+        super().__init__(cast("Any", self.dynamixels), **settings)
+
+    def _hardware(self) -> HardwareInterface:
+        config = self.config
+        assert isinstance(config.hardware, DynamixelConfig | EmulatedDynamixelConfig)
+        bus = self.dynamixels.open_bus()
+        return DynamixelHardware(bus, config.hardware, BOUNDS, config.guard_limits, self.clock)
+
+    def torque(self) -> list[int]:
+        """Register TORQUE_ENABLE of every servo."""
+        return self.dynamixels.registers(Register.TORQUE_ENABLE)

@@ -1,0 +1,155 @@
+"""The page with another arm: a lift and six joints that turn, two groups, and a gripper of two fingers."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.helpers.page import LOOK_MS, PATIENCE_MS, OpenPage, opened
+from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
+from tests.helpers.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, WebSocketRoute
+
+JOINTS = ["lift", "a2", "a3", "a4", "a5", "a6", "a7"]
+GRIPPER_ACTION = "/fingers_controller/gripper_action"
+
+# The servos of an ideal arm are exact; what remains is the last tick.
+ARRIVED = 0.01
+
+
+def finger(side: str, sign: int) -> str:
+    return f"""
+      <link name="{side}"><visual><geometry><box size="0.01 0.01 0.05"/></geometry></visual></link>
+      <joint name="{side}_finger" type="prismatic"><parent link="tool"/><child link="{side}"/><axis xyz="0 {sign} 0"/>
+        <limit lower="0" upper="0.05" velocity="0.2" effort="9"/></joint>"""
+
+
+URDF = re.sub(
+    r'"a1" type="revolute"(.*?lower=)"-2.9" upper="2.9" velocity="2"',
+    r'"lift" type="prismatic"\1"0" upper="0.4" velocity="0.5"',
+    SEVEN_JOINT_URDF,
+    flags=re.DOTALL,
+).replace("</robot>", f"{finger('left', 1)}{finger('right', -1)}</robot>")
+SRDF = SEVEN_JOINT_SRDF.replace('"a1"', '"lift"').replace(
+    "</robot>",
+    """<group name="fingers"><joint name="left_finger"/><joint name="right_finger"/></group>
+    <group name="upper"><chain base_link="pedestal" tip_link="fore"/></group>
+    <end_effector name="fingers" parent_link="tool" group="fingers" parent_group="arm"/>
+    <group_state name="open" group="fingers">
+      <joint name="left_finger" value="0.04"/><joint name="right_finger" value="0.04"/></group_state>
+    <disable_collisions link1="left" link2="right"/></robot>""",
+)
+
+
+@pytest.fixture(scope="module")
+def settings(settings: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder: Path = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(URDF)
+    (folder / "arm.srdf").write_text(SRDF)
+    files = {f"ARMBRIDGE_ARM__{kind.upper()}": str(folder / f"arm.{kind}") for kind in ("urdf", "srdf")}
+    return {**settings, **files, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    with opened(browser) as open_page:
+        open_page.open(server.port)
+        open_page.until_state("s.srdf !== null && Object.keys(s.limits).length > 0")
+        yield open_page
+
+
+def test_the_joints_of_the_group_are_listed_and_one_that_slides_in_millimetres(page: OpenPage) -> None:
+    page.part("joint-a7-number").wait_for()
+    assert page.part("joints").locator("b").all_text_contents() == JOINTS
+    page.until_text("joint-lift-limits", "400.0")
+    page.until_text("joint-lift-measured", "mm")
+    page.until_text("joint-a2-measured", "°")
+    page.shot("other_arm")
+
+
+def test_a_joint_that_slides_is_moved_by_a_number_in_millimetres(page: OpenPage) -> None:
+    page.part("joint-lift-number").fill("150")
+    page.part("joint-lift-number").press("Enter")
+    page.part("plan-and-move").click()
+    page.until_state("s.goal.code === 1")
+    assert page.joints()["lift"] == pytest.approx(0.15, abs=ARRIVED)
+    assert page.errors == []
+
+
+def test_a_target_of_an_arm_with_seven_joints_has_an_orientation(page: OpenPage) -> None:
+    page.part("target-roll").fill("30")
+    page.part("target-roll").press("Enter")
+    x, y, z, w = page.state("target.orientation")
+    assert x * x + y * y + z * z + w * w == pytest.approx(1)
+    assert page.part("target-pitch").is_visible()
+    page.until_state("s.target.reachable !== null")
+
+
+def test_a_group_of_few_joints_has_points_for_targets_and_a_list_of_its_own(page: OpenPage) -> None:
+    page.part("group").select_option("upper")
+    page.until("document.querySelectorAll('[data-testid=joints] b').length === 4")
+    assert page.part("joints").locator("b").all_text_contents() == JOINTS[:4]
+    page.part("target-roll").wait_for(state="hidden")
+    assert page.part("named-bent").count() == 0
+    page.part("group").select_option("arm")
+    page.part("named-bent").wait_for()
+    page.part("target-roll").wait_for()
+
+
+def offer_actions(page: OpenPage, actions: list[str], goals: list[dict[str, Any]]) -> None:
+    """Have the page be told of these actions, and keep the goals that it sends from the server."""
+
+    def to_page(route: WebSocketRoute, frame: str | bytes) -> None:
+        operation = json.loads(frame)
+        if operation.get("service") == "/rosapi/action_servers":
+            operation["values"]["action_servers"] = actions
+        route.send(json.dumps(operation))
+
+    def to_server(server: WebSocketRoute, frame: str | bytes) -> None:
+        operation = json.loads(frame)
+        if operation["op"] == "send_action_goal":
+            goals.append(operation)
+        else:
+            server.send(frame)
+
+    def connected(route: WebSocketRoute) -> None:
+        server = route.connect_to_server()
+        server.on_message(lambda frame: to_page(route, frame))
+        route.on_message(lambda frame: to_server(server, frame))
+
+    page.page.route_web_socket(re.compile("^ws://"), connected)
+
+
+def test_a_gripper_of_two_fingers_opens_to_its_state_and_closes_to_its_limit(
+    browser: Browser, server: RunningServer
+) -> None:
+    goals: list[dict[str, Any]] = []
+    with opened(browser) as page:
+        offer_actions(page, [GRIPPER_ACTION], goals)
+        page.open(server.port)
+        page.until_state("s.actions !== null")
+        page.part("gripper-open").click()
+        page.until_text("gripper-measured", "0.0 mm")
+        page.part("gripper-close").click()
+        for _ in range(PATIENCE_MS // LOOK_MS):
+            if len(goals) == 2:
+                break
+            page.page.wait_for_timeout(LOOK_MS)
+        assert [goal["action"] for goal in goals] == [GRIPPER_ACTION] * 2
+        assert [goal["args"]["command"]["position"] for goal in goals] == [0.04, 0.0]
+        assert page.part("gripper").get_attribute("max") == "0.04"
+
+
+def test_an_arm_without_a_gripper_action_shows_none(browser: Browser, server: RunningServer) -> None:
+    with opened(browser) as page:
+        offer_actions(page, [], [])
+        page.open(server.port)
+        page.until_state("s.actions !== null && s.joints.names.length > 0")
+        page.part("gripper-open").wait_for(state="hidden")

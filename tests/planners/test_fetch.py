@@ -1,0 +1,93 @@
+"""The Fetch as it is shipped: its description, and pose goals with orientation for seven and eight joints."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from planners.geometry.collision import CollisionModel
+from planners.goals import PoseGoal
+from planners.pipeline import Planner
+from planners.problem import Plan, PlanningProblem
+from planners.scene import Pose
+from robot.description import robot_folder
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from robot.trajectory import Vector
+
+TIP = "gripper_link"
+
+# Poses of the tip in the root link: position [m], and x, y, z, w. Before the robot, to its sides, above and below.
+FORWARD = (0.0, 0.0, 0.0, 1.0)
+DOWN = (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)
+TO_THE_LEFT = (0.0, 0.0, 0.7071067811865476, 0.7071067811865476)
+POSES = [
+    ((0.75, 0.0, 0.9), FORWARD),
+    ((0.6, 0.3, 0.7), DOWN),
+    ((0.6, -0.3, 0.7), DOWN),
+    ((0.3, 0.6, 0.95), TO_THE_LEFT),
+]
+POSITION_M, ORIENTATION_RAD = 0.001, 0.005
+
+
+@pytest.fixture(scope="module")
+def fetch() -> RobotModel:
+    return robot_folder.built_in("fetch").model
+
+
+@pytest.fixture(scope="module")
+def planner(fetch: RobotModel) -> Planner:
+    return Planner(fetch)
+
+
+def start(fetch: RobotModel) -> dict[str, float]:
+    """The arm bent before the robot, the lift down, the gripper closed."""
+    at_zero = {joint.name: 0.0 for joint in fetch.movable_joints}
+    return {**at_zero, **fetch.named_states["arm"]["ready"]}
+
+
+def test_its_arm_has_seven_joints_and_with_the_lift_eight(fetch: RobotModel) -> None:
+    assert [len(fetch.groups[name].joints) for name in ("arm", "arm_with_torso", "gripper")] == [7, 8, 2]
+    assert fetch.groups["arm_with_torso"].joints == ("torso_lift_joint", *fetch.groups["arm"].joints)
+    assert fetch.groups["arm"].tip_link == fetch.groups["arm_with_torso"].tip_link == TIP
+
+
+@pytest.mark.parametrize("group", ["arm", "arm_with_torso", "gripper"])
+def test_nothing_touches_in_its_named_states(fetch: RobotModel, group: str) -> None:
+    collision = CollisionModel(fetch)
+    for name, state in fetch.named_states[group].items():
+        positions = {**start(fetch), **state}
+        q = np.array([positions[joint] for joint in collision.joint_names])
+        assert np.all(q >= collision.lower_rad), name
+        assert np.all(q <= collision.upper_rad), name
+        assert collision.colliding_pairs(q) == [], name
+
+
+@pytest.mark.parametrize("group", ["arm", "arm_with_torso"])
+def test_it_goes_from_pose_to_pose_with_the_orientation_that_is_asked_for(
+    fetch: RobotModel, planner: Planner, group: str
+) -> None:
+    positions, placements = start(fetch), ForwardPlacements(fetch)
+    for point, quaternion in itertools.chain(POSES, POSES[:1]):
+        goal = PoseGoal(TIP, Pose(point, quaternion), POSITION_M, (ORIENTATION_RAD,) * 3, strict=True)
+        plan = planner.plan(PlanningProblem(group, positions, goal))
+        assert isinstance(plan, Plan), plan
+        end_rad = plan.trajectory.positions_rad[-1].tolist()
+        positions = {**positions, **dict(zip(plan.trajectory.joint_names, end_rad, strict=True))}
+        reached = placements.transforms(positions)[TIP]
+        np.testing.assert_allclose(reached[:3, 3], point, atol=POSITION_M)
+        assert _angle_rad(reached[:3, :3], quaternion) < 2.0 * ORIENTATION_RAD
+
+
+def _angle_rad(rotation: Vector, quaternion: tuple[float, float, float, float]) -> float:
+    x, y, z, w = quaternion
+    wanted = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return float(np.arccos(np.clip((np.trace(wanted.T @ rotation) - 1.0) / 2.0, -1.0, 1.0)))

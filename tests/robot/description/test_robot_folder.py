@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from robot.description import robot_folder
+from robot.description.servo_table import ZeroTick
+from robot.errors import DescriptionError
+from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF, so101
+
+SERVOS = "".join(
+    f'[[hardware.servos]]\njoint = "a{number}"\nid = {number}\nmodel = "STS3215"\n' for number in range(1, 8)
+)
+
+
+def arm_folder(folder: Path, toml: str = "", **files: str) -> Path:
+    """A folder of the arm with seven joints."""
+    arm = folder / "seven"
+    arm.mkdir()
+    (arm / "seven.urdf").write_text(SEVEN_JOINT_URDF)
+    (arm / "seven.srdf").write_text(SEVEN_JOINT_SRDF)
+    (arm / "robot.toml").write_text(toml)
+    for name, text in files.items():
+        (arm / name.replace("__", ".")).write_text(text)
+    return arm
+
+
+def test_an_empty_file_takes_the_only_urdf_and_srdf(tmp_path: Path) -> None:
+    found = robot_folder.load(arm_folder(tmp_path))
+    assert (found.name, found.title, found.hardware.kind) == ("seven", "seven", "ideal")
+    assert (found.model.default_group, found.model.tip_link) == ("arm", "tool")
+
+
+def test_the_file_s_tables_reach_the_model(tmp_path: Path) -> None:
+    found = robot_folder.load(
+        arm_folder(
+            tmp_path,
+            '[robot]\ntitle = "Seven"\n[planning]\ntip = "hand"\n[gripper]\njoints = ["a7"]\nopen = 1.0\nclosed = 0.0\n'
+            "[joints.a1]\nmax_velocity = 0.5\nmax_jerk = 9.0\n[held_joints]\na6 = 0.3\n",
+        )
+    )
+    arm = found.model
+    assert (found.title, arm.tip_link, arm.held_joints) == ("Seven", "hand", {"a6": 0.3})
+    assert arm.gripper is not None
+    assert (arm.gripper.joints, arm.gripper.open, arm.gripper.closed) == (("a7",), 1.0, 0.0)
+    assert (arm.joints["a1"].max_velocity, arm.joints["a1"].max_jerk) == (0.5, 9.0)
+    assert "a6" not in [joint.name for joint in arm.driven_joints]
+
+
+def test_servos_have_the_limits_of_their_joints_and_their_zero(tmp_path: Path) -> None:
+    servos = SERVOS.replace("id = 2\n", "id = 2\nsign = -1\nzero = { tick = 1000, angle_rad = 0.5 }\n")
+    toml = f'[gripper]\njoints = ["a7"]\nopen = 1.0\nclosed = 0.0\n[hardware]\nkind = "feetech"\n{servos}'
+    found = robot_folder.load(arm_folder(tmp_path, toml)).hardware.servos
+    assert [servo.joint for servo in found] == [f"a{number}" for number in range(1, 8)]
+    assert (found[1].sign, found[1].zero, found[1].needs_calibration) == (-1, ZeroTick(1000, 0.5), False)
+    assert (found[0].lower_rad, found[0].model, found[0].needs_calibration) == (-2.9, "sts3215", True)
+    assert [servo.joint for servo in found if servo.gripper] == ["a7"]
+
+
+LIMITS_YAML = """
+joint_limits:
+  a1: {has_velocity_limits: true, max_velocity: 0.7, has_acceleration_limits: false, max_acceleration: 9.0}
+  a2: {has_velocity_limits: false, max_velocity: 0.1, has_jerk_limits: true, max_jerk: 30,
+       has_position_limits: true, min_position: -1.0, max_position: 1.0}
+"""
+
+
+def test_moveit_s_limits_are_read_and_give_way_to_the_file_s(tmp_path: Path) -> None:
+    toml = '[robot]\njoint_limits = "limits.yaml"\n[joints.a1]\nmax_acceleration = 2.0\n'
+    arm = robot_folder.load(arm_folder(tmp_path, toml, limits__yaml=LIMITS_YAML)).model
+    first, second = arm.joints["a1"], arm.joints["a2"]
+    assert (first.max_velocity, first.max_acceleration) == (0.7, 2.0)
+    assert (second.max_velocity, second.max_jerk, second.lower, second.upper) == (2.0, 30.0, -1.0, 1.0)
+
+
+WRONG = {
+    "no file": ('[robot]\nurdf = "eight.urdf"', "robot.urdf: there is no file .*eight.urdf"),
+    "gripper": (
+        '[gripper]\njoints = ["claw"]\nopen = 1\nclosed = 0',
+        r"gripper.joints\[0\]: the URDF has no movable .*'claw'",
+    ),
+    "servo": (
+        f'[hardware]\nkind = "feetech"\n{SERVOS.replace("a3", "knee")}',
+        r"hardware.servos\[2\].joint: the URDF has no movable joint 'knee', but a1",
+    ),
+    "no servo": (
+        '[hardware]\nkind = "feetech"\n[[hardware.servos]]\njoint = "a1"\nid = 1\nmodel = "sts3215"',
+        r"hardware.servos: joint 'a2' has no servo: give it one, or a place in \[held_joints\]",
+    ),
+    "held": ("[held_joints]\na1 = 7.0", r"held_joints.a1: must be from -2.9 to 2.9, not 7"),
+    "group": ('[planning]\ngroup = "leg"', "planning.group: the SRDF has no group 'leg', but arm"),
+    "tip": ('[planning]\ntip = "toe"', "planning.tip: the URDF has no link 'toe'"),
+    "frame": ('[planning]\nframe = "world"', "planning.frame: must be the root link 'pedestal', not 'world'"),
+    "hulls": ('[robot]\nhulls = "hulls.json"', r"hulls.json cannot be read"),
+    "yaml": ('[robot]\njoint_limits = "limits.yaml"', r"limits.yaml cannot be read"),
+}
+
+
+@pytest.mark.parametrize(("toml", "sentence"), WRONG.values(), ids=WRONG)
+def test_what_does_not_fit_the_description_is_named(tmp_path: Path, toml: str, sentence: str) -> None:
+    with pytest.raises(DescriptionError, match=sentence):
+        robot_folder.load(arm_folder(tmp_path, toml))
+
+
+def test_all_problems_of_the_files_are_told_at_once(tmp_path: Path) -> None:
+    toml = '[robot]\nurdf = "eight.urdf"\nhulls = "hulls.json"\njoint_limits = "limits.yaml"'
+    found = robot_folder.problems(str(arm_folder(tmp_path, toml)))
+    assert len(found) == 3
+
+
+def test_a_folder_without_a_urdf_says_so(tmp_path: Path) -> None:
+    folder = arm_folder(tmp_path)
+    (folder / "seven.urdf").unlink()
+    (problem,) = robot_folder.problems(str(folder))
+    assert problem == "robot.urdf: is missing, and the folder has no .urdf file: name one"
+
+
+def test_a_limit_in_yaml_that_is_no_number_is_named(tmp_path: Path) -> None:
+    toml = '[robot]\njoint_limits = "limits.yaml"'
+    text = "joint_limits: {a1: {has_velocity_limits: true, max_velocity: fast}}"
+    (problem,) = robot_folder.problems(str(arm_folder(tmp_path, toml, limits__yaml=text)))
+    assert problem.endswith("joint_limits.a1.max_velocity must be a number, not 'fast'")
+
+
+def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path(tmp_path: Path) -> None:
+    assert robot_folder.resolve("so101").model.links == so101().links
+    assert robot_folder.resolve(str(arm_folder(tmp_path))).model.name == "seven"
+
+
+def test_an_unknown_name_lists_those_there_are() -> None:
+    with pytest.raises(DescriptionError, match=r"'so102' is no folder, and none of the built-in arms .*so101"):
+        robot_folder.resolve("so102")
+
+
+def test_a_folder_without_its_file_names_the_command_that_drafts_one(tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match=r"has no robot\.toml: armbridge robot import URDF drafts one"):
+        robot_folder.resolve(str(tmp_path))
+
+
+def test_another_urdf_takes_the_folder_s_place_without_its_hulls(tmp_path: Path) -> None:
+    found = robot_folder.built_in("so101")
+    urdf, srdf = tmp_path / "a.urdf", tmp_path / "a.srdf"
+    urdf.write_text(found.model.urdf.replace('velocity="1.2"', 'velocity="10"'))
+    srdf.write_text(found.model.srdf)
+    other = robot_folder.load(found.folder, urdf=urdf, srdf=srdf)
+    assert (other.model.hulls, other.model.parts) == ({}, {})
+    assert other.hardware == found.hardware
+    assert other.model.joints["shoulder_lift"].max_velocity == 1.2

@@ -1,0 +1,263 @@
+from __future__ import annotations
+
+import pytest
+
+from robot.emulator.dynamixel.servo import (
+    ACCESS_ERROR,
+    DATA_LENGTH_ERROR,
+    DATA_LIMIT_ERROR,
+    DATA_RANGE_ERROR,
+    OVERLOAD_S,
+    DynamixelServo,
+)
+from robot.emulator.plant import Plant
+from robot.hardware.dynamixel.packets import ALERT
+from robot.hardware.dynamixel.registers import (
+    MODELS,
+    TICKS_S_PER_VELOCITY_UNIT,
+    OperatingMode,
+    Register,
+    decode,
+    encode,
+)
+
+
+def servo_at(
+    position_ticks: float = 2048.0,
+    model: str = "xl330-m288",
+    offset: int = 0,
+    mode: OperatingMode = OperatingMode.EXTENDED_POSITION,
+) -> DynamixelServo:
+    plant = Plant(position_ticks, position_ticks - 50_000.0, position_ticks + 50_000.0)
+    return DynamixelServo(3, MODELS[model], plant, (500, 3500), offset, mode)
+
+
+def write(servo: DynamixelServo, register: Register, value: int) -> int:
+    return servo.write(register, encode(register, value))
+
+
+def read(servo: DynamixelServo, register: Register) -> int:
+    return decode(register, servo.read(register, len(encode(register, 0))))
+
+
+def run(servo: DynamixelServo, seconds: float) -> None:
+    for _ in range(round(seconds / 0.01)):
+        servo.step(0.01)
+
+
+def holding(**kind: int) -> DynamixelServo:
+    servo = servo_at(**kind)  # type: ignore[arg-type]
+    servo.hold()
+    return servo
+
+
+def test_a_driven_servo_goes_to_its_goal_with_its_profiles_velocity() -> None:
+    servo = holding()
+    write(servo, Register.PROFILE_VELOCITY, 40)
+    write(servo, Register.GOAL_POSITION, 3000)
+    run(servo, 1.0)
+    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(2048 + 40 * TICKS_S_PER_VELOCITY_UNIT, abs=40)
+    assert read(servo, Register.PRESENT_VELOCITY) == pytest.approx(40, abs=2)
+    assert read(servo, Register.MOVING) == 1
+    run(servo, 2.0)
+    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(3000, abs=1)
+    assert read(servo, Register.MOVING) == 0
+
+
+def test_a_relaxed_servo_stays_where_it_is() -> None:
+    servo = servo_at()
+    write(servo, Register.GOAL_POSITION, 3000)
+    run(servo, 1.0)
+    assert read(servo, Register.PRESENT_POSITION) == 2048
+
+
+def test_torque_on_with_a_stale_goal_makes_the_servo_jump() -> None:
+    servo = servo_at()
+    write(servo, Register.TORQUE_ENABLE, 1)
+    run(servo, 1.0)
+    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(0, abs=2)
+
+
+@pytest.mark.parametrize(("offset", "effective"), [(1024, 1024), (-1024, -1024), (1025, 0), (-1700, 0)])
+def test_position_mode_ignores_a_homing_offset_beyond_a_quarter_turn(offset: int, effective: int) -> None:
+    assert servo_at(offset=offset).present_ticks == 2048 + offset
+    assert servo_at(offset=offset, mode=OperatingMode.POSITION).present_ticks == 2048 + effective
+
+
+def test_turns_are_counted_until_the_supply_is_lost() -> None:
+    servo = holding()
+    write(servo, Register.GOAL_POSITION, 2048 + 4096)
+    run(servo, 4.0)
+    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(2048 + 4096, abs=1)
+    servo.power_up()
+    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(2048, abs=1)
+
+
+def test_a_power_up_keeps_the_eeprom_alone() -> None:
+    servo = servo_at()
+    for register, value in ((Register.HOMING_OFFSET, 55), (Register.BUS_WATCHDOG, 25), (Register.GOAL_PWM, 100)):
+        assert write(servo, register, value) == 0
+    write(servo, Register.TORQUE_ENABLE, 1)
+    servo.power_up()
+    kept = (Register.HOMING_OFFSET, Register.BUS_WATCHDOG, Register.GOAL_PWM, Register.TORQUE_ENABLE)
+    assert [read(servo, register) for register in kept] == [55, 0, 885, 0]
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "error"),
+    [
+        (Register.MODEL_NUMBER, 1, ACCESS_ERROR),
+        (Register.PRESENT_POSITION, 1, ACCESS_ERROR),
+        (Register.GOAL_PWM, 886, DATA_LIMIT_ERROR),
+        (Register.GOAL_CURRENT, -1751, DATA_LIMIT_ERROR),
+        (Register.GOAL_POSITION, 1_048_576, DATA_LIMIT_ERROR),
+        (Register.TORQUE_ENABLE, 2, DATA_LIMIT_ERROR),
+        (Register.BUS_WATCHDOG, -1, DATA_RANGE_ERROR),
+    ],
+)
+def test_what_cannot_be_written_is_refused(register: Register, value: int, error: int) -> None:
+    servo = servo_at()
+    before = read(servo, register)
+    assert write(servo, register, value) == error
+    assert read(servo, register) == before
+
+
+def test_position_mode_refuses_goals_beyond_its_limits() -> None:
+    servo = servo_at(mode=OperatingMode.POSITION)
+    assert write(servo, Register.GOAL_POSITION, 3501) == DATA_LIMIT_ERROR
+    assert write(servo, Register.GOAL_POSITION, 3500) == 0
+
+
+def test_the_eeprom_is_locked_while_torque_is_on() -> None:
+    servo = holding()
+    assert write(servo, Register.OPERATING_MODE, 3) == ACCESS_ERROR
+    write(servo, Register.TORQUE_ENABLE, 0)
+    assert write(servo, Register.OPERATING_MODE, 3) == 0
+
+
+def test_half_a_register_cannot_be_written_and_nothing_of_the_write_is_taken() -> None:
+    servo = servo_at()
+    data = encode(Register.PROFILE_ACCELERATION, 7) + encode(Register.PROFILE_VELOCITY, 8)
+    assert servo.write(Register.PROFILE_ACCELERATION, data[:6]) == DATA_LENGTH_ERROR
+    assert read(servo, Register.PROFILE_ACCELERATION) == 0
+    assert servo.write(Register.PROFILE_ACCELERATION, data) == 0
+    assert (read(servo, Register.PROFILE_ACCELERATION), read(servo, Register.PROFILE_VELOCITY)) == (7, 8)
+
+
+def test_the_xl430_has_no_current() -> None:
+    servo = servo_at(model="xl430-w250")
+    assert write(servo, Register.GOAL_CURRENT, 100) == ACCESS_ERROR
+    assert read(servo, Register.CURRENT_LIMIT) == 0
+
+
+def test_a_change_of_mode_resets_limits_and_profile() -> None:
+    servo = servo_at()
+    write(servo, Register.GOAL_CURRENT, 300)
+    write(servo, Register.PROFILE_VELOCITY, 30)
+    write(servo, Register.OPERATING_MODE, 5)
+    assert (read(servo, Register.GOAL_CURRENT), read(servo, Register.PROFILE_VELOCITY)) == (1750, 0)
+
+
+@pytest.mark.parametrize(
+    ("mode", "register", "value"),
+    [
+        (OperatingMode.EXTENDED_POSITION, Register.GOAL_PWM, 221),
+        (OperatingMode.CURRENT_BASED_POSITION, Register.GOAL_CURRENT, 367),
+    ],
+)
+def test_a_blocked_servo_pushes_with_its_limit(mode: OperatingMode, register: Register, value: int) -> None:
+    servo = servo_at(mode=mode)
+    servo.hold()
+    servo.plant.block(2100.0)
+    write(servo, register, value)
+    write(servo, Register.GOAL_POSITION, 3000)
+    run(servo, 0.5)
+    assert read(servo, Register.PRESENT_POSITION) == 2100
+    assert read(servo, Register.PRESENT_PWM) == pytest.approx(221, abs=2)
+    assert read(servo, Register.PRESENT_CURRENT) == pytest.approx(367, abs=3)
+
+
+def test_the_watchdog_stops_a_driven_servo_on_its_way() -> None:
+    servo = holding()
+    write(servo, Register.PROFILE_VELOCITY, 40)
+    write(servo, Register.BUS_WATCHDOG, 10)
+    write(servo, Register.GOAL_POSITION, 3000)
+    servo.hear()
+    run(servo, 0.18)
+    assert read(servo, Register.BUS_WATCHDOG) == 10
+    run(servo, 0.1)
+    assert read(servo, Register.BUS_WATCHDOG) == -1
+    stopped = read(servo, Register.PRESENT_POSITION)
+    run(servo, 1.0)
+    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(stopped, abs=20)
+    assert read(servo, Register.TORQUE_ENABLE) == 1
+
+
+def test_a_stopped_servo_takes_no_goal_until_its_watchdog_is_cleared() -> None:
+    servo = holding()
+    write(servo, Register.BUS_WATCHDOG, 10)
+    run(servo, 0.3)
+    assert write(servo, Register.GOAL_POSITION, 2100) == DATA_RANGE_ERROR
+    assert write(servo, Register.BUS_WATCHDOG, 0) == 0
+    assert write(servo, Register.GOAL_POSITION, 2100) == 0
+
+
+def test_instructions_keep_the_watchdog_quiet() -> None:
+    servo = holding()
+    write(servo, Register.BUS_WATCHDOG, 10)
+    for _ in range(100):
+        servo.hear()
+        run(servo, 0.01)
+    assert read(servo, Register.BUS_WATCHDOG) == 10
+
+
+def test_the_watchdog_of_a_relaxed_servo_does_not_trip() -> None:
+    servo = servo_at()
+    write(servo, Register.BUS_WATCHDOG, 10)
+    run(servo, 1.0)
+    assert read(servo, Register.BUS_WATCHDOG) == 10
+
+
+def test_an_overloaded_servo_switches_itself_off_until_it_reboots() -> None:
+    servo = holding()
+    servo.plant.block(2050.0)
+    write(servo, Register.GOAL_POSITION, 3000)
+    run(servo, OVERLOAD_S + 0.2)
+    assert read(servo, Register.HARDWARE_ERROR_STATUS) == 0x20
+    assert servo.error == ALERT
+    assert read(servo, Register.TORQUE_ENABLE) == 0
+    assert write(servo, Register.TORQUE_ENABLE, 1) == ACCESS_ERROR
+    servo.power_up()
+    assert servo.error == 0
+    assert write(servo, Register.TORQUE_ENABLE, 1) == 0
+
+
+def test_heat_and_a_wrong_supply_are_hardware_errors() -> None:
+    servo = servo_at()
+    servo.motor.temperature_c = 71.0
+    run(servo, 0.01)
+    assert read(servo, Register.HARDWARE_ERROR_STATUS) == 0x04
+    servo = servo_at()
+    servo.voltage_v = 7.2
+    run(servo, 0.01)
+    assert read(servo, Register.HARDWARE_ERROR_STATUS) == 0x01
+
+
+def test_an_error_that_is_not_in_shutdown_leaves_torque_on() -> None:
+    servo = servo_at(model="xl430-w250")
+    servo.hold()
+    servo.fail(0x01)
+    assert read(servo, Register.TORQUE_ENABLE) == 1
+    assert servo.error == ALERT
+
+
+def test_supply_and_temperature_are_measured() -> None:
+    servo = servo_at()
+    servo.voltage_v, servo.motor.temperature_c = 4.9, 41.2
+    assert read(servo, Register.PRESENT_INPUT_VOLTAGE) == 49
+    assert read(servo, Register.PRESENT_TEMPERATURE) == 41
+
+
+def test_addresses_without_a_register_read_as_zero() -> None:
+    assert servo_at().read(66, 2) == b"\0\0"
+    assert servo_at().read(300, 3) == b"\0\0\0"

@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from robot.emulator.dynamixel.servo import ACCESS_ERROR, DATA_LIMIT_ERROR, REBOOT_S
+from robot.emulator.dynamixel.servo_bus import status_packet
+from robot.errors import NoReply, PortLost, StartupError
+from robot.hardware.dynamixel.bus import STEP_ATTEMPTS, Bus, Identity, ping, read, write_verified
+from robot.hardware.dynamixel.registers import MOTION_ADDRESS, MOTION_BYTES, Register, encode
+from robot.hardware.interface import run_to_end
+from tests.helpers.dynamixel import SteppedDynamixels
+from tests.helpers.emulator import SteppedClock
+
+IDS = (1, 2, 3, 4, 5, 6)
+
+
+@pytest.fixture
+def servos() -> SteppedDynamixels:
+    return SteppedDynamixels()
+
+
+@pytest.fixture
+def bus(servos: SteppedDynamixels) -> Bus:
+    return servos.open_bus()
+
+
+def test_a_ping_tells_model_and_firmware(bus: Bus) -> None:
+    assert bus.ping(1) == Identity(1060, 52)
+    assert bus.ping(6).model_number == 1200
+
+
+def test_registers_are_read_and_written(bus: Bus) -> None:
+    assert bus.write(3, Register.GOAL_POSITION, -700) == 0
+    assert bus.read(3, Register.GOAL_POSITION) == -700
+
+
+def test_the_number_of_a_servos_error_is_told(bus: Bus) -> None:
+    assert bus.write(3, Register.GOAL_PWM, 886) == DATA_LIMIT_ERROR
+    bus.write(3, Register.TORQUE_ENABLE, 1)
+    assert bus.write(3, Register.OPERATING_MODE, 3) == ACCESS_ERROR
+
+
+def test_a_hardware_error_is_no_error_of_the_instruction(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.servo(3).fail(0x01)
+    assert bus.write(3, Register.LED, 1) == 0
+
+
+def test_a_silent_servo_gives_no_reply(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.servo_bus.faults.offline = {4}
+    with pytest.raises(NoReply) as silent:
+        bus.read(4, Register.TORQUE_ENABLE)
+    assert silent.value.servo_id == 4
+    assert bus.counters.timeouts == 1
+
+
+def test_a_block_of_all_servos_is_one_transaction(bus: Bus, servos: SteppedDynamixels) -> None:
+    frames = bus.sync_read(IDS, MOTION_ADDRESS, MOTION_BYTES)
+    assert list(frames) == list(IDS)
+    assert bus.counters.sent == 1
+    assert bus.counters.replies == 6
+    present = int.from_bytes(frames[3].data[8:], "little", signed=True)
+    assert present == servos.servo(3).present_ticks
+
+
+def test_the_servos_that_answer_are_read_without_those_that_do_not(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.servo_bus.faults.offline = {2}
+    assert set(bus.sync_read(IDS, MOTION_ADDRESS, MOTION_BYTES)) == {1, 3, 4, 5, 6}
+
+
+def test_a_block_is_written_to_several_servos_at_once(bus: Bus, servos: SteppedDynamixels) -> None:
+    bus.sync_write(Register.GOAL_POSITION, {servo: encode(Register.GOAL_POSITION, 100 * servo) for servo in IDS})
+    assert servos.registers(Register.GOAL_POSITION) == [100, 200, 300, 400, 500, 600]
+    assert bus.counters.sent == 1
+
+
+def test_one_broadcast_switches_all_torque_off(bus: Bus, servos: SteppedDynamixels) -> None:
+    for servo in IDS:
+        bus.write(servo, Register.TORQUE_ENABLE, 1)
+    bus.broadcast_torque_off()
+    assert servos.registers(Register.TORQUE_ENABLE) == [0] * 6
+
+
+def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, servos: SteppedDynamixels) -> None:
+    bus.write(3, Register.BUS_WATCHDOG, 25)
+    bus.reboot(3)
+    with pytest.raises(NoReply):
+        bus.ping(3)
+    servos.run(REBOOT_S + 0.01)
+    assert bus.read(3, Register.BUS_WATCHDOG) == 0
+
+
+def test_replies_left_on_the_line_are_not_taken_for_the_next(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.port._input = status_packet(3, 0, bytes([1]))
+    assert bus.read(3, Register.TORQUE_ENABLE) == 0
+    assert bus.counters.discarded_bytes == len(status_packet(3, 0, bytes([1])))
+
+
+class LatePort:
+    """Port of one servo that answers every instruction with the next of some replies, each after its time."""
+
+    port_name, baudrate, is_using = "late", 1_000_000, False
+    latency_s, quiet_s, discarded_bytes = 0.005, 0.003, 0
+
+    def __init__(self, clock: SteppedClock, replies: list[tuple[float, bytes]]) -> None:
+        self._clock = clock
+        self._replies = replies
+        self._coming: list[tuple[float, bytes]] = []
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name, as below
+        return
+
+    def closePort(self) -> None:  # noqa: N802
+        return
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802
+        delay_s, data = self._replies.pop(0)
+        self._coming.append((self._clock() + delay_s, data))
+        return len(packet)
+
+    def receive(self, timeout_s: float, /) -> bytes:
+        due_s = self._coming[0][0] if self._coming else float("inf")
+        if due_s > self._clock() + timeout_s:
+            self._clock.advance(timeout_s)
+            return b""
+        self._clock.now_s = max(due_s, self._clock())
+        return self._coming.pop(0)[1]
+
+
+def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
+    clock = SteppedClock()
+    replies = [(0.008, status_packet(3, 0, bytes([1]))), (0.001, status_packet(3, 0, bytes([0])))]
+    bus = Bus(LatePort(clock, replies), clock)
+    with pytest.raises(NoReply):
+        bus.read(3, Register.LED)
+    assert bus.read(3, Register.TORQUE_ENABLE) == 0
+
+
+def test_noise_is_counted(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.servo_bus.faults.noise = 1.0
+    bus.read(3, Register.TORQUE_ENABLE)
+    assert bus.counters.discarded_bytes > 0
+
+
+def test_a_stuffed_byte_is_no_noise(bus: Bus, servos: SteppedDynamixels) -> None:
+    # FF FF FD FF little endian needs one.
+    servos.servo(3).write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, -131073))
+    assert bus.read(3, Register.GOAL_POSITION) == -131073
+    assert bus.counters.discarded_bytes == 0
+
+
+def test_a_lost_port_is_told(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.port.unplug()
+    with pytest.raises(PortLost):
+        bus.read(3, Register.TORQUE_ENABLE)
+
+
+def test_a_sequence_asks_again_when_a_reply_is_lost(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.servo_bus.faults.drop = 0.4
+    values = [run_to_end(read(bus, servo, Register.GOAL_PWM)) for servo in IDS]
+    assert values == [885] * 6
+    assert bus.counters.retries == bus.counters.timeouts > 0
+
+
+def test_a_sequence_gives_up_after_some_attempts(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.servo_bus.faults.offline = {3}
+    with pytest.raises(NoReply, match=f"{STEP_ATTEMPTS} instructions"):
+        run_to_end(ping(bus, 3))
+    assert bus.counters.sent == STEP_ATTEMPTS
+
+
+def test_each_step_of_a_sequence_is_one_transaction(bus: Bus) -> None:
+    assert [bus.counters.sent for _ in write_verified(bus, 3, Register.GOAL_PWM, 300)] == [0, 1]
+
+
+def test_a_write_is_verified_though_its_acknowledgement_is_lost(bus: Bus, servos: SteppedDynamixels) -> None:
+    servos.servo_bus.faults.drop = 0.4
+    for servo in IDS:
+        run_to_end(write_verified(bus, servo, Register.GOAL_PWM, 300 + servo))
+    assert servos.registers(Register.GOAL_PWM) == [301, 302, 303, 304, 305, 306]
+
+
+def test_a_value_that_is_not_taken_is_told_with_the_servos_error(bus: Bus) -> None:
+    bus.write(3, Register.TORQUE_ENABLE, 1)
+    with pytest.raises(StartupError, match=r"servo 3 does not take 3 in register OPERATING_MODE \(11\).*error 7"):
+        run_to_end(write_verified(bus, 3, Register.OPERATING_MODE, 3))

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+from dynamixel_sdk import COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE, PacketHandler
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot.emulator.dynamixel.servo_bus import InstructionParser, status_packet
+from robot.hardware.dynamixel.packets import (
+    StatusFrame,
+    block_parameters,
+    instruction_packet,
+    packet,
+    parse_status_frames,
+    status_bytes,
+    stuffed_bytes,
+    sync_write_parameters,
+    wire_time_s,
+)
+
+
+# Examples of the e-manual, DYNAMIXEL Protocol 2.0: Ping, Read, Write, Sync Read and Reboot.
+@pytest.mark.parametrize(
+    ("built", "wire"),
+    [
+        (packet(1, INST_PING), "fffffd00 01 0300 01 194e"),
+        (packet(254, INST_PING), "fffffd00 fe 0300 01 3142"),
+        (packet(1, INST_READ, bytes(block_parameters(132, 4))), "fffffd00 01 0700 02 84000400 1d15"),
+        (packet(1, INST_WRITE, bytes([116, 0, 0, 2, 0, 0])), "fffffd00 01 0900 03 740000020000 ca89"),
+        (packet(254, 0x82, bytes([*block_parameters(132, 4), 1, 2])), "fffffd00 fe 0900 82 840004000102 cefa"),
+        (packet(1, 0x08), "fffffd00 01 0300 08 2f4e"),
+        (status_packet(1, 0, bytes([0x06, 0x04, 0x26])), "fffffd00 01 0700 55 00060426 655d"),
+        (status_packet(2, 0, (2079).to_bytes(4, "little")), "fffffd00 02 0800 55 001f080000 babe"),
+    ],
+)
+def test_packets_are_those_of_the_manual(built: bytes, wire: str) -> None:
+    assert built == bytes.fromhex(wire)
+
+
+class Sent:
+    """The SDK's port, which keeps what is written."""
+
+    def __init__(self) -> None:
+        self.is_using = False
+        self.data = b""
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
+        return
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
+        self.data = bytes(packet)
+        return len(packet)
+
+
+@given(st.integers(0, 252), st.sampled_from([1, 2, 3, 8, 0x82, 0x83]), st.binary(max_size=60))
+def test_the_sdk_sends_what_is_built_here(servo_id: int, code: int, parameters: bytes) -> None:
+    if b"\xff\xff\xfd" in parameters:
+        return
+    port = Sent()
+    assert PacketHandler(2.0).txPacket(port, instruction_packet(servo_id, code, parameters)) == COMM_SUCCESS
+    assert port.data == packet(servo_id, code, parameters)
+
+
+def test_what_the_sdk_would_send_without_its_stuffed_byte_is_refused() -> None:
+    with pytest.raises(ValueError, match="FF FF FD"):
+        instruction_packet(1, INST_WRITE, [116, 0, 0xFF, 0xFF, 0xFD, 0xFF])
+
+
+def test_a_packet_longer_than_the_sdk_sends_is_refused() -> None:
+    with pytest.raises(ValueError, match="1024"):
+        instruction_packet(1, INST_WRITE, [0] * 1015)
+
+
+# Bytes that have headers, and almost headers, among them.
+HEADERS = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x12]), max_size=24).map(bytes)
+
+
+@given(HEADERS, st.integers(0, 255))
+def test_any_data_arrives_as_they_were_sent(data: bytes, error: int) -> None:
+    received = status_packet(3, error, data)
+    assert parse_status_frames(received, (3,), len(data)) == {3: StatusFrame(3, error, data)}
+    assert len(received) - stuffed_bytes(received) == status_bytes(len(data))
+
+
+@given(HEADERS)
+def test_a_servo_understands_any_parameters(parameters: bytes) -> None:
+    (instruction,) = InstructionParser().feed(packet(3, INST_WRITE, parameters), 0.0)
+    assert instruction.sound
+    assert instruction.parameters == parameters
+
+
+@given(HEADERS)
+def test_no_packet_has_a_header_but_its_own(data: bytes) -> None:
+    assert status_packet(3, 0, data).count(b"\xff\xff\xfd\x00") == 1
+
+
+REPLIES = b"".join(status_packet(servo, 0, bytes([servo] * 4)) for servo in (1, 2, 3))
+
+
+@pytest.mark.parametrize("at", range(len(REPLIES)))
+@pytest.mark.parametrize("flip", [0x01, 0x80, 0xFF])
+def test_a_damaged_byte_never_changes_a_reading(at: int, flip: int) -> None:
+    damaged = REPLIES[:at] + bytes([REPLIES[at] ^ flip]) + REPLIES[at + 1 :]
+    frames = parse_status_frames(damaged, (1, 2, 3), 4)
+    assert all(frame.data == bytes([servo] * 4) and frame.error == 0 for servo, frame in frames.items())
+    assert len(frames) >= 1
+
+
+def test_noise_between_replies_is_skipped() -> None:
+    noisy = b"\xff\xff\x00" + status_packet(1, 0, b"ab") + b"\xfd\xff" + status_packet(2, 0, b"cd")
+    assert set(parse_status_frames(noisy, (1, 2), 2)) == {1, 2}
+
+
+def test_the_hosts_own_instruction_is_no_reply() -> None:
+    assert parse_status_frames(packet(1, INST_WRITE, b"ab"), (1,), 1) == {}
+
+
+def test_replies_of_others_and_of_another_length_do_not_count() -> None:
+    received = status_packet(5, 0, b"ab") + status_packet(1, 0, b"abc") + status_packet(2, 0, b"ab")
+    assert set(parse_status_frames(received, (1, 2), 2)) == {2}
+
+
+def test_a_servo_that_contradicts_itself_is_not_believed() -> None:
+    received = status_packet(1, 0, b"ab") + status_packet(1, 0, b"ac") + status_packet(2, 0, b"ab")
+    assert set(parse_status_frames(received, (1, 2), 2)) == {2}
+
+
+def test_a_reply_that_is_cut_off_is_missing() -> None:
+    whole = status_packet(1, 0, b"ab")
+    assert all(parse_status_frames(whole[:end], (1,), 2) == {} for end in range(len(whole)))
+
+
+def test_a_sync_write_needs_data_of_one_length() -> None:
+    assert sync_write_parameters(116, {1: b"ab", 2: b"cd"}) == [116, 0, 2, 0, 1, *b"ab", 2, *b"cd"]
+    with pytest.raises(ValueError, match="one length"):
+        sync_write_parameters(116, {1: b"ab", 2: b"c"})
+
+
+def test_a_byte_has_ten_bits() -> None:
+    assert wire_time_s(100, 1_000_000) == pytest.approx(0.001)

@@ -1,0 +1,30 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from server.classroom.classroom import ClassroomOptions, run_classroom
+from server.config import Settings
+from server.errors import ConfigurationError
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"arm": {"serial": "/dev/ttyACM0"}}, "arm.serial: the arms of a classroom are simulated"),
+        ({"emulator": {"control": "/tmp/servos"}}, "emulator.control: the arms of a classroom are simulated"),
+        ({"emulator": {"write_log": "/tmp/writes"}}, "emulator.write_log: the arms of a classroom are simulated"),
+        ({"zenoh": {"mode": "peer"}}, "zenoh.mode: must be off in a classroom, not peer"),
+        ({"arm": {"robot": "no such arm"}}, "no such arm"),
+        ({"server": {"port": 65_535}}, "there are none above 65535"),
+    ],
+)
+def test_what_a_classroom_cannot_have_is_refused_before_anything_is_made(
+    settings: dict[str, Any], sentence: str, tmp_path: Path
+) -> None:
+    options = ClassroomOptions(students=2, planners=2, folder=tmp_path / "class")
+    with pytest.raises(ConfigurationError, match=sentence):
+        run_classroom(Settings.model_validate(settings), options)
+    assert not options.folder.exists()

@@ -1,0 +1,148 @@
+"""The supervisor in a process of its own, which it needs: it forks, and lives by signals."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from server.classroom import supervisor as supervisor_module
+from server.classroom.supervisor import Member
+from tests.helpers.server import ROOT
+
+pytestmark = pytest.mark.real_time
+
+SOON_S = 30.0
+
+# A member that waits for SIGTERM, and one that writes to its log, and ends after a while.
+PROGRAM = """
+import logging, signal, sys, time
+from pathlib import Path
+from server.classroom.supervisor import Member, supervise
+
+logging.basicConfig(level="INFO", format="%(message)s")
+
+def wait():
+    def take(*_):
+        Path({folder!r}, "ended").touch()
+        raise SystemExit
+    signal.signal(signal.SIGTERM, take)
+    while True:
+        time.sleep(1)
+
+def be_deaf():
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    while True:
+        time.sleep(1)
+
+def end():
+    print("begun", flush=True)
+    time.sleep(0.1)
+
+import server.classroom.supervisor as module
+module.END_TIMEOUT_S = 1.0
+members = [Member("one", wait, Path({folder!r}, "one.log")), Member("two", {second}, Path({folder!r}, "two.log"))]
+supervise(members, lambda: None)
+print("done")
+"""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Callable[[str], psutil.Process]]:
+    started: list[subprocess.Popen[str]] = []
+
+    def start(second: str) -> psutil.Process:
+        program = PROGRAM.format(folder=str(tmp_path), second=second)
+        process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        supervisor = psutil.Process(process.pid)
+        until(lambda: (tmp_path / "two.log").exists() and bool(supervisor.children()))
+        return supervisor
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + SOON_S
+    while not condition():
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
+
+
+def test_a_member_that_ends_is_started_again_later_each_time(
+    run: Callable[[str], psutil.Process], tmp_path: Path
+) -> None:
+    supervisor = run("end")
+    until(lambda: (tmp_path / "two.log").read_text().count("begun") >= 3)
+    (first, *_) = supervisor.children()
+    assert first.is_running()
+
+
+def test_one_signal_ends_all_in_good_order(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
+    supervisor = run("wait")
+    until(lambda: len(supervisor.children()) == 2)
+    time.sleep(0.2)
+    supervisor.send_signal(signal.SIGINT)
+    until(lambda: not supervisor.is_running() or supervisor.status() == psutil.STATUS_ZOMBIE)
+    assert (tmp_path / "ended").exists()
+
+
+def test_a_member_that_does_not_listen_is_killed(run: Callable[[str], psutil.Process]) -> None:
+    supervisor = run("be_deaf")
+    until(lambda: len(supervisor.children()) == 2)
+    time.sleep(0.2)
+    children = supervisor.children()
+    supervisor.send_signal(signal.SIGTERM)
+    until(lambda: not any(child.is_running() for child in children))
+
+
+def test_members_end_with_a_supervisor_that_is_killed(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
+    supervisor = run("wait")
+    until(lambda: len(supervisor.children()) == 2)
+    time.sleep(0.2)
+    children = supervisor.children()
+    supervisor.kill()
+    until(lambda: not any(child.is_running() for child in children))
+    assert (tmp_path / "ended").exists()
+
+
+def test_members_are_out_of_reach_of_the_terminals_ctrl_c(run: Callable[[str], psutil.Process]) -> None:
+    supervisor = run("wait")
+    until(lambda: len(supervisor.children()) == 2)
+    time.sleep(0.2)
+    assert all(os.getsid(child.pid) == child.pid for child in supervisor.children())
+
+
+def test_a_member_that_cannot_be_started_is_tried_again_later_each_time(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    tries_s: list[float] = []
+    member = Member("one", lambda: None)
+    now_s = 0.0
+
+    def fail(_run: object) -> None:
+        tries_s.append(now_s)
+        raise OSError("no process is left")
+
+    monkeypatch.setattr(supervisor_module, "ForkedProcess", fail)
+    while now_s < 60.0:
+        member.reap(now_s)
+        member.start_if_due(now_s)
+        now_s += 0.1
+    waits_s = [later - earlier for earlier, later in itertools.pairwise(tries_s)]
+    assert waits_s == sorted(waits_s)
+    assert max(waits_s) < 11.0
+    assert member.pid is None
+    assert "one cannot be started: no process is left" in caplog.text

@@ -1,0 +1,59 @@
+"""A simulated Koch v1.1: its emulated Dynamixel servos are driven by goals over a real socket."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+
+from tests.helpers.clients import FrameClient, arm_client, frame_client
+from tests.helpers.dynamixel import KOCH
+from tests.helpers.server import RunningServer
+
+pytestmark = pytest.mark.real_time
+
+# Droop under the links' weight, and backlash of the goal's ticks [rad].
+ARRIVED = 0.03
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[RunningServer]:
+    with RunningServer("--port 0 --robot koch_v1_1") as running:
+        yield running
+
+
+@pytest.fixture
+async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
+    async with frame_client(server.url) as connected:
+        await connected.open_goals()
+        await connected.subscribe("/joint_states", "sensor_msgs/JointState")
+        yield connected
+
+
+async def present(client: FrameClient) -> dict[str, float]:
+    """Return the position of every joint, by a state that came after this was asked for."""
+    seen = len(client.messages("/joint_states"))
+    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
+    return dict(zip(state["name"], state["position"], strict=True))
+
+
+@pytest.mark.parametrize("name", ["ready", "rest", "extended", "home"])
+async def test_the_arm_goes_to_each_of_its_named_states(client: FrameClient, name: str) -> None:
+    result = await client.goal("/moveit_goal_named", {"data": name})
+    assert (result["val"], result["message"]) == (1, "the arm is there")
+    at = await present(client)
+    wanted = KOCH.model.named_states["arm"][name]
+    assert {joint: at[joint] for joint in wanted} == pytest.approx(wanted, abs=ARRIVED)
+
+
+@pytest.mark.parametrize("name", ["open", "closed"])
+async def test_the_gripper_goes_to_its_named_states(server: RunningServer, client: FrameClient, name: str) -> None:
+    wanted = KOCH.model.named_states["gripper"][name]["gripper"]
+    async with arm_client(server.url) as connected:
+        command = {"command": {"position": wanted, "max_effort": 0.0}}
+        goal_id = await connected.send_goal(
+            "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command
+        )
+        result = await connected.result(goal_id)
+    assert result["result"], result
+    assert (await present(client))["gripper"] == pytest.approx(wanted, abs=ARRIVED)

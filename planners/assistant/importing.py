@@ -302,7 +302,7 @@ class _Import:
 
     def _prove(self, draft: Draft, contacts: SelfContacts) -> list[str]:
         """Load the folder as the server does, and plan a motion in it."""
-        problems = robot_folder.problems(self._folder)
+        problems = robot_folder.problems(str(self._folder))
         if problems:
             raise AssistantError(f"the folder that was made cannot be used: {'; '.join(problems)}")
         robot = robot_folder.load(self._folder).model

@@ -29,7 +29,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def test_the_folder_loads_without_a_problem(imported):
     out, _, _ = imported
-    assert list(robot_folder.problems(out)) == []
+    assert list(robot_folder.problems(str(out))) == []
     arm = robot_folder.load(out).model
     assert arm.groups["arm"].joints == ("turn", "lift", "bend", "roll")
     assert arm.tip_link == "tool_point"

@@ -36,6 +36,7 @@ FOREIGN = (
     "ros2 ",
     "docker ",
     "socat ",
+    "lerobot-calibrate ",
 )
 
 # Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.

@@ -26,6 +26,8 @@ ALLOWED = {
         "planners.problem",
         "planners.files.problem_file",
         "planners.files.plan_command",
+        "planners.assistant",
+        "planners.errors",
         "planners.pool",
         "planners.pool_host",
         "planners.shared_pool",

@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from planners.checks import check_group
 from planners.ik.constraints import ROTATION_ARM_M, rotation
-from planners.ik.goal_checks import check_constraints, invalid_goal
-from planners.problem import Arc, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
+from planners.ik.goal_checks import check_constraints, check_link, invalid_goal
+from planners.problem import Arc, CartesianProblem, Line, PlanningFailure
 from planners.scene import Pose
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
@@ -194,14 +194,13 @@ def _is_corner(first: _Piece, second: _Piece) -> bool:
 
 def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure | None:
     """Check names and numbers of a problem."""
-    refusal = check_group(robot, problem.group) or check_constraints(robot, problem.path_constraints)
+    refusal = (
+        check_group(robot, problem.group)
+        or check_constraints(robot, problem.path_constraints)
+        or check_link(robot, problem.link)
+    )
     if refusal is not None:
         return refusal
-    if problem.link not in robot.links:
-        known = ", ".join(robot.links)
-        return PlanningFailure(
-            MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {problem.link!r}; it has: {known}"
-        )
     flaw = next(_flaws(problem), None)
     return None if flaw is None else invalid_goal(flaw)
 

@@ -379,7 +379,13 @@ class _Reader:
     def _tip_link(self, where: str) -> str:
         if self._group not in self._robot.groups:
             raise self._wrong(where, f"is for the tip of group {self._group!r}, which the robot does not have")
-        return self._robot.groups[self._group].tip_link
+        tip = self._robot.groups[self._group].tip_link
+        if not tip:
+            raise self._wrong(
+                where,
+                f"is for the tip of group {self._group!r}, which has none: its joints are not one chain; name a link",
+            )
+        return tip
 
     def _goal_of_kind(self, where: str, said: Mapping[str, Any]) -> Goal:
         if list(said) == [_ANY_OF] and isinstance(said[_ANY_OF], list):

@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.contacts import (
+    MESH_EXCUSE_M,
     Broadphase,
     ExactShapes,
     Parts,
@@ -402,8 +403,9 @@ class CollisionModel:
         depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m if names in allowed else -margin_m
         if names in allowed and -self._broadphase.distance_m(pair) <= depth_m:
             return True
-        if names in allowed and self._exact.solid and not names & self._scaled:
-            return not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair]))
+        by_parts = names in allowed and self._exact.solid and not names & self._scaled
+        if by_parts and not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
+            return True
         return names in by_mesh and self._apart_by_mesh(pair, margin_m)
 
     def _overlap_m(self, pair: int) -> float:
@@ -436,7 +438,22 @@ class CollisionModel:
         names = self._names(pair)
         if not self._exact.available or names & self._scaled:
             return False
-        return not nearer_than(*self._parts_of_pair(pair), margin_m + float(self._apart_m[pair]))
+        margin_m += float(self._apart_m[pair])
+        parts = self._parts_of_pair(pair)
+        if not nearer_than(*parts, margin_m):
+            return True
+        if not self._exact.meshes or deeper_than(*parts, MESH_EXCUSE_M):
+            return False
+        return not nearer_than(*self._meshes_of_pair(pair), margin_m)
+
+    def _meshes_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
+        first, second = self._pairs[pair].tolist()
+        return *self._meshes_of(first), *self._meshes_of(second)
+
+    def _meshes_of(self, index: int) -> tuple[Parts, pin.SE3]:
+        parts, place = self._exact_parts(index)
+        body = self._bodies[index]
+        return (self._exact.meshes.get(body.name, parts) if body.is_link else parts), place
 
     def _parts_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
         first, second = self._pairs[pair].tolist()

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planners.errors import ShapeError
 from planners.geometry.kinematics import JointMap
 from planners.geometry.nearness import BoundingSpheres, Nearest, slope_m_per_rad
 from planners.geometry.shapes import convex, link_name, on_link, outline, urdf_shapes
@@ -27,6 +28,12 @@ GJK_TOLERANCE = 1e-9
 # With a margin of exactly 0 coal calls one in a thousand pairs free that overlap by centimetres and whose faces are
 # parallel, as those of an arm in its zero position and of boxes are; with any other margin none of 27 000.
 CONTACT_M = 1e-6
+
+
+# Parts that overlap deeper than this touch, whatever the meshes say: those are surfaces, which do not touch what is
+# wholly inside one. Two links' parts within 3 mm of their meshes overlap by 6 mm at most where the meshes are apart,
+# but for grooves that another link reaches into [m].
+MESH_EXCUSE_M = 0.01
 
 
 class Broadphase:
@@ -211,7 +218,7 @@ def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
 
 
 class ExactShapes:
-    """A robot's links closer than their hulls: in convex parts where these are known, else the URDF's own meshes.
+    """A robot's links closer than their hulls: in convex parts where these are known, and as the URDF's own meshes.
 
     All are made at once: their 0.1 s, with the SO-101's meshes 1.4 s, would come in the middle of a plan otherwise.
     Meshes are surfaces: what is wholly inside one does not touch it.
@@ -224,27 +231,47 @@ class ExactShapes:
     Attributes:
         available: whether there are any.
         solid: whether they are parts: of these it is known how deep they overlap.
+        meshes: shapes of the URDF of each link, which are closer than its parts; empty for a robot without parts or
+            without meshes.
     """
 
     def __init__(self, robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None) -> None:
         self._robot, self._model = robot, model
         self.solid = bool(robot.parts)
-        self.available = self.solid or (not robot.hulls and "<mesh" in robot.urdf)
-        if exact is None and self.available and not self.solid:
-            exact = urdf_shapes(robot, model)
+        has_meshes = "<mesh" in robot.urdf
+        self.available = self.solid or (not robot.hulls and has_meshes)
+        if exact is None and self.available and has_meshes:
+            exact = self._from_urdf()
+        self.meshes = _by_link(model, exact or ()) if self.solid and has_meshes else {}
         self._links = self._load(exact or ()) if self.available else {}
 
     def of_link(self, link: str) -> Parts:
         """The shapes of a link."""
         return self._links[link]
 
+    def _from_urdf(self) -> list[pin.GeometryObject]:
+        try:
+            return urdf_shapes(self._robot, self._model)
+        except ShapeError:
+            # Hulls and parts do without the meshes that they were made of.
+            if self.solid:
+                return []
+            raise
+
     def _load(self, exact: Sequence[pin.GeometryObject]) -> dict[str, Parts]:
-        links: dict[str, list[pin.GeometryObject]] = {}
-        for link, parts in self._robot.parts.items():
-            links[link] = [on_link(self._model, link, convex(vertices)) for vertices in parts]
-        for shape in exact if not self.solid else ():
-            links.setdefault(link_name(self._model, shape), []).append(shape)
-        return {name: parts_of(shapes) for name, shapes in links.items()}
+        if not self.solid:
+            return _by_link(self._model, exact)
+        return {
+            link: parts_of([on_link(self._model, link, convex(vertices)) for vertices in parts])
+            for link, parts in self._robot.parts.items()
+        }
+
+
+def _by_link(model: pin.Model, shapes: Iterable[pin.GeometryObject]) -> dict[str, Parts]:
+    links: dict[str, list[pin.GeometryObject]] = {}
+    for shape in shapes:
+        links.setdefault(link_name(model, shape), []).append(shape)
+    return {name: parts_of(found) for name, found in links.items()}
 
 
 def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:

@@ -176,12 +176,23 @@ def _orientation_constraint_flaws(robot: RobotModel, constraint: OrientationCons
         yield from _tolerance_flaws("orientation", tolerance_rad, "rad")
 
 
-def _link_flaws(robot: RobotModel, link: str) -> Iterator[PlanningFailure]:
-    if link not in robot.links:
-        known = ", ".join(robot.links)
-        yield PlanningFailure(
-            MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {link!r}; it has: {known}", {"link": link}
+def check_link(robot: RobotModel, link: str) -> PlanningFailure | None:
+    """Tell whether there is a link of this name, and a name: a group whose joints are not one chain has no tip."""
+    if link in robot.links:
+        return None
+    known = ", ".join(robot.links)
+    message = f"the robot has no link {link!r}; it has: {known}"
+    if not link:
+        message = (
+            f"the robot has no link '': a group whose joints are not one chain has no tip, so name one of: {known}"
         )
+    return PlanningFailure(MoveItErrorCode.INVALID_LINK_NAME, message, {"link": link})
+
+
+def _link_flaws(robot: RobotModel, link: str) -> Iterator[PlanningFailure]:
+    flaw = check_link(robot, link)
+    if flaw is not None:
+        yield flaw
 
 
 def _point_flaws(point: Sequence[float], what: str, unit: str) -> Iterator[PlanningFailure]:

@@ -1,4 +1,4 @@
-"""Commands on descriptions of arms: ``armbridge robot check`` and ``robot list``."""
+"""Commands on descriptions of arms: ``armbridge robot check``, ``robot list`` and ``robot import``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import argparse
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from server.commands.options import Subparsers
+from server.commands.robot_import import add_parser
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
 
 
@@ -14,7 +15,7 @@ def add_robot_parser(subparsers: Subparsers) -> None:
     """Describe the commands."""
     parser = subparsers.add_parser(
         "robot",
-        help="check the folder of an arm, and list the built-in ones",
+        help="make or check the folder of an arm, and list the built-in ones",
         description="Arms are folders with a robot.toml, a URDF and an SRDF (docs/robots.md).",
     )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
@@ -30,6 +31,7 @@ def add_robot_parser(subparsers: Subparsers) -> None:
         "list", help="list the built-in arms", description="List the built-in arms.", epilog=EXIT_CODES
     )
     listed.set_defaults(run=run_list)
+    add_parser(actions)
     for described in actions.choices.values():
         described.set_defaults(usage=described.format_usage())
 

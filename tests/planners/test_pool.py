@@ -370,6 +370,33 @@ async def test_a_robot_that_no_worker_can_load_is_told() -> None:
     assert "planning is not available" in answer.message
 
 
+async def test_the_wait_for_a_worker_ends_with_the_reason_where_the_robot_is_refused() -> None:
+    broken_robot = made_of(dataclasses.replace(so101(), urdf="<robot/>"))
+    await broken_robot.start()
+    reason = await asyncio.wait_for(broken_robot.wait_until_loaded(), 60.0)
+    await broken_robot.close()
+    assert reason == broken_robot.load_failure
+    assert reason
+
+
+async def test_the_wait_for_a_worker_ends_when_one_takes_requests() -> None:
+    pool = made_of(so101())
+    await pool.start()
+    assert pool.loaded_count == 0
+    assert await asyncio.wait_for(pool.wait_until_loaded(), 60.0) is None
+    assert pool.loaded_count == 1
+    await pool.close()
+
+
+async def test_the_wait_for_a_worker_ends_where_the_pool_is_closed() -> None:
+    pool = made_of(so101())
+    await pool.start()
+    waiting = asyncio.create_task(pool.wait_until_loaded())
+    await asyncio.sleep(0)
+    await pool.close()
+    assert await asyncio.wait_for(waiting, 5.0) is None
+
+
 async def test_after_failed_starts_requests_wait_for_the_next_worker_that_loads(
     both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -32,7 +32,8 @@ def test_a_worker_starts_without_what_a_plain_goal_does_not_need(loaded_by_a_wor
 @pytest.fixture(scope="module")
 def loaded_by_a_worker() -> list[str]:
     return output_of(
-        "import sys; from planners import worker; from robot.description import model; worker.Planner(so101());"
+        "import sys; from pathlib import Path; from planners import worker; from robot.description import model;"
+        "arm = Path('robot/arms/so101'); worker.Planner(model.load(arm / 'so101.urdf', arm / 'so101.srdf'));"
         "print(*sys.modules)"
     )
 
@@ -69,13 +70,13 @@ import asyncio, os
 from planners import pool as pool_module
 from planners.pool import PlannerPool
 from tests.helpers.motions import broken
-from robot.description import model
+from tests.helpers.robots import so101
 async def serve():
     pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(so101())
     await pool.start()
     asking = asyncio.create_task(pool.ask(broken({broken_planner.NATIVE_LOOP!r})))
-    while pool.idle_count != 1:
+    while pool.idle_count != 1 or len(pool.pids) != 2:
         await asyncio.sleep(0.01)
     await asyncio.sleep(0.1)
     print(*pool.pids, flush=True)

@@ -1,1 +1,0 @@
-"""The part of scipy that is used here."""

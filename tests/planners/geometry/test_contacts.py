@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -267,3 +269,39 @@ def _on_surface(mesh, rng, count):
 
 def _box(*size_m, at_x):
     return pin.GeometryObject("box", 0, pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.0])), coal.Box(*size_m))
+
+
+@pytest.fixture
+def crane_with_part(crane):
+    """The crane whose boom has a hull and a part, both around the whole of its mesh."""
+    hull = convex(np.array(TRIANGLES_M).reshape(-1, 3))
+    vertices = np.asarray(hull.points())
+    boom = model.Hull(vertices, np.zeros((0, 3), dtype=np.int32))
+    return replace(crane, hulls={"boom": boom}, parts={"boom": (vertices,)})
+
+
+def test_what_touches_a_part_by_little_is_asked_of_the_mesh(crane_with_part):
+    collision, q = CollisionModel(crane_with_part), np.zeros(3)
+    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.29)))
+    assert collision.in_collision(q)
+    assert not collision.collides(q)
+    assert collision.colliding_pairs(q) == []
+    assert collision.tight_pairs(q) == {BETWEEN}
+
+
+def test_what_is_deep_in_a_part_is_no_question_for_its_surface(crane_with_part):
+    collision, q = CollisionModel(crane_with_part), np.zeros(3)
+    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)))
+    assert collision.collides(q)
+
+
+def test_what_touches_part_and_mesh_is_a_contact(crane_with_part):
+    collision, q = CollisionModel(crane_with_part), np.zeros(3)
+    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.285, 0.005, 0.275)))
+    assert collision.collides(q)
+
+
+def test_a_part_stands_where_its_mesh_is_missing(crane_with_part):
+    collision, q = CollisionModel(replace(crane_with_part, mesh_directory=None)), np.zeros(3)
+    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.29)))
+    assert collision.collides(q)

@@ -152,3 +152,10 @@ def test_joint_goal_may_exceed_a_limit_by_rounding_only(robot, arm):
     upper = robot.joints["elbow_flex"].upper
     assert check_goal(robot, arm, JointGoal({"elbow_flex": upper + 0.009}, tolerance_rad=0.01)) is None
     assert check_goal(robot, arm, JointGoal({"elbow_flex": upper + 0.011}, tolerance_rad=0.01))
+
+
+@pytest.mark.parametrize("goal", [POINT, AXIS, POSE], ids=["point", "axis", "pose"])
+def test_a_goal_for_the_tip_of_a_group_that_has_none_is_told_to_name_a_link(robot, arm, goal):
+    refusal = check_goal(robot, arm, dataclasses.replace(goal, link=""))
+    assert refusal.code is MoveItErrorCode.INVALID_LINK_NAME
+    assert "a group whose joints are not one chain has no tip" in refusal.message

@@ -131,9 +131,7 @@ def test_an_option_that_emulated_dynamixel_servos_do_not_have_is_refused(name: s
 def test_a_calibration_of_a_koch_may_have_whole_turns_in_its_homing_offsets(tmp_path: Path) -> None:
     joints = tuple(replace(joint, homing_offset=-7000) for joint in dynamixel.CALIBRATION.joints)
     save(Calibration(joints), tmp_path / "koch.json")
-    on_port = hardware_of(
-        arm=ArmSettings(robot="koch_v1_1", serial="/dev/arm", calibration=tmp_path / "koch.json")
-    )
+    on_port = hardware_of(arm=ArmSettings(robot="koch_v1_1", serial="/dev/arm", calibration=tmp_path / "koch.json"))
     assert isinstance(on_port, DynamixelConfig)
     assert on_port.calibration.joints == joints
     assert on_port.calibration.zero_is_known

@@ -1,0 +1,345 @@
+"""Convex parts of a mesh: its hull where that is close enough, else the hulls of what planes across the axes leave.
+
+The part that stands out of the mesh furthest is cut next, where that saves most volume, until no part stands out by
+more than the tolerance; then parts that have a common hull within the tolerance are joined. Triangles are clipped at
+the planes and hulls only ever grow afterwards, so the parts always cover the surface. CoACD (Wei et al. 2022), whose
+measure is a concavity that also counts volume, gave 41 parts that stand out by 4.0 mm for the SO-101's lower arm in
+120 s; this gave 15 within 2.5 mm in 20 s, and for a UR5's forearm 10 within 2.7 mm instead of 29 within 7.9 mm.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from planners.assistant.surface import (
+    INSIDE,
+    ConvexPart,
+    Deviation,
+    Surface,
+    components,
+    measure,
+    sample,
+    sample_with_normals,
+)
+from robot.trajectory import Vector
+
+# Deviation that parts may have from their mesh [m].
+TOLERANCE_M = 0.003
+
+# Parts are cut to this share of the tolerance, the rest is for points between the samples; to the next one where the
+# finer measurement afterwards finds more.
+RESERVES = (0.85, 0.65, 0.45)
+
+# Parts that one mesh gets at most.
+MAX_PARTS = 128
+
+# CPU time for one mesh [s].
+MAX_TIME_S = 120.0
+
+# Triangles of a mesh: time and memory grow with them.
+MAX_TRIANGLES = 500_000
+
+# Corners of a part; one with more is enclosed by planes across as few of these numbers of directions as will do.
+MAX_CORNERS = 48
+DIRECTIONS = (42, 80, 126)
+
+# Points of the surface that distances are measured to, and points that tell inside from outside.
+REFERENCE_POINTS = 60_000
+DIPOLES = 3_000
+
+# Points on a part at which it is measured, and at which cuts are compared.
+PART_POINTS = 600
+CUT_POINTS = 500
+
+# Points whose winding number is computed at a time, the farthest first.
+WINDING_CHUNK = 64
+
+# Places of the cuts that are compared along each axis, as shares of the part's length.
+CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)
+
+# Tries to join two parts, a part: of the pairs that would grow least.
+JOIN_TRIES = 3
+
+# A thinner slice is not cut off [m].
+MIN_SLICE_M = 0.001
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of a decomposition.
+
+    Attributes:
+        tolerance_m: deviation to reach [m].
+        max_parts: parts of a mesh.
+        max_time_s: CPU time for a mesh [s].
+        seed: of the samples.
+        clock: CPU time [s]: a busy machine makes the same parts, later.
+    """
+
+    tolerance_m: float = TOLERANCE_M
+    max_parts: int = MAX_PARTS
+    max_time_s: float = MAX_TIME_S
+    seed: int = 0
+    clock: Callable[[], float] = field(default=time.process_time)
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Convex parts of a mesh, and their deviation from it."""
+
+    parts: tuple[ConvexPart, ...]
+    deviation: Deviation
+
+
+class Reference:
+    """Surface that parts are compared with.
+
+    Args:
+        surface: the whole mesh.
+        random: draws the samples.
+    """
+
+    def __init__(self, surface: Surface, random: np.random.Generator) -> None:
+        self._random = random
+        self._tree = cKDTree(sample(surface, REFERENCE_POINTS, random))
+        places, normals = sample_with_normals(surface, DIPOLES, random)
+        # Half the digits are enough to tell inside from outside, and take half the time.
+        self._middle = places.mean(axis=0)
+        self._places = (places - self._middle).astype(np.float32)
+        self._normals = (normals * (surface.area_m2 / DIPOLES)).astype(np.float32)
+        self._squares = (self._places**2).sum(axis=1)
+        self._heights = (self._places * self._normals).sum(axis=1)
+
+    def stands_out_m(self, part: ConvexPart, beyond_m: float, count: int = PART_POINTS) -> float:
+        """Return how far a part stands out of the surface [m]; 0 where that is not beyond a distance [m]."""
+        points_m = np.vstack((part.vertices_m, sample(part.surface, count, self._random)))
+        distances_m, _ = self._tree.query(points_m)
+        order = np.argsort(-distances_m)
+        order = order[distances_m[order] > beyond_m]
+        for start in range(0, len(order), WINDING_CHUNK):
+            chunk = order[start : start + WINDING_CHUNK]
+            outside = chunk[self._winding(points_m[chunk]) < INSIDE]
+            if len(outside):
+                return float(distances_m[outside[0]])
+        return 0.0
+
+    def _winding(self, points_m: Vector) -> Vector:
+        """Return the winding number of points off the surface, by dipoles (Barill et al. 2018, eq. 7)."""
+        points = (points_m - self._middle).astype(np.float32)
+        squares = (points**2).sum(axis=1)[:, np.newaxis] + self._squares - 2.0 * points @ self._places.T
+        heights = self._heights - points @ self._normals.T
+        squares = np.maximum(squares, 1e-9)
+        turns: Vector = np.abs((heights / (squares * np.sqrt(squares))).sum(axis=1)) / (4.0 * np.pi)
+        return turns
+
+
+def decompose(surface: Surface, limits: Limits) -> Decomposition:
+    """Find convex parts that cover a surface and stand out of it by no more than the tolerance.
+
+    Args:
+        surface: with at most :data:`MAX_TRIANGLES` triangles.
+        limits: bounds; the closest parts found within them are returned.
+    """
+    until_s = limits.clock() + limits.max_time_s
+    reference = Reference(surface, np.random.default_rng(limits.seed))
+    pieces = components(surface)
+    hulls = _without_contained([ConvexPart(piece.vertices_m) for piece in pieces])
+    separate = [piece.corners_m for piece in pieces if not _inside_one(piece, hulls)]
+    start = separate if len(hulls) < limits.max_parts else [surface.corners_m]
+    found: list[Decomposition] = []
+    for reserve in RESERVES:
+        parts = _found(surface, start, reference, reserve * limits.tolerance_m, limits, until_s)
+        found.append(Decomposition(tuple(parts), measure(surface, parts, np.random.default_rng(limits.seed))))
+        if found[-1].deviation.greatest_m <= limits.tolerance_m or limits.clock() >= until_s:
+            break
+    return min(found, key=lambda each: each.deviation.greatest_m)
+
+
+def _found(
+    surface: Surface,
+    start: Sequence[Vector],
+    reference: Reference,
+    target_m: float,
+    limits: Limits,
+    until_s: float,
+) -> list[ConvexPart]:
+    """Return parts that stand out by no more than a target where the bounds allow it; arguments as for :func:`_cut`."""
+    whole = ConvexPart(surface.vertices_m)
+    if reference.stands_out_m(whole, target_m, 4 * PART_POINTS) == 0.0:
+        parts = [whole]
+    else:
+        # Corners are the cost of joining parts, so they go first.
+        cut = _without_contained(_cut(start, reference, target_m, limits, until_s))
+        parts = _joined([_simpler(part, reference, target_m) for part in cut], reference, target_m, limits, until_s)
+    return [_simpler(part, reference, target_m) for part in _without_contained(parts)]
+
+
+def _cut(
+    pieces: Sequence[Vector], reference: Reference, target_m: float, limits: Limits, until_s: float
+) -> list[ConvexPart]:
+    """Return the parts that pieces are cut into.
+
+    Args:
+        pieces: corners of the triangles of each piece, shape (m, 3, 3) [m].
+        reference: the whole surface.
+        target_m: how far parts may stand out [m].
+        limits: bounds.
+        until_s: end of the time.
+    """
+    done: list[ConvexPart] = []
+    waiting: list[tuple[float, int, Vector, ConvexPart]] = []
+
+    def add(corners_m: Vector) -> None:
+        part = ConvexPart(corners_m.reshape(-1, 3))
+        out_m = reference.stands_out_m(part, target_m)
+        if out_m <= target_m:
+            done.append(part)
+        else:
+            heapq.heappush(waiting, (-out_m, len(done) + len(waiting), corners_m, part))
+
+    numbered = iter(range(1 << 30))
+    for piece in pieces:
+        add(piece)
+    while waiting and len(done) + len(waiting) < limits.max_parts and limits.clock() < until_s:
+        _, _, corners_m, part = heapq.heappop(waiting)
+        place = _best_cut(corners_m, part, np.random.default_rng((limits.seed, next(numbered))))
+        if place is None:
+            done.append(part)
+            continue
+        for side in clipped(corners_m, *place):
+            add(side)
+    return done + [part for _, _, _, part in waiting]
+
+
+def _best_cut(corners_m: Vector, part: ConvexPart, random: np.random.Generator) -> tuple[int, float] | None:
+    """Return axis and place of the cut whose two hulls have the least volume; None for a part too small to cut."""
+    vertices = corners_m.reshape(-1, 3)
+    hull_points = random.choice(part.vertices_m, min(CUT_POINTS // 4, len(part.vertices_m)), replace=False)
+    points = np.vstack((hull_points, sample(_soup(corners_m), CUT_POINTS, random)))
+    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    best: tuple[float, int, float] | None = None
+    for axis in range(3):
+        if upper[axis] - lower[axis] < 2.0 * MIN_SLICE_M:
+            continue
+        for share in CUTS:
+            place = float(lower[axis] + share * (upper[axis] - lower[axis]))
+            below = points[:, axis] <= place
+            volume = _volume(points[below]) + _volume(points[~below])
+            if best is None or volume < best[0]:
+                best = volume, axis, place
+    return None if best is None else best[1:]
+
+
+def clipped(corners_m: Vector, axis: int, place_m: float) -> list[Vector]:
+    """Cut triangles at a plane across an axis; return the corners of those below and above, shape (m, 3, 3) each."""
+    above = corners_m[:, :, axis] > place_m
+    count = above.sum(axis=1)
+    sides: list[list[Vector]] = [[corners_m[count == 0]], [corners_m[count == 3]]]
+    for upper in (False, True):
+        lone = count == (1 if upper else 2)
+        crossing, alone = corners_m[lone], (above[lone] == upper).argmax(axis=1)
+        rows = np.arange(len(crossing))
+        a, b, c = (crossing[rows, (alone + k) % 3] for k in range(3))
+        ab, ac = (_crossed(a, other, axis, place_m) for other in (b, c))
+        sides[upper].append(np.stack((a, ab, ac), axis=1))
+        sides[not upper] += [np.stack((ab, b, c), axis=1), np.stack((ab, c, ac), axis=1)]
+    return [found for found in (np.concatenate(side) for side in sides) if len(found)]
+
+
+def _crossed(a: Vector, b: Vector, axis: int, place_m: float) -> Vector:
+    share = (place_m - a[:, axis]) / (b[:, axis] - a[:, axis])
+    points: Vector = a + share[:, np.newaxis] * (b - a)
+    points[:, axis] = place_m
+    return points
+
+
+def _soup(corners_m: Vector) -> Surface:
+    return Surface(corners_m.reshape(-1, 3), np.arange(3 * len(corners_m)).reshape(-1, 3))
+
+
+def _volume(points_m: Vector) -> float:
+    try:
+        return float(ConvexHull(points_m).volume)
+    except (QhullError, ValueError):
+        return 0.0
+
+
+def _joined(
+    parts: Sequence[ConvexPart], reference: Reference, target_m: float, limits: Limits, until_s: float
+) -> list[ConvexPart]:
+    """Return parts in which two that have a common hull within the target are one; those that grow least first."""
+    alive = dict(enumerate(parts))
+    volumes = {index: _volume(part.vertices_m) for index, part in alive.items()}
+    waiting = [
+        (growth, i, j) for i in alive for j in alive if i < j if (growth := _growth(alive, volumes, i, j)) is not None
+    ]
+    heapq.heapify(waiting)
+    tries = JOIN_TRIES * len(parts)
+    while waiting and tries and limits.clock() < until_s:
+        _, i, j = heapq.heappop(waiting)
+        if i not in alive or j not in alive:
+            continue
+        tries -= 1
+        union = ConvexPart(np.vstack((alive[i].vertices_m, alive[j].vertices_m)))
+        if reference.stands_out_m(union, target_m) > 0.0:
+            continue
+        del alive[i], alive[j]
+        index = len(volumes)
+        volumes[index], alive[index] = _volume(union.vertices_m), union
+        for other in list(alive)[:-1]:
+            if (growth := _growth(alive, volumes, other, index)) is not None:
+                heapq.heappush(waiting, (growth, other, index))
+    return list(alive.values())
+
+
+def _growth(alive: dict[int, ConvexPart], volumes: dict[int, float], i: int, j: int) -> float | None:
+    """Return the volume that the hull of two parts has beyond theirs [m3]; None for parts that are apart."""
+    first, second = alive[i].vertices_m, alive[j].vertices_m
+    gap = np.maximum(first.min(axis=0) - second.max(axis=0), second.min(axis=0) - first.max(axis=0))
+    if gap.max() > MIN_SLICE_M:
+        return None
+    return _volume(np.vstack((first, second))) - volumes[i] - volumes[j]
+
+
+def _simpler(part: ConvexPart, reference: Reference, target_m: float) -> ConvexPart:
+    """Return a part that encloses another one with fewer corners where it stands out no further than the target."""
+    if len(part.vertices_m) <= MAX_CORNERS:
+        return part
+    allowed_m = max(target_m, reference.stands_out_m(part, target_m))
+    for count in DIRECTIONS:
+        wider = part.within(evenly_spread(count))
+        if reference.stands_out_m(wider, allowed_m) == 0.0:
+            return wider
+    return part
+
+
+def _inside_one(piece: Surface, hulls: Sequence[ConvexPart]) -> bool:
+    """Tell whether a piece is wholly inside a hull that is not its own: of a screw in a hole."""
+    own = np.ptp(piece.vertices_m, axis=0)
+    return any(
+        np.any(np.ptp(hull.vertices_m, axis=0) > own) and hull.depth_m(piece.vertices_m).max() < 0.0 for hull in hulls
+    )
+
+
+def _without_contained(parts: Sequence[ConvexPart]) -> list[ConvexPart]:
+    """Return the parts that are not wholly inside another one."""
+    kept: list[ConvexPart] = []
+    for part in sorted(parts, key=lambda each: -float(np.prod(np.ptp(each.vertices_m, axis=0)))):
+        if not any(other.depth_m(part.vertices_m).max() <= 0.0 for other in kept):
+            kept.append(part)
+    return kept
+
+
+def evenly_spread(count: int) -> Vector:
+    """Return unit vectors, shape (count, 3): the six along the axes, those of a Fibonacci lattice otherwise."""
+    i = np.arange(count - 6) + 0.5
+    z = 1.0 - 2.0 * i / (count - 6)
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * i
+    ring = np.sqrt(1.0 - z**2)
+    return np.vstack((np.eye(3), -np.eye(3), np.stack((ring * np.cos(angle), ring * np.sin(angle), z), axis=1)))

@@ -1,0 +1,347 @@
+"""Import of a URDF: a robot folder that can be served, made in steps, checked, and put in place as a whole."""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from planners.assistant import picture
+from planners.assistant.decomposition import MAX_PARTS, MAX_TIME_S, TOLERANCE_M, Limits
+from planners.assistant.draft import ARM, Draft, robot_toml, srdf
+from planners.assistant.errors import AssistantError
+from planners.assistant.gripper import GripperDraft, draft_gripper
+from planners.assistant.link_shapes import (
+    LinkParts,
+    LinkShape,
+    convex_links,
+    link_shapes,
+    parts_in_link,
+    primitive_points,
+    shapes_in_link,
+    surface_of,
+)
+from planners.assistant.pairs import NEVER, SelfContacts, free_state, unchecked_pairs
+from planners.assistant.staging import copy_meshes, parse_urdf
+from planners.assistant.structure import Structure, Tree, find_structure
+from planners.assistant.surface import ConvexPart, Surface, sample
+from planners.geometry.shapes import enclosing
+from planners.goals import JointGoal
+from planners.pipeline import Planner
+from planners.problem import Plan, PlanningProblem
+from robot.description import model, robot_file, robot_folder
+from robot.description.model import RobotModel
+from robot.description.urdf import MOVABLE_TYPES
+from robot.trajectory import Vector
+
+SAMPLES = 20_000
+MAX_SAMPLES = 1_000_000
+
+# Draws of a home that touches nothing, and of goals of the plan that proves the folder.
+HOME_TRIES = 2_000
+PROOF_TRIES = 5
+
+# Points on a finger and on the hand that their distance is taken from.
+GRIPPER_POINTS = 300
+
+# Digits of the shapes' coordinates: 10 um.
+DIGITS = 5
+
+PICTURE = "parts.png"
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Options of an import.
+
+    Attributes:
+        urdf: the URDF.
+        out: folder to make.
+        packages: folders for ``package://``.
+        base: first link of the arm; None for the root.
+        tip: last link of the arm; None to find it.
+        samples: states drawn for the pairs.
+        seed: of all draws: same files and options, same folder.
+        convex: whether convex parts are made; else the meshes are checked themselves.
+        overwrite: whether a robot folder that is there is replaced.
+    """
+
+    urdf: Path
+    out: Path
+    packages: tuple[Path, ...] = ()
+    base: str | None = None
+    tip: str | None = None
+    samples: int = SAMPLES
+    seed: int = 0
+    convex: bool = True
+    overwrite: bool = False
+
+
+def default_folder(urdf: Path) -> Path:
+    """Return the folder that a URDF is imported to: the robot's name, in the working directory.
+
+    Raises:
+        AssistantError: the URDF cannot be read.
+    """
+    return Path(_file_name(parse_urdf(urdf).get("name", urdf.stem)))
+
+
+def import_robot(options: ImportOptions, say: Callable[[str], None]) -> list[str]:
+    """Make a robot folder of a URDF; nothing is left of an import that fails or is interrupted.
+
+    Args:
+        options: options.
+        say: takes a line of progress.
+
+    Returns:
+        Lines about the folder: files and all that should be looked at.
+
+    Raises:
+        AssistantError: the import cannot be done.
+        DescriptionError: the URDF does not describe an arm, or a mesh is missing.
+        ShapeError: a mesh cannot be loaded.
+        OSError: a file cannot be read or written.
+    """
+    if not 1 <= options.samples <= MAX_SAMPLES:
+        raise AssistantError(f"--samples {options.samples}: must be from 1 to {MAX_SAMPLES}")
+    out = options.out.absolute()
+    _check_target(out, options.overwrite)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{out.name}.import-", dir=out.parent) as scratch:
+        folder = Path(scratch) / out.name
+        folder.mkdir()
+        lines = _Import(options, folder, say).run()
+        # Two names of one folder system: either the old folder is there or the new one.
+        if out.exists():
+            out.rename(Path(scratch) / "replaced")
+        folder.rename(out)
+    return lines
+
+
+def _check_target(out: Path, overwrite: bool) -> None:
+    if not out.exists():
+        return
+    if not overwrite:
+        raise AssistantError(f"{out} is there already: give another folder by --out, or --overwrite to replace it")
+    if not (out / robot_file.FILE_NAME).is_file():
+        raise AssistantError(
+            f"{out} has no {robot_file.FILE_NAME}, so it is no robot folder and is not replaced: give another --out"
+        )
+
+
+class _Import:
+    """One import, step by step.
+
+    Args:
+        options: options.
+        folder: empty folder that gets the files.
+        say: takes a line of progress.
+    """
+
+    def __init__(self, options: ImportOptions, folder: Path, say: Callable[[str], None]) -> None:
+        self._options, self._folder, self._say = options, folder, say
+        self._notes: list[str] = []
+
+    def run(self) -> list[str]:
+        """Make the files; return lines about them."""
+        options, folder = self._options, self._folder
+        root = parse_urdf(options.urdf)
+        name = _file_name(root.get("name", options.urdf.stem))
+        count = copy_meshes(root, options.urdf, options.packages, folder)
+        urdf_name, srdf_name = f"{name}.urdf", f"{name}.srdf"
+        (folder / urdf_name).write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8")
+        self._say(f"{options.urdf}: {len(root.findall('link'))} links, {count} meshes")
+        robot = self._parse(root, urdf_name)
+        shapes = link_shapes(robot)
+        self._note_bare_links(root, shapes)
+        tree = Tree(robot.links, robot.joints)
+        structure = find_structure(tree, frozenset(shapes), options.base, options.tip)
+        self._say(f"arm: {', '.join(structure.arm_joints)}; tip {structure.tip_link}")
+        self._say(f"gripper: {', '.join(structure.gripper_joints) or 'none'}")
+        convex = self._convex(shapes) if options.convex else {}
+        own = {
+            link: parts_in_link(link, convex[link]) if convex else shapes_in_link(link, of_link)
+            for link, of_link in shapes.items()
+        }
+        contacts = SelfContacts(robot, own)
+        draft = self._draft(robot, tree, structure, shapes, contacts)
+        (folder / srdf_name).write_text(srdf(draft), encoding="utf-8")
+        written = [f"{urdf_name}: the URDF, its {count} meshes beside it", f"{srdf_name}: groups, named states, pairs"]
+        files = {}
+        if convex:
+            files = {"hulls": "hulls.json", "parts": "parts.json"}
+            self._write_shapes(convex)
+            written.append(f"hulls.json, parts.json: {sum(len(each.parts) for each in convex.values())} convex parts")
+        text = robot_toml(draft, urdf_name, srdf_name, files)
+        (folder / robot_file.FILE_NAME).write_text(text, encoding="utf-8")
+        written.append(f"{robot_file.FILE_NAME}: read its lines with CHECK")
+        if convex:
+            self._draw(shapes, convex, contacts, draft)
+            written.append(f"{PICTURE}: the meshes beside the parts")
+        return [*written, *self._prove(draft, contacts), *self._notes]
+
+    def _parse(self, root: ET.Element, urdf_name: str) -> RobotModel:
+        """Read the URDF with a provisional SRDF: one group of all joints."""
+        joints = [joint for joint in root.iterfind("joint") if joint.get("type") in MOVABLE_TYPES]
+        own = [joint.get("name", "") for joint in joints if joint.find("mimic") is None]
+        if not own:
+            raise AssistantError(f"{self._options.urdf} has no joint that moves: an arm has some of type revolute")
+        group = ET.Element("robot", name=root.get("name", "robot"))
+        element = ET.SubElement(group, "group", name=ARM)
+        for name in own:
+            ET.SubElement(element, "joint", name=name)
+        provisional = self._folder / "provisional.srdf"
+        provisional.write_text(ET.tostring(group, encoding="unicode"), encoding="utf-8")
+        try:
+            return model.load(self._folder / urdf_name, provisional)
+        finally:
+            provisional.unlink()
+
+    def _convex(self, shapes: Mapping[str, list[LinkShape]]) -> dict[str, LinkParts]:
+        done = 0
+
+        def tell(link: str, found: LinkParts) -> None:
+            nonlocal done
+            done += 1
+            about = f"{len(found.parts)} convex parts"
+            if found.meshes:
+                about += f", at most {1000.0 * found.deviation.greatest_m:.1f} mm from the mesh"
+            self._say(f"link {done} of {len(shapes)}, {link}: {about}")
+            if found.deviation.greatest_m > TOLERANCE_M:
+                self._notes.append(
+                    f"CHECK: the parts of {link} are up to {1000.0 * found.deviation.greatest_m:.1f} mm from its mesh,"
+                    f" more than {1000.0 * TOLERANCE_M:g} mm, within {MAX_PARTS} parts and {MAX_TIME_S:g} s a mesh"
+                )
+
+        return convex_links(shapes, Limits(seed=self._options.seed), tell)
+
+    def _draft(
+        self,
+        robot: RobotModel,
+        tree: Tree,
+        structure: Structure,
+        shapes: Mapping[str, list[LinkShape]],
+        contacts: SelfContacts,
+    ) -> Draft:
+        options = self._options
+        self._say(f"drawing {options.samples} states for the pairs of links")
+        told = 0
+
+        def tell(done: int) -> None:
+            nonlocal told
+            if done == options.samples or done - told >= options.samples // 5:
+                told = done
+                self._say(f"  {done} of {options.samples} states")
+
+        unchecked = unchecked_pairs(contacts, options.samples, options.seed, tell)
+        never = sum(pair.reason == NEVER for pair in unchecked)
+        total = len(contacts.pairs) + len(contacts.adjacent)
+        self._say(f"pairs of links: {total}, of which {len(unchecked)} need no check ({never} never touch)")
+        middle = 0.5 * (contacts.lower + contacts.upper)
+        zero = np.where((contacts.lower <= 0.0) & (contacts.upper >= 0.0), 0.0, middle)
+        home, free = free_state(contacts, unchecked, (zero, middle), HOME_TRIES, options.seed)
+        if not free:
+            self._notes.append(
+                f"CHECK: links touch in every one of {HOME_TRIES} states, home too: the shapes overlap more than the"
+                f" joints' neighbours; look at {PICTURE}"
+            )
+        gripper = self._gripper(robot, tree, structure, shapes, contacts, home)
+        named = dict(zip(contacts.joint_names, home.tolist(), strict=True))
+        return Draft(robot, structure, gripper, named, unchecked, options.samples)
+
+    def _gripper(
+        self,
+        robot: RobotModel,
+        tree: Tree,
+        structure: Structure,
+        shapes: Mapping[str, list[LinkShape]],
+        contacts: SelfContacts,
+        home: Vector,
+    ) -> GripperDraft | None:
+        if not structure.gripper_joints:
+            return None
+        joints = [robot.joints[name] for name in structure.gripper_joints]
+        random = np.random.default_rng(self._options.seed)
+        below = [link for link in tree.links_below(structure.hand_link) if link in shapes]
+        points = {
+            link: np.vstack([sample(surface, GRIPPER_POINTS, random) for surface in _surfaces(link, shapes[link])])
+            for link in below
+        }
+        return draft_gripper(joints, structure.hand_link, tree, points, contacts, home)
+
+    def _write_shapes(self, convex: Mapping[str, LinkParts]) -> None:
+        source = "armbridge robot import: convex parts that cover the <collision> shapes of each link"
+        units = "metres in the link's frame"
+        hulls, parts = {}, {}
+        for link, found in convex.items():
+            rounded = [np.unique(part.vertices_m.round(DIGITS), axis=0) for part in found.parts]
+            parts[link] = [vertices.tolist() for vertices in rounded]
+            hull = ConvexPart(np.asarray(enclosing(np.vstack(rounded)).points()).round(DIGITS))
+            hulls[link] = {"vertices": hull.vertices_m.tolist(), "triangles": hull.surface.triangles.tolist()}
+        for name, links in (("hulls.json", hulls), ("parts.json", parts)):
+            text = json.dumps({"source": source, "units": units, "links": links}, separators=(",", ":"))
+            (self._folder / name).write_text(text + "\n", encoding="utf-8")
+
+    def _draw(
+        self,
+        shapes: Mapping[str, list[LinkShape]],
+        convex: Mapping[str, LinkParts],
+        contacts: SelfContacts,
+        draft: Draft,
+    ) -> None:
+        home = np.array([draft.home[name] for name in contacts.joint_names])
+        meshes = {link: _surfaces(link, of_link) for link, of_link in shapes.items()}
+        parts = {link: [part.surface for part in found.parts] for link, found in convex.items()}
+        picture.draw(self._folder / PICTURE, meshes, parts, contacts.placements(home))
+
+    def _prove(self, draft: Draft, contacts: SelfContacts) -> list[str]:
+        """Load the folder as the server does, and plan a motion in it."""
+        problems = robot_folder.problems(str(self._folder))
+        if problems:
+            raise AssistantError(f"the folder that was made cannot be used: {'; '.join(problems)}")
+        robot = robot_folder.load(self._folder).model
+        planner = Planner(robot)
+        names = robot.groups[ARM].joints
+        refusal = "links touch in all of them"
+        for attempt in range(PROOF_TRIES):
+            goal_state, free = free_state(contacts, draft.unchecked, (), HOME_TRIES, self._options.seed + attempt)
+            if not free:
+                break
+            drawn = dict(zip(contacts.joint_names, goal_state.tolist(), strict=True))
+            goal = JointGoal({name: drawn[name] for name in names})
+            answer = planner.plan(PlanningProblem(ARM, draft.home, goal, seed=self._options.seed))
+            if isinstance(answer, Plan):
+                return [f"checked: loads, and a motion of {answer.trajectory.duration_s:.1f} s from home is planned"]
+            refusal = answer.message
+        return [f"CHECK: no motion from home to one of {PROOF_TRIES} drawn states was found: {refusal}"]
+
+    def _note_bare_links(self, root: ET.Element, shapes: Mapping[str, list[LinkShape]]) -> None:
+        seen = [link.get("name", "") for link in root.iterfind("link") if link.find("visual") is not None]
+        bare = [name for name in seen if name not in shapes]
+        if bare:
+            self._notes.append(
+                f"CHECK: {', '.join(bare)}: these links are seen but have no <collision>, so they may touch anything"
+            )
+
+
+def _surfaces(link: str, shapes: Sequence[LinkShape]) -> list[Surface]:
+    """Return the surfaces of a link's shapes in the link's frame."""
+    found = []
+    for shape in shapes:
+        if shape.mesh is not None:
+            surface = surface_of(link, shape.mesh)
+        else:
+            surface = ConvexPart(primitive_points(shape.geometry)).surface
+        placed = surface.vertices_m @ shape.placement.rotation.T + shape.placement.translation
+        found.append(Surface(placed, surface.triangles))
+    return found
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^a-z0-9_-]+", "_", name.lower()).strip("_") or "robot"

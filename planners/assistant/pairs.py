@@ -1,0 +1,165 @@
+"""Pairs of links that need no collision check, found in uniformly drawn states as MoveIt's Setup Assistant does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, Parts, nearer_than
+from planners.geometry.kinematics import ForwardKinematics
+from planners.geometry.shapes import enclosing, outline
+from robot.description.model import RobotModel
+from robot.trajectory import Vector
+
+# States between two reports of progress.
+BATCH = 500
+
+ADJACENT, NEVER, ALWAYS = "Adjacent", "Never", "Always"
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class UncheckedPair:
+    """Two links whose collision need not be checked, and MoveIt's word for the reason."""
+
+    first: str
+    second: str
+    reason: str
+
+
+class SelfContacts:
+    """Contacts of a robot's links with each other.
+
+    Args:
+        robot: its joints.
+        parts: shapes of each link that has some, in the link's frame.
+
+    Attributes:
+        joint_names: joints of a state.
+        lower: their lower limits, shape (n,) [rad or m].
+        upper: their upper limits, shape (n,) [rad or m].
+        adjacent: pairs that a joint connects, links without shape between them left out.
+        pairs: every other pair of links with shapes.
+    """
+
+    def __init__(self, robot: RobotModel, parts: Mapping[str, Parts]) -> None:
+        self.joint_names = tuple(joint.name for joint in robot.movable_joints)
+        self.lower = np.array([joint.lower for joint in robot.movable_joints])
+        self.upper = np.array([joint.upper for joint in robot.movable_joints])
+        self._forward = ForwardKinematics(robot, self.joint_names)
+        self._parts = parts
+        shaped = [link for link in robot.links if link in parts]
+        self.adjacent = _adjacent(robot, frozenset(parts))
+        self.pairs: list[Pair] = [pair for pair in combinations(shaped, 2) if frozenset(pair) not in self.adjacent]
+        points = {link: np.vstack([outline(shape) for shape in each.shapes]) for link, each in parts.items()}
+        self._middles = {link: 0.5 * (each.min(axis=0) + each.max(axis=0)) for link, each in points.items()}
+        self._radii_m = {
+            link: float(np.linalg.norm(each - self._middles[link], axis=1).max()) for link, each in points.items()
+        }
+        self._hulls = {link: enclosing(each) for link, each in points.items()}
+
+    def draw(self, random: np.random.Generator) -> Vector:
+        """Return a state drawn uniformly within the position limits, shape (n,) [rad or m]."""
+        state: Vector = random.uniform(self.lower, self.upper)
+        return state
+
+    def touching(self, state: Vector, pairs: Collection[Pair]) -> list[Pair]:
+        """Return those of some pairs that touch in a state."""
+        self._forward.place(state)
+        links = {link for pair in pairs for link in pair}
+        at = {link: self._forward.placement(link) for link in links}
+        middles = {link: at[link].act(self._middles[link]) for link in links}
+        return [pair for pair in pairs if self._touch(pair, at, middles)]
+
+    def placements(self, state: Vector) -> dict[str, pin.SE3]:
+        """Return the pose of each link with shapes in the root link's frame."""
+        self._forward.place(state)
+        return {link: self._forward.placement(link) for link in self._parts}
+
+    def _touch(self, pair: Pair, at: Mapping[str, pin.SE3], middles: Mapping[str, Vector]) -> bool:
+        first, second = pair
+        offset = middles[first] - middles[second]
+        if offset @ offset > (self._radii_m[first] + self._radii_m[second] + CONTACT_M) ** 2:
+            return False
+        request, result = coal.CollisionRequest(), coal.CollisionResult()
+        request.gjk_tolerance, request.security_margin = GJK_TOLERANCE, CONTACT_M
+        at_first, at_second = (coal.Transform3s(at[link].rotation, at[link].translation) for link in pair)
+        if not coal.collide(self._hulls[first], at_first, self._hulls[second], at_second, request, result):
+            return False
+        return nearer_than(self._parts[first], at[first], self._parts[second], at[second], 0.0)
+
+
+def unchecked_pairs(
+    contacts: SelfContacts, samples: int, seed: int, progress: Callable[[int], None]
+) -> list[UncheckedPair]:
+    """Return the pairs that are adjacent, that touch in every drawn state and that touch in none.
+
+    Args:
+        contacts: the robot's links.
+        samples: states to draw.
+        seed: of the draws; same seed, same pairs.
+        progress: called with the number of states that are done.
+    """
+    random = np.random.default_rng(seed)
+    seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
+    done = 0
+    while done < samples:
+        # A pair that was seen both ways is to be checked, whatever the other states say.
+        undecided = [pair for pair, found in seen.items() if len(found) < 2]
+        for _ in range(min(BATCH, samples - done)):
+            touching = set(contacts.touching(contacts.draw(random), undecided))
+            for pair in undecided:
+                seen[pair].add(pair in touching)
+        done = min(done + BATCH, samples)
+        progress(done)
+    adjacent = [UncheckedPair(min(pair), max(pair), ADJACENT) for pair in contacts.adjacent]
+    decided = [
+        UncheckedPair(*pair, ALWAYS if True in found else NEVER) for pair, found in seen.items() if len(found) == 1
+    ]
+    return sorted(adjacent, key=lambda pair: (pair.first, pair.second)) + decided
+
+
+def free_state(
+    contacts: SelfContacts, unchecked: Sequence[UncheckedPair], states: Sequence[Vector], tries: int, seed: int
+) -> tuple[Vector, bool]:
+    """Return the first of some states in which nothing touches, else the drawn one that is nearest to the first.
+
+    Args:
+        contacts: the robot's links.
+        unchecked: pairs that may touch.
+        states: states to try first, shape (n,) each; without any the first free one that is drawn is taken.
+        tries: states to draw.
+        seed: of the draws.
+
+    Returns:
+        The state; false where no state is free, with the first of all.
+    """
+    excused = {frozenset((pair.first, pair.second)) for pair in unchecked}
+    checked = [pair for pair in contacts.pairs if frozenset(pair) not in excused]
+    for state in states:
+        if not contacts.touching(state, checked):
+            return state, True
+    random = np.random.default_rng(seed)
+    drawn = [contacts.draw(random) for _ in range(tries)]
+    if states:
+        drawn.sort(key=lambda state: float(np.linalg.norm(state - states[0])))
+    free = next((state for state in drawn if not contacts.touching(state, checked)), None)
+    return ([*states, *drawn][0], False) if free is None else (free, True)
+
+
+def _adjacent(robot: RobotModel, shaped: frozenset[str]) -> frozenset[frozenset[str]]:
+    above = {joint.child: joint.parent for joint in robot.joints.values()}
+    found = set()
+    for link in shaped:
+        parent = above.get(link)
+        while parent is not None and parent not in shaped:
+            parent = above.get(parent)
+        if parent is not None:
+            found.add(frozenset((link, parent)))
+    return frozenset(found)

@@ -1,0 +1,103 @@
+"""Copy of a URDF and of its meshes in one folder, so that the folder can be moved and served as a whole."""
+
+from __future__ import annotations
+
+import shutil
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+
+from planners.assistant.errors import AssistantError
+from robot.description.mesh_files import find_mesh
+
+MESHES = "meshes"
+
+# Meshes of one robot together: twenty times those of the SO-101.
+MAX_MESH_BYTES = 500 << 20
+
+
+def parse_urdf(urdf_path: Path) -> ET.Element:
+    """Read a URDF.
+
+    Raises:
+        AssistantError: it cannot be read, or is no URDF.
+    """
+    try:
+        root = ET.fromstring(urdf_path.read_text(encoding="utf-8"))  # noqa: S314 - the user's own file
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssistantError(f"{urdf_path} cannot be read: {error}") from error
+    except ET.ParseError as error:
+        raise AssistantError(f"{urdf_path} is not XML: {error}") from error
+    if root.tag != "robot":
+        raise AssistantError(f"{urdf_path} is no URDF: it must start with <robot>, not <{root.tag}>")
+    return root
+
+
+def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], folder: Path) -> int:
+    """Copy the meshes of a URDF into a folder, and name the copies in the URDF.
+
+    Args:
+        root: the URDF, whose mesh names are changed.
+        urdf_path: its file.
+        packages: folders for ``package://``.
+        folder: folder that gets the folder of meshes.
+
+    Returns:
+        The number of meshes.
+
+    Raises:
+        DescriptionError: a mesh of a <collision> is not there; the text has the paths that were tried.
+        AssistantError: the meshes are too large.
+        OSError: a mesh cannot be copied.
+    """
+    names: dict[Path, str] = {}
+    total_bytes = 0
+    for link in root.iterfind("link"):
+        for shape in [*link.findall("collision"), *link.findall("visual")]:
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                continue
+            source = _source(mesh, shape, urdf_path, packages)
+            if source is None:
+                link.remove(shape)
+                continue
+            if source not in names:
+                total_bytes += source.stat().st_size
+                if total_bytes > MAX_MESH_BYTES:
+                    raise AssistantError(
+                        f"the meshes of {urdf_path} have more than {MAX_MESH_BYTES >> 20} MiB: simplify them"
+                    )
+                names[source] = _free_name(source, set(names.values()))
+                (folder / MESHES).mkdir(exist_ok=True)
+                shutil.copyfile(source, folder / MESHES / names[source])
+                _copy_beside(source, folder / MESHES)
+            mesh.set("filename", f"{MESHES}/{names[source]}")
+    return len(names)
+
+
+def _source(mesh: ET.Element, shape: ET.Element, urdf_path: Path, packages: Sequence[Path]) -> Path | None:
+    """Return the file of a mesh; None for one that is only seen and is not there."""
+    try:
+        return find_mesh(mesh.get("filename", ""), urdf_path.resolve().parent, packages)
+    except Exception:
+        if shape.tag == "visual":
+            return None
+        raise
+
+
+def _free_name(source: Path, taken: set[str]) -> str:
+    """Return a name in the folder of meshes: that of the file, with its folder's in front where that is taken."""
+    name, number = source.name, 1
+    if name in taken:
+        name = f"{source.parent.name}_{source.name}"
+    while name in taken:
+        number += 1
+        name = f"{source.parent.name}_{number}_{source.name}"
+    return name
+
+
+def _copy_beside(source: Path, folder: Path) -> None:
+    """Copy the materials of an OBJ file, which it names by their file."""
+    material = source.with_suffix(".mtl")
+    if source.suffix.lower() == ".obj" and material.is_file():
+        shutil.copyfile(material, folder / material.name)

@@ -1,0 +1,197 @@
+"""Arm and gripper of a robot that has no SRDF yet, found in the tree of its links and joints.
+
+The arm is the longest chain of movable joints from the root. Joints at its end that look like fingers are the
+gripper: several that start at one link, or one with a finger's name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from planners.assistant.errors import AssistantError
+from robot.description.model import Joint
+
+# A joint called wrist_roll may carry a link called gripper_link: the hand, no finger.
+FINGER_JOINT = re.compile(r"^(?!.*(wrist|roll|arm_|_arm)).*(grip|finger|jaw|claw|knuckle|thumb)", re.IGNORECASE)
+FINGER_LINK = re.compile(r"finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
+TOOL_FRAME = re.compile(r"tcp|tip|tool|grasp|gripper_frame|ee_|_ee|end_?eff|flange|pinch", re.IGNORECASE)
+
+# Joints of one finger: more in a chain is an arm, whatever its name.
+MAX_FINGER_JOINTS = 4
+
+MIN_ARM_JOINTS = 2
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Groups that an arm's SRDF will have.
+
+    Attributes:
+        base_link: first link of the arm.
+        tip_link: last link of the arm: the frame of goals.
+        hand_link: link of the arm that carries the gripper.
+        arm_joints: movable joints from base to tip.
+        gripper_joints: movable joints behind the hand, those that mimic others left out; empty without a gripper.
+        held_joints: movable joints of neither.
+    """
+
+    base_link: str
+    tip_link: str
+    hand_link: str
+    arm_joints: tuple[str, ...]
+    gripper_joints: tuple[str, ...]
+    held_joints: tuple[str, ...]
+
+
+class Tree:
+    """Links and joints of a robot as a tree.
+
+    Args:
+        links: link names, root first.
+        joints: every joint by name.
+    """
+
+    def __init__(self, links: Sequence[str], joints: Mapping[str, Joint]) -> None:
+        self.root = links[0]
+        self.joints = joints
+        self._above = {joint.child: joint for joint in joints.values()}
+        self._below: dict[str, list[Joint]] = {link: [] for link in links}
+        for joint in joints.values():
+            self._below[joint.parent].append(joint)
+
+    def chain(self, base: str, tip: str) -> list[Joint]:
+        """Return the joints from one link to another, base first.
+
+        Raises:
+            AssistantError: no chain leads there.
+        """
+        found: list[Joint] = []
+        link = tip
+        while link != base:
+            if link not in self._above:
+                raise AssistantError(f"no chain of joints leads from {base!r} to {tip!r}; give --base and --tip of one")
+            found.append(self._above[link])
+            link = found[-1].parent
+        return found[::-1]
+
+    def driven(self, joints: Sequence[Joint]) -> list[Joint]:
+        """Return the joints with a position of their own."""
+        return [joint for joint in joints if joint.movable]
+
+    def links_below(self, link: str) -> Iterator[str]:
+        """Yield a link and all that it carries."""
+        yield link
+        for joint in self._below[link]:
+            yield from self.links_below(joint.child)
+
+    def fixed_below(self, link: str) -> Iterator[str]:
+        """Yield a link and those that are fixed to it, parents first."""
+        yield link
+        for joint in self._below[link]:
+            if not joint.moves:
+                yield from self.fixed_below(joint.child)
+
+    def joints_below(self, link: str) -> list[Joint]:
+        """Return every joint behind a link."""
+        return [joint for each in self.links_below(link) for joint in self._below[each]]
+
+    def leaf(self, link: str) -> bool:
+        """Tell whether a link carries none."""
+        return not self._below[link]
+
+    def above(self, link: str) -> Joint:
+        """Return the joint that carries a link."""
+        return self._above[link]
+
+
+def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: str | None) -> Structure:
+    """Find arm and gripper.
+
+    Args:
+        tree: links and joints.
+        shaped: links with a collision shape.
+        base: first link of the arm; None for the root.
+        tip: last link of the arm; None to find it.
+
+    Raises:
+        AssistantError: a link is unknown, or there is no arm.
+    """
+    known = list(tree.links_below(tree.root))
+    for option, link in (("--base", base), ("--tip", tip)):
+        if link is not None and link not in known:
+            raise AssistantError(f"{option} {link}: the URDF has no such link; it has {', '.join(sorted(known))}")
+    start = base or tree.root
+    if tip is not None:
+        hand = _hand_of(tree, start, tip)
+    else:
+        hand = _find_hand(tree, start)
+        tip = _find_tip(tree, hand, shaped)
+    arm = tree.driven(tree.chain(start, tip))
+    if len(arm) < MIN_ARM_JOINTS:
+        raise AssistantError(
+            f"the chain from {start!r} to {tip!r} has {len(arm)} movable joints, an arm has at least {MIN_ARM_JOINTS};"
+            " name the arm's last link by --tip"
+        )
+    in_arm = {joint.name for joint in arm}
+    behind = [joint for joint in tree.driven(tree.joints_below(hand)) if joint.name not in in_arm]
+    gripper = tuple(joint.name for joint in behind)
+    held = [joint.name for joint in tree.driven(list(tree.joints.values())) if joint.name not in {*in_arm, *gripper}]
+    return Structure(start, tip, hand, tuple(joint.name for joint in arm), gripper, tuple(held))
+
+
+def _find_hand(tree: Tree, start: str) -> str:
+    """Return the link at the end of the longest chain, fingers left out."""
+    chains = [tree.chain(start, link) for link in tree.links_below(start) if tree.leaf(link)]
+    longest = max(chains, key=lambda chain: (len(tree.driven(chain)), len(chain)))
+    movable = [joint for joint in longest if joint.moves]
+    if not movable:
+        return start
+    for joint in movable:
+        if _carries_fingers(tree, joint):
+            return joint.parent
+    return movable[-1].child
+
+
+def _carries_fingers(tree: Tree, joint: Joint) -> bool:
+    """Tell whether a joint is the first one of a finger."""
+    longest = max(
+        sum(each.moves for each in tree.chain(joint.parent, link))
+        for link in tree.links_below(joint.child)
+        if tree.leaf(link)
+    )
+    if longest > MAX_FINGER_JOINTS:
+        return False
+    siblings = [
+        each
+        for link in tree.fixed_below(joint.parent)
+        for each in tree.joints.values()
+        if each.parent == link and each.moves
+    ]
+    named = bool(FINGER_JOINT.search(joint.name) or FINGER_LINK.search(joint.child))
+    follows = any(each.mimic is not None for each in siblings)
+    return follows or named or (len(siblings) > 1 and joint.type == "prismatic")
+
+
+def _hand_of(tree: Tree, start: str, tip: str) -> str:
+    """Return the link of the arm that carries the gripper: the first of those that are fixed to the tip."""
+    hand = tip
+    for joint in reversed(tree.chain(start, tip)):
+        if joint.moves:
+            break
+        hand = joint.parent
+    return hand
+
+
+def _find_tip(tree: Tree, hand: str, shaped: frozenset[str]) -> str:
+    """Return the frame of goals: a named tool frame fixed to the hand, else the last link fixed to it."""
+    fixed = list(tree.fixed_below(hand))
+    frames = [link for link in fixed if tree.leaf(link) and link not in shaped and TOOL_FRAME.search(link)]
+    if frames:
+        return frames[-1]
+    carriers = [link for link in fixed if any(each.moves and each.parent == link for each in tree.joints.values())]
+    if carriers:
+        return carriers[-1]
+    leaves = [link for link in fixed if tree.leaf(link) and TOOL_FRAME.search(link)]
+    return (leaves or fixed)[-1] if len(fixed) > 1 else hand

@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planners.assistant.decomposition import Limits, clipped, decompose
+from planners.assistant.surface import merged
+from tests.helpers.stl_arm import boxes_union, channel
+
+
+def surface(triangles):
+    return merged(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+
+
+def area_m2(corners_m):
+    across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    return 0.5 * np.linalg.norm(across, axis=1).sum()
+
+
+@pytest.fixture(scope="module")
+def of_channel():
+    return decompose(surface(channel()), Limits())
+
+
+def test_parts_of_a_hollow_link_are_within_the_tolerance(of_channel):
+    assert 1 < len(of_channel.parts) <= 12
+    assert of_channel.deviation.greatest_m <= 0.003
+
+
+def test_parts_cover_every_vertex(of_channel):
+    vertices = channel().reshape(-1, 3)
+    assert np.min([part.depth_m(vertices) for part in of_channel.parts], axis=0).max() < 1e-9
+
+
+def test_the_hollow_of_a_link_stays_free(of_channel):
+    middle = np.array([[0.01, 0.0, 0.1]])
+    assert min(part.depth_m(middle).item() for part in of_channel.parts) > 0.005
+
+
+def test_a_convex_mesh_is_one_part():
+    found = decompose(surface(boxes_union([((0.0, 0.0, 0.0), (0.1, 0.2, 0.3))])), Limits())
+    assert len(found.parts) == 1
+    assert found.deviation.greatest_m < 0.003
+
+
+def test_the_same_seed_gives_the_same_parts(of_channel):
+    again = decompose(surface(channel()), Limits())
+    assert all(
+        np.array_equal(first.vertices_m, second.vertices_m)
+        for first, second in zip(of_channel.parts, again.parts, strict=True)
+    )
+
+
+def test_bounds_give_the_closest_parts_and_their_deviation():
+    found = decompose(surface(channel()), Limits(max_parts=1))
+    assert len(found.parts) == 1
+    assert found.deviation.outside_m == pytest.approx(0.016, abs=0.0005)
+
+
+def test_no_time_gives_the_hull():
+    assert len(decompose(surface(channel()), Limits(max_time_s=0.0)).parts) == 1
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_clipped_triangles_lie_on_their_side_and_lose_no_area(axis):
+    corners = np.random.default_rng(axis).normal(size=(300, 3, 3))
+    below, above = clipped(corners, axis, 0.2)
+    assert below[:, :, axis].max() <= 0.2
+    assert above[:, :, axis].min() >= 0.2
+    assert area_m2(below) + area_m2(above) == pytest.approx(area_m2(corners))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from planners.assistant.errors import AssistantError
 from robot.description.model import Joint
 
-# A joint called wrist_roll may carry a link called gripper_link: the hand, no finger.
+# A joint of the wrist may carry a link called gripper_link: the hand, no finger.
 FINGER_JOINT = re.compile(r"^(?!.*(wrist|roll|arm_|_arm)).*(grip|finger|jaw|claw|knuckle|thumb)", re.IGNORECASE)
 FINGER_LINK = re.compile(r"finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 TOOL_FRAME = re.compile(r"tcp|tip|tool|grasp|gripper_frame|ee_|_ee|end_?eff|flange|pinch", re.IGNORECASE)

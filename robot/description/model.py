@@ -120,6 +120,9 @@ def load(
     srdf_path: Path,
     package_directories: Sequence[Path] = (),
     limits: Mapping[str, JointLimits] = NO_LIMITS,
+    *,
+    hulls: Mapping[str, Hull] | None = None,
+    parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
 ) -> RobotModel:
     """Read a robot from files.
 
@@ -128,6 +131,8 @@ def load(
         srdf_path: SRDF.
         package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
         limits: limits by joint that replace those of the URDF.
+        hulls: see :class:`RobotModel`; with them the meshes need not be there.
+        parts: see :class:`RobotModel`.
 
     Raises:
         DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
@@ -138,6 +143,8 @@ def load(
         mesh_directory=urdf_path.resolve().parent,
         package_directories=(*package_directories, *package_path(os.environ)),
         limits=limits,
+        hulls=hulls,
+        parts=parts,
         sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
     )
 

@@ -154,16 +154,16 @@ def load(
     urdf = urdf or found.of(lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
     srdf = srdf or found.of(lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
     packages = (*package_directories, *((folder / package).resolve() for package in file.robot.packages))
-    arm = None
-    if urdf is not None and srdf is not None:
-        described = urdf, srdf
-        arm = found.of(lambda: model.load(*described, packages, limits), None)
     hulls: dict[str, Hull] = {}
     parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
     if own and (hulls_file := file.robot.hulls) is not None:
         hulls = found.of(lambda: _hulls(folder / hulls_file), hulls)
     if own and (parts_file := file.robot.parts) is not None:
         parts = found.of(lambda: _parts(folder / parts_file), parts)
+    arm = None
+    if urdf is not None and srdf is not None:
+        described = urdf, srdf
+        arm = found.of(lambda: model.load(*described, packages, limits, hulls=hulls, parts=parts), None)
     if arm is None:
         raise found.error()
     found.add(_unknown_names(file, arm, hulls, parts))
@@ -172,8 +172,6 @@ def load(
     group = file.planning.group or arm.default_group
     arm = replace(
         arm,
-        hulls=hulls,
-        parts=parts,
         gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
@@ -338,7 +336,7 @@ def _unknown_names(
         yield f"planning.group: the SRDF has no group {file.planning.group!r}, but {', '.join(arm.groups)}"
     if file.planning.tip is not None and file.planning.tip not in arm.links:
         yield f"planning.tip: the URDF has no link {file.planning.tip!r}"
-    if file.planning.frame is not None and file.planning.frame != arm.root_link:
+    if file.planning.frame not in (None, arm.root_link, arm.planning_frame):
         yield f"planning.frame: must be the root link {arm.root_link!r}, not {file.planning.frame!r}"
 
 

@@ -365,12 +365,6 @@ class PlannerPool:
         if self._tasks:
             await asyncio.wait(self._tasks, timeout=CLOSE_TIMEOUT_S)
 
-    async def until_loaded(self) -> bool:
-        """Wait until a process has loaded the robot, and return True; False when probably none ever will."""
-        while not self.loaded_count and self.load_failure is None:
-            await self._changed.wait()
-        return self.load_failure is None
-
     @property
     def pids(self) -> tuple[int, ...]:
         """Process ids."""

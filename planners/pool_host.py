@@ -88,8 +88,8 @@ class PlannerHost:
         connection = _Connection(self._pool, writer, self._versions)
         self._writers.add(writer)
         try:
-            loaded = await self._pool.until_loaded()
-            writer.write(encode(Hosted(self._pool.pids) if loaded else LoadFailed(str(self._pool.load_failure))))
+            refusal = await self._pool.wait_until_loaded()
+            writer.write(encode(Hosted(self._pool.pids) if refusal is None else LoadFailed(refusal)))
             decoder = Decoder()
             while data := await reader.read(READ_BYTES):
                 for message in decoder.feed(data):

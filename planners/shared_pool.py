@@ -41,6 +41,7 @@ class SharedPlanners(PlannerPool):
         self._answers: dict[int, asyncio.Future[Answer]] = {}
         self._pids: tuple[int, ...] = ()
         self._hosted = asyncio.Event()
+        self._told = asyncio.Event()
         self._writer: asyncio.StreamWriter | None = None
         self._sending = asyncio.Lock()
         self._sent_version = EMPTY_SCENE.version
@@ -55,6 +56,11 @@ class SharedPlanners(PlannerPool):
         if self._connecting is not None:
             self._connecting.cancel()
             await asyncio.wait([self._connecting])
+
+    async def wait_until_loaded(self) -> str | None:
+        """Wait until the host has planners; return the reason for which they cannot plan for the robot, else None."""
+        await self._told.wait()
+        return self.load_failure
 
     @property
     def pids(self) -> tuple[int, ...]:
@@ -137,8 +143,10 @@ class SharedPlanners(PlannerPool):
                     case Hosted(pids):
                         self._pids, self.load_failure = pids, None
                         self._hosted.set()
+                        self._told.set()
                     case LoadFailed(reason):
                         self.load_failure = reason
+                        self._told.set()
                     case Answered(number, answer) if (waiting := self._answers.get(number)) and not waiting.done():
                         waiting.set_result(answer)
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
 
-import numpy as np
-
-from robot.description.forward_kinematics import origin_transform, rotation_about, unit_axis
+from robot.description.frames import shift_origin
 from robot.description.model import Joint, RobotModel
 
 # Libraries want an effort limit, which nothing here reads.
@@ -28,8 +24,8 @@ def plain_urdf(robot: RobotModel) -> str:
             link.remove(visual)
     for element in root.iterfind("joint"):
         joint = robot.joints[element.get("name", "")]
-        if joint.mimic is not None:
-            _turn_by_offset(element, joint.mimic.offset)
+        if joint.mimic is not None and joint.mimic.offset != 0.0:
+            shift_origin(element, joint.mimic.offset)
         for mimic in element.findall("mimic"):
             element.remove(mimic)
         if joint.moves:
@@ -63,26 +59,3 @@ def _set_limits(element: ET.Element, joint: Joint, robot: RobotModel) -> None:
     limit.set("upper", repr(upper))
     if joint.type == "continuous":
         element.set("type", "revolute")
-
-
-def _turn_by_offset(element: ET.Element, offset: float) -> None:
-    """Move a joint's origin to where its position is the offset [rad, or m of a prismatic one]."""
-    if offset == 0.0:
-        return
-    transform, moved = origin_transform(element), np.eye(4)
-    if element.get("type") == "prismatic":
-        moved[:3, 3] = offset * unit_axis(element)
-    else:
-        moved[:3, :3] = rotation_about(unit_axis(element), offset)
-    transform = transform @ moved
-    origin = element.find("origin")
-    if origin is None:
-        origin = ET.SubElement(element, "origin")
-    origin.set("xyz", " ".join(map(repr, transform[:3, 3].tolist())))
-    origin.set("rpy", " ".join(map(repr, _roll_pitch_yaw(transform[:3, :3].tolist()))))
-
-
-def _roll_pitch_yaw(rotation: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """Return the fixed-axis angles of a rotation matrix, shape (3, 3) [rad]."""
-    (xx, _, _), (yx, _, _), (zx, zy, zz) = rotation
-    return math.atan2(zy, zz), math.atan2(-zx, math.hypot(xx, yx)), math.atan2(yx, xx)

@@ -5,13 +5,13 @@ Planning has forward kinematics of its own, which is faster in bulk.
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from robot.description.frames import origin_transform, rotation_about, unit_axis
 from robot.description.model import Joint, RobotModel
 from robot.description.urdf import Mimic
 from robot.trajectory import Vector
@@ -77,25 +77,6 @@ class ForwardPlacements:
         return step.parent, step.transform_joint_to_parent @ _moved(step, positions_rad)
 
 
-def rotation_about(axis: Vector, angle_rad: float) -> Vector:
-    """Compute a rotation matrix by Rodrigues' formula, shape (3, 3).
-
-    Args:
-        axis: unit vector, shape (3,).
-        angle_rad: right-handed angle about it [rad].
-    """
-    x, y, z = axis.tolist()
-    sin, cos = math.sin(angle_rad), math.cos(angle_rad)
-    rest = 1.0 - cos
-    return np.array(
-        [
-            [cos + x * x * rest, x * y * rest - z * sin, x * z * rest + y * sin],
-            [x * y * rest + z * sin, cos + y * y * rest, y * z * rest - x * sin],
-            [x * z * rest - y * sin, y * z * rest + x * sin, cos + z * z * rest],
-        ]
-    )
-
-
 @dataclass(frozen=True)
 class _Step:
     """Joint with its fixed transform to the parent link and its axis, and the joint that it follows, as all do.
@@ -131,23 +112,3 @@ def _moved(step: _Step, positions_rad: Mapping[str, float]) -> Vector:
 
 def _joints(urdf: str) -> list[ET.Element]:
     return ET.fromstring(urdf).findall("joint")  # noqa: S314 - the user's own file, already parsed by robot.description.model
-
-
-def unit_axis(element: ET.Element) -> Vector:
-    """Return the axis of a URDF <joint>: a unit vector, shape (3,), along x where the joint has none."""
-    axis = element.find("axis")
-    values = np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]) if axis is not None else np.eye(3)[0]
-    length = float(np.linalg.norm(values))
-    return values / length if length > 0.0 else np.eye(3)[0]
-
-
-def origin_transform(element: ET.Element) -> Vector:
-    """Return the URDF <origin> of an element, shape (4, 4) [m]: a translation, then fixed-axis roll, pitch and yaw."""
-    transform = np.eye(4)
-    origin = element.find("origin")
-    if origin is not None:
-        roll, pitch, yaw = (float(v) for v in origin.get("rpy", "0 0 0").split())
-        x_axis, y_axis, z_axis = np.eye(3)
-        transform[:3, :3] = rotation_about(z_axis, yaw) @ rotation_about(y_axis, pitch) @ rotation_about(x_axis, roll)
-        transform[:3, 3] = [float(v) for v in origin.get("xyz", "0 0 0").split()]
-    return transform

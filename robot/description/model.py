@@ -11,15 +11,17 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.description.frames import with_fixed_joints
 from robot.description.mesh_files import check_meshes, package_path
 from robot.description.srdf import Group as Group
 from robot.description.srdf import Semantics, read_srdf
 from robot.description.urdf import Joint as Joint
 from robot.description.urdf import JointLimits as JointLimits
-from robot.description.urdf import read_urdf
+from robot.description.urdf import Tree, read_urdf
 from robot.errors import DescriptionError
 
 NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})
+NONE_HELD: Mapping[str, float] = MappingProxyType({})
 
 # Names of the states of a gripper's group, in small letters.
 OPEN_STATES = ("open", "opened")
@@ -78,7 +80,6 @@ class RobotModel:
         gripper: the gripper; None for an arm without one.
         default_group: group of goals that name none.
         tip_link: link that pose goals of this group move; empty for a group that is no chain.
-        held_joints: joint -> position at which it stays, for joints that are not driven [rad or m].
     """
 
     name: str
@@ -97,7 +98,6 @@ class RobotModel:
     gripper: Gripper | None = None
     default_group: str = ""
     tip_link: str = ""
-    held_joints: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def root_link(self) -> str:
@@ -109,11 +109,6 @@ class RobotModel:
         """Joints with a position, in the order of the URDF."""
         return tuple(joint for joint in self.joints.values() if joint.movable)
 
-    @property
-    def driven_joints(self) -> tuple[Joint, ...]:
-        """Movable joints that are driven, in the order of the URDF."""
-        return tuple(joint for joint in self.movable_joints if joint.name not in self.held_joints)
-
 
 def load(
     urdf_path: Path,
@@ -121,6 +116,7 @@ def load(
     package_directories: Sequence[Path] = (),
     limits: Mapping[str, JointLimits] = NO_LIMITS,
     *,
+    held: Mapping[str, float] = NONE_HELD,
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
 ) -> RobotModel:
@@ -131,6 +127,7 @@ def load(
         srdf_path: SRDF.
         package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
         limits: limits by joint that replace those of the URDF.
+        held: as of :func:`parse`.
         hulls: see :class:`RobotModel`; with them the meshes need not be there.
         parts: see :class:`RobotModel`.
 
@@ -143,6 +140,7 @@ def load(
         mesh_directory=urdf_path.resolve().parent,
         package_directories=(*package_directories, *package_path(os.environ)),
         limits=limits,
+        held=held,
         hulls=hulls,
         parts=parts,
         sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
@@ -158,6 +156,7 @@ def parse(
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
     limits: Mapping[str, JointLimits] = NO_LIMITS,
+    held: Mapping[str, float] = NONE_HELD,
     sources: tuple[str, str] = ("URDF", "SRDF"),
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
@@ -170,6 +169,7 @@ def parse(
         hulls: see :class:`RobotModel`.
         parts: see :class:`RobotModel`.
         limits: limits by joint that replace those of the URDF.
+        held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
         sources: names of the URDF and of the SRDF, for errors.
 
     Raises:
@@ -178,6 +178,10 @@ def parse(
     """
     tree = read_urdf(urdf, sources[0], limits)
     semantics = read_srdf(srdf, sources[1], tree)
+    if still := {**_passive_positions(tree, semantics), **held}:
+        urdf = with_fixed_joints(urdf, {**still, **_following_positions(tree, still)})
+        tree = read_urdf(urdf, sources[0], limits)
+        semantics = read_srdf(srdf, sources[1], tree)
     if mesh_directory is not None and not hulls:
         check_meshes(urdf, sources[0], mesh_directory, package_directories)
     default_group = _default_group(semantics)
@@ -198,12 +202,22 @@ def parse(
         gripper=_gripper(semantics, tree.joints, default_group),
         default_group=default_group,
         tip_link=semantics.groups[default_group].tip_link,
-        held_joints={
-            joint.name: min(max(0.0, joint.lower), joint.upper)
-            for joint in tree.joints.values()
-            if joint.movable and joint.name in semantics.passive_joints
-        },
     )
+
+
+def _passive_positions(tree: Tree, semantics: Semantics) -> dict[str, float]:
+    """Return the positions of the joints that nothing drives: where they are least turned."""
+    joints = (tree.joints[name] for name in semantics.passive_joints)
+    return {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in joints}
+
+
+def _following_positions(tree: Tree, still: Mapping[str, float]) -> dict[str, float]:
+    """Return the positions of the joints that mimic one that stays."""
+    return {
+        joint.name: joint.mimic.multiplier * still[joint.mimic.joint] + joint.mimic.offset
+        for joint in tree.joints.values()
+        if joint.mimic is not None and joint.mimic.joint in still
+    }
 
 
 def _default_group(semantics: Semantics) -> str:

@@ -169,13 +169,14 @@ def load(
     found.add(_unknown_names(file, arm, hulls, parts))
     if found:
         raise found.error()
+    if file.held_joints:
+        arm = model.load(*described, packages, limits, held=file.held_joints, hulls=hulls, parts=parts)
     group = file.planning.group or arm.default_group
     arm = replace(
         arm,
         gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
-        held_joints={**arm.held_joints, **file.held_joints},
     )
     return RobotFolder(
         folder.resolve().name, file.robot.title or folder.resolve().name, arm, _hardware(file, arm), folder

@@ -45,7 +45,6 @@ def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[Serv
     """
     weights = LinkWeights(robot)
     joints = list(zip(calibration.joints, servos, strict=True))
-    still = {joint.name: robot.held_joints.get(joint.name, 0.0) for joint in robot.movable_joints}
     weighed: dict[str, float] = {}
 
     def weigh() -> None:
@@ -59,7 +58,7 @@ def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[Serv
         ):
             return
         weighed.update(position_rad)
-        torques_nm = weights.holding_torques({**still, **position_rad})
+        torques_nm = weights.holding_torques(position_rad)
         for joint, servo in joints:
             # The plant counts in ticks, which may fall while the joint's position rises.
             sign = math.copysign(1.0, joint.rad_s_from_ticks_s(1.0))

@@ -51,13 +51,13 @@ def run_check(options: argparse.Namespace) -> int:
 def run_list(_options: argparse.Namespace) -> int:
     """Carry out ``robot list``."""
     arms = [robot_folder.built_in(name) for name in robot_folder.built_in_names()]
-    rows = [(arm.name, arm.title, len(arm.model.driven_joints), arm.hardware.kind) for arm in arms]
+    rows = [(arm.name, arm.title, len(arm.model.movable_joints), arm.hardware.kind) for arm in arms]
     Terminal().tell(table(("name", "arm", "joints", "hardware"), rows))
     return ExitCode.DONE
 
 
 def _summary(found: RobotFolder) -> str:
-    arm, hardware, held = found.model, found.hardware, found.model.held_joints
+    arm, hardware = found.model, found.hardware
     servos = {servo.joint: f"{servo.model}, id {servo.servo_id}" for servo in hardware.servos}
     rows = [
         (
@@ -66,7 +66,7 @@ def _summary(found: RobotFolder) -> str:
             f"{joint.lower:.3f} .. {joint.upper:.3f}",
             f"{joint.max_velocity:g}",
             f"{joint.max_acceleration:g}",
-            servos.get(joint.name, f"held at {held[joint.name]:g}" if joint.name in held else "-"),
+            servos.get(joint.name, "-"),
         )
         for joint in arm.movable_joints
     ]

@@ -47,7 +47,6 @@ class CurrentState:
     def __init__(self, arm: StatedArm, robot: RobotModel) -> None:
         self._arm = arm
         self._frame = robot.root_link
-        self._held_joints = robot.held_joints
 
     def positions_rad(self) -> dict[str, float] | None:
         """Return the position of every movable joint [rad]; None while they are unknown.
@@ -58,7 +57,7 @@ class CurrentState:
         positions = state.position_rad if state.goal_rad is None else state.goal_rad
         if positions is None:
             return None
-        return {**self._held_joints, **dict(zip(state.joint_names, positions.tolist(), strict=True))}
+        return dict(zip(state.joint_names, positions.tolist(), strict=True))
 
     def message(self) -> dict[str, Any]:
         """Return them as a moveit_msgs/RobotState without attached objects; without joints while they are unknown."""

@@ -405,15 +405,13 @@ class MotionActions:
         robot, current, default = context.robot, CurrentState(arm, context.robot), context.problems.group("")
         PlanningActions(graph, context, queue)
         ExecuteTrajectory(graph, robot, current, queue, time_limits)
-        driven = {joint.name for joint in robot.driven_joints}
-        groups = [group for group in robot.groups.values() if driven & set(group.joints)]
         self._controllers = [
             JointTrajectoryController(
                 graph, robot, group, arm, current, queue, time_limits, industrial=group.name == default.name
             )
-            for group in groups
+            for group in robot.groups.values()
         ]
-        self._controller_states = [ControllerStatePublisher(graph, group) for group in groups]
+        self._controller_states = [ControllerStatePublisher(graph, group) for group in robot.groups.values()]
         self._actionlib = ActionlibBridge(graph, time.monotonic, call_later)
 
     def open(self, others: Iterable[str]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from robot.description import model
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import JointLimits
 from robot.errors import DescriptionError
 from tests.helpers.resources import shared_data
@@ -174,8 +175,13 @@ def test_an_end_effector_that_is_the_arm_is_no_gripper_but_a_group_named_hand_is
 
 def test_a_passive_joint_is_held_where_it_is_least_turned() -> None:
     robot = hand_of(ARM, '<passive_joint name="grip"/><passive_joint name="ab"/>')
-    assert robot.held_joints == {"grip": 0.001, "ab": 0.0}
-    assert "grip" not in {joint.name for joint in robot.driven_joints}
+    assert {robot.joints["grip"].type, robot.joints["ab"].type} == {"fixed"}
+    free = hand_of(ARM)
+    rest = {joint.name: 0.0 for joint in free.movable_joints}
+    before = ForwardPlacements(free).transforms({**rest, "grip": 0.001})
+    after = ForwardPlacements(robot).transforms(dict.fromkeys(rest.keys() - {"grip", "ab"}, 0.0))
+    for link, transform in before.items():
+        assert after[link] == pytest.approx(transform, abs=1e-12)
 
 
 def test_the_group_of_goals_is_the_arm_else_the_first_chain() -> None:

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from robot.description import robot_folder
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.servo_table import ZeroTick
 from robot.errors import DescriptionError
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF, so101
@@ -41,11 +46,12 @@ def test_the_file_s_tables_reach_the_model(tmp_path: Path) -> None:
         )
     )
     arm = found.model
-    assert (found.title, arm.tip_link, arm.held_joints) == ("Seven", "hand", {"a6": 0.3})
+    assert (found.title, arm.tip_link) == ("Seven", "hand")
     assert arm.gripper is not None
     assert (arm.gripper.joints, arm.gripper.open, arm.gripper.closed) == (("a7",), 1.0, 0.0)
     assert (arm.joints["a1"].max_velocity, arm.joints["a1"].max_jerk) == (0.5, 9.0)
-    assert "a6" not in [joint.name for joint in arm.driven_joints]
+    assert "a6" not in [joint.name for joint in arm.movable_joints]
+    assert "a6" not in arm.groups["arm"].joints
 
 
 def test_servos_have_the_limits_of_their_joints_and_their_zero(tmp_path: Path) -> None:
@@ -56,6 +62,20 @@ def test_servos_have_the_limits_of_their_joints_and_their_zero(tmp_path: Path) -
     assert (found[1].sign, found[1].zero, found[1].needs_calibration) == (-1, ZeroTick(1000, 0.5), False)
     assert (found[0].lower_rad, found[0].model, found[0].needs_calibration) == (-2.9, "sts3215", True)
     assert [servo.joint for servo in found if servo.gripper] == ["a7"]
+
+
+@given(st.floats(-1.9, 1.9), st.floats(-1.9, 1.9), st.floats(-1.9, 1.9))
+def test_a_held_joint_places_the_links_as_it_does_where_it_is_driven_there(a2: float, a4: float, a7: float) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        arm = arm_folder(Path(folder), f"[held_joints]\na2 = {a2!r}\na7 = {a7!r}\n")
+        held = robot_folder.load(arm).model
+        (arm / "robot.toml").write_text("")
+        free = robot_folder.load(arm).model
+    rest = {joint.name: 0.1 for joint in free.movable_joints} | {"a4": a4}
+    expected = ForwardPlacements(free).transforms({**rest, "a2": a2, "a7": a7})
+    placed = ForwardPlacements(held).transforms({name: rest[name] for name in rest if name not in ("a2", "a7")})
+    for link, transform in expected.items():
+        assert np.allclose(placed[link], transform, atol=1e-9)
 
 
 LIMITS_YAML = """

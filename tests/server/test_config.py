@@ -79,7 +79,7 @@ def test_an_arm_that_may_settle_for_longer_needs_motions_that_may_last_for_longe
 
 def test_the_defaults_are_those_of_the_old_goal_node() -> None:
     moveit = Settings().moveit
-    assert (moveit.group_name, moveit.num_planning_attempts, moveit.allowed_planning_time) == ("arm", 5, 5.0)
+    assert (moveit.group_name, moveit.num_planning_attempts, moveit.allowed_planning_time) == ("", 5, 5.0)
     assert (moveit.max_velocity_scaling, moveit.max_acceleration_scaling) == (0.3, 0.3)
     assert (moveit.position_tolerance, moveit.joint_tolerance) == (0.01, 0.01)
 

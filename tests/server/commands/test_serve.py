@@ -52,7 +52,7 @@ NO_ARM = {
     ),
     "no speed": (
         SEVEN_JOINT_URDF.replace('velocity="2.5"', 'velocity="0"'),
-        "URDF {urdf} joint 'a4' <limit> velocity must be above 0, not 0: correct it, or set max_velocity in [joints.a4]",
+        "URDF {urdf} joint 'a4' <limit> velocity must be above 0, not 0: correct it, or set max_velocity in",
     ),
 }
 

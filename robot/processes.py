@@ -26,6 +26,9 @@ log = logging.getLogger("armbridge.processes")
 # A killed process is gone in milliseconds, unless the machine is very busy.
 KILL_TIMEOUT_S = 5.0
 
+# Reading what waits in a socket takes a millisecond; a descendant of the child may keep it open.
+LAST_MESSAGES_S = 0.3
+
 # Data still queued for a child that does not read may be lost.
 CLOSE_TIMEOUT_S = 1.0
 
@@ -394,9 +397,14 @@ class _Link(asyncio.Protocol):
             self._transport.write(data)
 
     async def close(self) -> None:
-        """Close the socket, and wait until ``on_end`` was called."""
+        """Close the socket of a child that has ended, and wait until ``on_end`` was called.
+
+        What the child has sent before its end is delivered first: its end ends the socket too, behind the last message.
+        """
         if self._transport is None:
             return
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._ended.wait(), LAST_MESSAGES_S)
         self._unlink()
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._ended.wait(), CLOSE_TIMEOUT_S)

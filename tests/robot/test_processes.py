@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,23 @@ async def test_the_end_of_a_child_is_reported_once() -> None:
     await child.wait(1.0)
     assert not child.running
     child.send("nobody hears this")
+
+
+async def test_the_last_messages_of_a_child_that_has_ended_are_delivered() -> None:
+    received: list[Any] = []
+    exited = asyncio.Event()
+    child = await start_echo(received, exited)
+    child.send("ready?")
+    await until(received, 1)
+    for _ in range(3):
+        child.send("last")
+    child.send("close")
+    # The event loop stands still meanwhile: nothing of what the child sends has been read when it has ended.
+    while child.running:
+        time.sleep(0.001)  # noqa: ASYNC251 - see above
+    await child.wait(1.0)
+    assert received == ["ready?", "last", "last", "last"]
+    assert exited.is_set()
 
 
 async def test_a_child_ends_when_its_server_does() -> None:

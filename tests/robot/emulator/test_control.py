@@ -509,19 +509,21 @@ def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path
 
 def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(tmp_path: Path) -> None:
     script = tmp_path / "script.jsonl"
-    script.write_text('{"at_s": 0.6, "offline": [6]}\n')
+    script.write_text('{"at_s": 2.0, "offline": [6]}\n')
     command = [sys.executable, "-P", "-m", "robot.emulator", "--script", str(script)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             port = process.stdout.readline().strip()
-            time.sleep(1.0)
+            # Longer than the script waits, which begins with the first byte.
+            time.sleep(2.1)
             with contextlib.closing(Bus.open(port)) as bus:
-                assert bus.ping(6) == 777
-                time.sleep(1.0)
+                # The emulator may be without a core for a while.
+                assert bus.ping(6, attempts=50) == 777
+                time.sleep(2.1)
                 with pytest.raises(NoReply):
                     bus.ping(6)
             process.terminate()
             _, shown = process.communicate(timeout=5.0)
-            assert shown == '0.6 s: {"offline": [6]} {"ok": true}\n'
+            assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'
         finally:
             process.kill()

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +36,7 @@ from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator
 
-CALIBRATION = Calibration.nominal(built_in("so101").hardware.servos)
+CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)
 
 SECONDS = 10.0

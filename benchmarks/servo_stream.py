@@ -11,6 +11,7 @@ import itertools
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.server import RunningServer
 from tests.robot.conftest import RunningEmulator
 
-CALIBRATION = Calibration.nominal(built_in("so101").hardware.servos)
+CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)
 JOINTS = ROBOT.groups["arm"].joints
 TIP = ROBOT.groups["arm"].tip_link

@@ -135,7 +135,8 @@ def goal_ticks(entry: dict[str, Any], servo: str) -> int:
 
 async def test_joint_states_come_at_50_hz_with_every_joint(client: FrameClient) -> None:
     await client.send(SUBSCRIBE)
-    states = await client.wait_for("/joint_states", lambda all_: len(all_) >= 100)
+    # An arm that nobody watches reports more slowly until the first one does.
+    states = (await client.wait_for("/joint_states", lambda all_: len(all_) >= 120))[20:]
     stamps = [state["header"]["stamp"]["sec"] + state["header"]["stamp"]["nanosec"] / 1e9 for state in states]
     assert stamps == sorted(stamps)
     assert (stamps[-1] - stamps[0]) / (len(stamps) - 1) == pytest.approx(0.02, rel=0.1)

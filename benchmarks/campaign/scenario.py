@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
 
@@ -12,7 +12,7 @@ from robot.calibration import Calibration
 from robot.description.robot_folder import built_in
 from robot.messages import EmergencyPolicy, EndState, Order
 
-CALIBRATION = Calibration.nominal(built_in("so101").hardware.servos)
+CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 JOINTS = CALIBRATION.joints
 
 # Far from each other, so that one servo's position cannot be taken for another's, and clear of the ends.

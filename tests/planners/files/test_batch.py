@@ -106,8 +106,8 @@ def test_an_interrupt_takes_back_what_is_not_planned(cluster: DaskCluster) -> No
     command = Command(GAP, CLUTTER, *SLOWLY, "--scheduler", cluster.address)
     command.wait_for_answers()
     command.interrupt()
-    code, _, errors = command.end()
-    assert (code, errors) == (1, ["armbridge: stopped before every problem was planned"])
+    code, lines, errors = command.end()
+    assert (code, errors) == (1, ["armbridge: stopped before every problem was planned"]), lines
     with distributed.Client(cluster.address) as client:
         assert client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.tasks)) == []
 

@@ -57,6 +57,8 @@ class Command:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            # Tests that run in the background of a shell have interrupts ignored, and a child would inherit that.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )
         self.lines: list[str] = []
 
@@ -106,8 +108,8 @@ def test_an_interrupt_takes_back_what_is_not_planned(cluster: DaskCluster) -> No
     command = Command(GAP, CLUTTER, *SLOWLY, "--scheduler", cluster.address)
     command.wait_for_answers()
     command.interrupt()
-    code, lines, errors = command.end()
-    assert (code, errors) == (1, ["armbridge: stopped before every problem was planned"]), lines
+    code, _, errors = command.end()
+    assert (code, errors) == (1, ["armbridge: stopped before every problem was planned"])
     with distributed.Client(cluster.address) as client:
         assert client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.tasks)) == []
 

@@ -156,7 +156,11 @@ def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> Emulat
                 f"emulator.{name}: emulated Dynamixel servos have none, so that {str(value)!r} cannot be used"
             )
     return EmulatedDynamixelConfig(
-        calibration, emulator.drop, emulator.corrupt, emulator.seed, driven=settings.arm.start_enabled
+        calibration,
+        drop=emulator.drop,
+        corrupt=emulator.corrupt,
+        seed=emulator.seed,
+        driven=settings.arm.start_enabled,
     )
 
 

@@ -34,7 +34,7 @@ def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_them
         FeetechConfig(CALIBRATION, "/dev/arm"),
     )
     assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True, resumes=True)
-    assert ideal.resumed(POSE, driven=False) == IdealConfig(0.2, POSE, driven=False)
+    assert ideal.resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
     assert real.resumed(POSE, driven=True) == real
 
 

@@ -26,10 +26,10 @@ from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
-from robot.hardware.feetech.port import LOCAL_LATENCY_S, QUIET_S
 from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.interface import HardwareInterface
+from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
 from robot.messages import GuardLimits
 
 # One is in use at a time; the rest allows for connections that were not closed.
@@ -112,7 +112,7 @@ class EmulatedServos:
 class InProcessPort:
     """Port of an emulated bus, and its adapter.
 
-    Implements :class:`robot.hardware.feetech.port.BusPort` for the host and :class:`robot.emulator.control.Adapter` for
+    Implements :class:`robot.hardware.port.BusPort` for the host and :class:`robot.emulator.control.Adapter` for
     live commands.
 
     Args:

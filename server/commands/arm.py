@@ -32,11 +32,11 @@ from robot.description.limits import JointBounds
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.port import resolve_port
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.torque import LOWER_S, relax
 from robot.hardware.interface import run_to_end, status_names
+from robot.hardware.port import resolve_port
 from server.commands.options import (
     Subparsers,
     add_calibration,

@@ -15,7 +15,7 @@ from robot.description import robot_folder
 from robot.description.servo_table import HardwareTable
 from robot.errors import DescriptionError, PortBusy, RobotError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.port import AUTO, resolve_port
+from robot.hardware.port import AUTO, resolve_port
 from server.arm.setup import DEFAULT_ROBOT
 from server.commands.terminal import ExitCode, Terminal
 from server.config import Settings

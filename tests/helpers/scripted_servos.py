@@ -10,7 +10,7 @@ from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST
 from robot.calibration import Calibration
 from robot.emulator.servo_bus import Instruction, InstructionParser, status_packet
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.port import LOCAL_LATENCY_S, QUIET_S
+from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
 from tests.helpers.emulator import SteppedClock
 
 # What a far end says to an instruction: bytes, and how long after the instruction they come [s]. Bytes leave in the
@@ -19,7 +19,7 @@ Script = Callable[[Instruction], list[tuple[float, bytes]]]
 
 
 class ScriptedPort:
-    """A :class:`robot.hardware.feetech.port.BusPort`; who waits for its bytes moves the clock.
+    """A :class:`robot.hardware.port.BusPort`; who waits for its bytes moves the clock.
 
     Args:
         script: answers every instruction.

@@ -139,7 +139,7 @@ def _servo(joint: JointCalibration, start_rad: float) -> DynamixelServo:
 class DynamixelPort:
     """Port of an emulated bus.
 
-    Implements :class:`robot.hardware.feetech.port.BusPort` for the host, and the methods of ``dynamixel_sdk``'s
+    Implements :class:`robot.hardware.port.BusPort` for the host, and the methods of ``dynamixel_sdk``'s
     ``PortHandler``, so that the SDK's packet handlers run on it unchanged.
 
     Args:

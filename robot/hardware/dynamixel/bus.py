@@ -40,8 +40,8 @@ from robot.hardware.dynamixel.packets import (
     wire_time_s,
 )
 from robot.hardware.dynamixel.registers import LAYOUT, Register, decode, encode
-from robot.hardware.feetech.port import QUIET_S, BusPort, open_port
 from robot.hardware.interface import BusCounters, Steps
+from robot.hardware.port import QUIET_S, BusPort, open_port
 
 PROTOCOL = 2.0
 
@@ -100,7 +100,7 @@ class Bus:
 
     @classmethod
     def open(cls, port: str, baudrate: int = 1_000_000) -> Bus:
-        """Open the bus on a serial port; raises as :func:`robot.hardware.feetech.port.open_port`."""
+        """Open the bus on a serial port; raises as :func:`robot.hardware.port.open_port`."""
         return cls(open_port(port, baudrate))
 
     def close(self) -> None:

@@ -25,8 +25,8 @@ from robot.hardware.dynamixel.registers import (
 from robot.hardware.dynamixel.servo_map import ServoMap
 from robot.hardware.dynamixel.survey import RegisterChecks, ServoFound, limits_of, refusal, survey
 from robot.hardware.dynamixel.torque import ServoTorque
-from robot.hardware.feetech.port import resolve_port
 from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, StatusFlag, Steps, Survey
+from robot.hardware.port import resolve_port
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
@@ -58,7 +58,7 @@ class SerialDynamixels:
         self._clock = clock
 
     def open(self) -> HardwareInterface:
-        """Open the port; see :func:`robot.hardware.feetech.port.open_port` for the errors."""
+        """Open the port; see :func:`robot.hardware.port.open_port` for the errors."""
         bus = Bus.open(resolve_port(self._config.port), self._config.baud)
         return DynamixelHardware(bus, self._config, self._bounds, self._guard_limits, self._clock)
 

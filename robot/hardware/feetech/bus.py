@@ -40,9 +40,9 @@ from robot.hardware.feetech.packets import (
     sync_write_parameters,
     wire_time_s,
 )
-from robot.hardware.feetech.port import QUIET_S, BusPort, open_port
 from robot.hardware.feetech.registers import LAYOUT, Register, decode, encode
 from robot.hardware.interface import BusCounters, Steps
+from robot.hardware.port import QUIET_S, BusPort, open_port
 
 # Attempts before a servo counts as silent: single packets get lost while others draw current.
 ATTEMPTS = 3
@@ -111,7 +111,7 @@ class Bus:
 
     @classmethod
     def open(cls, port: str, baudrate: int = 1_000_000) -> Bus:
-        """Open the bus on a serial port; raises as :func:`robot.hardware.feetech.port.open_port`."""
+        """Open the bus on a serial port; raises as :func:`robot.hardware.port.open_port`."""
         return cls(open_port(port, baudrate))
 
     def close(self) -> None:

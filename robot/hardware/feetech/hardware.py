@@ -20,7 +20,6 @@ from robot.hardware.config import FeetechConfig
 from robot.hardware.feetech import torque
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.packets import StatusFrame
-from robot.hardware.feetech.port import resolve_port
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
@@ -46,6 +45,7 @@ from robot.hardware.interface import (
     Steps,
     Survey,
 )
+from robot.hardware.port import resolve_port
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
@@ -83,7 +83,7 @@ class SerialServos:
         self._clock = clock
 
     def open(self) -> HardwareInterface:
-        """Open the port; see :func:`robot.hardware.feetech.port.open_port` for the errors."""
+        """Open the port; see :func:`robot.hardware.port.open_port` for the errors."""
         bus = Bus.open(resolve_port(self._config.port))
         return FeetechHardware(bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
 

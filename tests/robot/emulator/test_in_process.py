@@ -18,9 +18,9 @@ from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
-from robot.hardware.feetech.port import LOCAL_LATENCY_S
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from robot.hardware.interface import Measured, run_to_end
+from robot.hardware.port import LOCAL_LATENCY_S
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES
 from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet

@@ -20,7 +20,6 @@ from robot.hardware.feetech.bus import (
     read_block,
     write_verified,
 )
-from robot.hardware.feetech.port import QUIET_S
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
@@ -34,6 +33,7 @@ from robot.hardware.feetech.registers import (
     goal_block,
     parse_telemetry,
 )
+from robot.hardware.port import QUIET_S
 from tests.helpers.arm_rig import run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration

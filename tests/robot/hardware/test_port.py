@@ -14,8 +14,8 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
-from robot.hardware.feetech import port
-from robot.hardware.feetech.port import (
+from robot.hardware import port
+from robot.hardware.port import (
     LOCAL_LATENCY_S,
     NETWORK_LATENCY_S,
     TERMINAL_LATENCY_S,

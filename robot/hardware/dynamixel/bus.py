@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 from dynamixel_sdk import (
     BROADCAST_ID,
-    COMM_SUCCESS,
     INST_PING,
     INST_READ,
     INST_REBOOT,
@@ -27,7 +26,7 @@ from dynamixel_sdk import (
     PacketHandler,
 )
 
-from robot.errors import NoReply, PortLost, StartupError
+from robot.errors import NoReply, StartupError
 from robot.hardware.dynamixel.packets import (
     ALERT,
     StatusFrame,
@@ -37,25 +36,19 @@ from robot.hardware.dynamixel.packets import (
     status_bytes,
     stuffed_bytes,
     sync_write_parameters,
-    wire_time_s,
 )
 from robot.hardware.dynamixel.registers import LAYOUT, Register, decode, encode
-from robot.hardware.interface import BusCounters, Steps
-from robot.hardware.port import QUIET_S, BusPort, open_port
+from robot.hardware.half_duplex import HalfDuplexBus
+from robot.hardware.interface import Steps
+from robot.hardware.port import BusPort, open_port
 
 PROTOCOL = 2.0
 
 # Attempts of a sequence: five lost packets in a row mean that no servo is there.
 STEP_ATTEMPTS = 5
 
-# A line that does not fall quiet is used after this time; the parser rejects what does not fit.
-QUIET_LIMIT_S = 0.03
-
 # Longest delay of a reply, register RETURN_DELAY_TIME of 254; the factory's 250 is hardly less.
 LONGEST_RETURN_DELAY_S = 254 * 2e-6
-
-# More than 20 ms of wire time: no servo sends that much in reply to one instruction.
-MAX_BURST_BYTES = 2048
 
 # Data of the reply to a ping: model number and firmware version.
 PING_BYTES = 3
@@ -73,7 +66,7 @@ class Identity(NamedTuple):
     firmware: int
 
 
-class Bus:
+class Bus(HalfDuplexBus):
     """Bus of any number of servos on one port.
 
     Args:
@@ -85,27 +78,12 @@ class Bus:
     """
 
     def __init__(self, port: BusPort, clock: Callable[[], float] = time.monotonic) -> None:
-        self.counters = BusCounters()
-        self._port = port
-        self._clock = clock
-        self._sdk = PacketHandler(PROTOCOL)
-        self._disturbed = True  # an earlier process may have left replies on the line
-        self._line_free_s = self._last_byte_s = clock()
-        # The latest replies and their frames: those of an arm at rest repeat.
-        self._replied: tuple[bytes, tuple[int, ...], int] = (b"", (), 0)
-        self._replied_frames: dict[int, StatusFrame] = {}
-        self._written: dict[int, bytes] = {}
-        self._written_address = 0
-        self._written_packet: list[int] = []
+        super().__init__(port, PacketHandler(PROTOCOL), clock)
 
     @classmethod
     def open(cls, port: str, baudrate: int = 1_000_000) -> Bus:
         """Open the bus on a serial port; raises as :func:`robot.hardware.port.open_port`."""
         return cls(open_port(port, baudrate))
-
-    def close(self) -> None:
-        """Close the port; the servos keep their goals."""
-        self._port.closePort()
 
     def ping(self, servo_id: int) -> Identity:
         """Ping a servo.
@@ -171,24 +149,6 @@ class Bus:
         packet = instruction_packet(BROADCAST_ID, INST_SYNC_READ, (*block_parameters(address, length), *ids))
         return self._exchange(packet, ids, length)
 
-    def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
-        """Write the same block of several servos in one packet, which none of them acknowledges.
-
-        Args:
-            address: first register of the block.
-            data_by_id: bytes for each servo, all of one length; the dict must not be changed afterwards.
-
-        Raises:
-            PortLost: the port is gone.
-            ValueError: the data differ in length, or cannot be sent.
-        """
-        if data_by_id is not self._written or address != self._written_address:
-            parameters = sync_write_parameters(address, data_by_id)
-            self._written_packet = instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, parameters)
-            self._written, self._written_address = data_by_id, address
-        self._await_quiet()
-        self._send(self._written_packet)
-
     def broadcast_torque_off(self) -> None:
         """Switch every servo's torque off at once, over replies in progress and without acknowledgement.
 
@@ -210,75 +170,25 @@ class Bus:
             raise NoReply(servo_id, 1)
         return frame
 
-    def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Send an instruction and collect its replies."""
-        self._send(packet)
-        received, frames = self._collect(ids, data_length)
-        missing = len(ids) - len(frames)
-        surplus = len(received) - status_bytes(data_length, len(frames)) - stuffed_bytes(received)
-        self.counters.replies += len(frames)
-        self.counters.timeouts += missing
-        self.counters.discarded_bytes += max(surplus, 0)
-        if missing or surplus:
-            self._disturbed = True
-            # A reply that has not come yet may still come.
-            self._last_byte_s = self._clock()
-        return frames
+    def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
+        return parse_status_frames(received, ids, data_length)
 
-    def _collect(self, ids: Sequence[int], data_length: int) -> tuple[bytes, dict[int, StatusFrame]]:
-        """Receive until every servo has replied, the replies have stopped, or their time is over."""
-        whole_bytes = status_bytes(data_length, len(ids))
-        replies_s = wire_time_s(whole_bytes, self._port.baudrate) + len(ids) * LONGEST_RETURN_DELAY_S
-        deadline_s = self._line_free_s + replies_s + self._port.latency_s
-        received = b""
-        frames: dict[int, StatusFrame] = {}
-        while len(frames) < len(ids) and len(received) < MAX_BURST_BYTES:
-            until_s = min(deadline_s, self._last_byte_s + self._port.quiet_s) if received else deadline_s
-            chunk = self._port.receive(max(0.0, until_s - self._clock()))
-            if not chunk:
-                break
-            self._last_byte_s = self._clock()
-            received += chunk
-            if len(received) >= whole_bytes:
-                frames = self._parse(received, ids, data_length)
-            if self._last_byte_s >= deadline_s:
-                break
-        return received, frames or self._parse(received, ids, data_length)
+    def _reply_bytes(self, data_length: int, replies: int) -> int:
+        return status_bytes(data_length, replies)
 
-    def _parse(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Parse replies; the same bytes as before, in reply to the same instruction, give the same dict."""
-        replied = received, tuple(ids), data_length
-        if replied != self._replied:
-            self._replied, self._replied_frames = replied, parse_status_frames(received, ids, data_length)
-        return self._replied_frames
+    def _added_bytes(self, received: bytes) -> int:
+        return stuffed_bytes(received)
 
-    def _send(self, packet: list[int]) -> None:
-        discarded = self._port.discarded_bytes
-        try:
-            result = self._sdk.txPacket(self._port, packet)
-        finally:
-            self._port.is_using = False
-        if result != COMM_SUCCESS:
-            raise PortLost(self._port.port_name, self._sdk.getTxRxResult(result))
-        self.counters.sent += 1
-        self.counters.discarded_bytes += self._port.discarded_bytes - discarded
-        start_s = max(self._clock(), self._line_free_s)
-        self._line_free_s = start_s + wire_time_s(len(packet), self._port.baudrate)
+    def _answer_delay_s(self, replies: int) -> float:
+        return replies * LONGEST_RETURN_DELAY_S
 
-    def _await_quiet(self) -> None:
-        """Discard unexpected bytes, and after a disturbance wait until no more come."""
-        limit_s = self._clock() + QUIET_LIMIT_S
-        while True:
-            wait_s = max(0.0, self._last_byte_s + QUIET_S - self._clock()) if self._disturbed else 0.0
-            chunk = self._port.receive(wait_s)
-            if not chunk:
-                break
-            self.counters.discarded_bytes += len(chunk)
-            self._last_byte_s = self._clock()
-            self._disturbed = True
-            if self._last_byte_s > limit_s:
-                break
-        self._disturbed = False
+    def _sync_write_packet(self, address: int, data_by_id: dict[int, bytes]) -> list[int]:
+        return instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, sync_write_parameters(address, data_by_id))
+
+    def _note_disturbance(self) -> None:
+        super()._note_disturbance()
+        # A reply that has not come yet may still come.
+        self._last_byte_s = self._clock()
 
 
 def ping(bus: Bus, servo_id: int) -> Steps[Identity]:

@@ -8,9 +8,10 @@ stuffed, so that no header can be in a packet; LEN and CRC count the stuffed byt
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from dynamixel_sdk import INST_STATUS
+
+from robot.hardware.half_duplex import StatusFrame as StatusFrame
 
 HEADER = b"\xff\xff\xfd\x00"
 _HEADER_IN_BODY = b"\xff\xff\xfd"
@@ -31,9 +32,6 @@ ALERT = 0x80
 # Longest packet of the SDK.
 MAX_PACKET_BYTES = 1024
 
-# Ten bits a byte: start, eight of data, stop.
-BITS_PER_BYTE = 10
-
 CRC_POLYNOMIAL = 0x8005
 
 
@@ -45,20 +43,6 @@ def _crc_of_byte(byte: int) -> int:
 
 
 _CRC_TABLE = tuple(_crc_of_byte(byte) for byte in range(256))
-
-
-class StatusFrame(NamedTuple):
-    """Valid reply of a servo.
-
-    Attributes:
-        servo_id: id of the servo.
-        error: ERR byte: bit 7 for a hardware error, and the number of an error of the instruction.
-        data: bytes of the registers.
-    """
-
-    servo_id: int
-    error: int
-    data: bytes
 
 
 def crc16(data: bytes) -> int:
@@ -121,11 +105,6 @@ def status_bytes(data_length: int, replies: int = 1) -> int:
 def stuffed_bytes(received: bytes) -> int:
     """Count the stuffed bytes among those received."""
     return received.count(_STUFFED)
-
-
-def wire_time_s(byte_count: int, baudrate: int) -> float:
-    """Compute the time of bytes on the wire [s]."""
-    return byte_count * BITS_PER_BYTE / baudrate
 
 
 def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:

@@ -22,7 +22,6 @@ from itertools import cycle
 
 from scservo_sdk import (
     BROADCAST_ID,
-    COMM_SUCCESS,
     INST_PING,
     INST_READ,
     INST_SYNC_READ,
@@ -31,27 +30,24 @@ from scservo_sdk import (
     PacketHandler,
 )
 
-from robot.errors import NoReply, PortLost, StartupError
+from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.packets import (
     StatusFrame,
     instruction_packet,
     parse_status_frames,
     status_bytes,
     sync_write_parameters,
-    wire_time_s,
 )
 from robot.hardware.feetech.registers import LAYOUT, Register, decode, encode
-from robot.hardware.interface import BusCounters, Steps
-from robot.hardware.port import QUIET_S, BusPort, open_port
+from robot.hardware.half_duplex import MAX_BURST_BYTES, HalfDuplexBus
+from robot.hardware.interface import Steps
+from robot.hardware.port import BusPort, open_port
 
 # Attempts before a servo counts as silent: single packets get lost while others draw current.
 ATTEMPTS = 3
 
 # Attempts of a sequence: five lost packets in a row mean that no servo is there.
 STEP_ATTEMPTS = 5
-
-# A line that does not fall quiet is used after this time; the parser rejects what does not fit.
-QUIET_LIMIT_S = 0.03
 
 # Lengths of single reads, all longer than any register and shorter than any sync read.
 READ_LENGTHS = range(3, 15)
@@ -74,13 +70,10 @@ SERVO_IDS = range(254)
 # a slot; lerobot waits 3 ms for each of 252 ids.
 PING_SLOT_S = 0.003
 
-# More than 20 ms of wire time: no servo sends that much in reply to one instruction.
-MAX_BURST_BYTES = 2048
-
 LITTLE_ENDIAN = 0
 
 
-class Bus:
+class Bus(HalfDuplexBus):
     """Bus of any number of servos on one port.
 
     Args:
@@ -92,31 +85,16 @@ class Bus:
     """
 
     def __init__(self, port: BusPort, clock: Callable[[], float] = time.monotonic) -> None:
-        self.counters = BusCounters()
-        self._port = port
-        self._clock = clock
-        self._sdk = PacketHandler(LITTLE_ENDIAN)
-        self._disturbed = True  # an earlier process may have left replies on the line
-        self._disturbed_s = self._last_byte_s = clock()
-        self._line_free_s = self._last_byte_s
+        super().__init__(port, PacketHandler(LITTLE_ENDIAN), clock)
+        self._disturbed_s = self._last_byte_s
         self._read_lengths = cycle(READ_LENGTHS)
         self._padding = 0
         self._padding_is_safe = True
-        # The latest replies and their frames: those of an arm at rest repeat.
-        self._replied: tuple[bytes, tuple[int, ...], int] = (b"", (), 0)
-        self._replied_frames: dict[int, StatusFrame] = {}
-        self._written: dict[int, bytes] = {}
-        self._written_address = 0
-        self._written_packet: list[int] = []
 
     @classmethod
     def open(cls, port: str, baudrate: int = 1_000_000) -> Bus:
         """Open the bus on a serial port; raises as :func:`robot.hardware.port.open_port`."""
         return cls(open_port(port, baudrate))
-
-    def close(self) -> None:
-        """Close the port; the servos keep their goals."""
-        self._port.closePort()
 
     def ping(self, servo_id: int, attempts: int = ATTEMPTS) -> int:
         """Ping a servo.
@@ -210,24 +188,6 @@ class Bus:
             return frames
         return {servo_id: StatusFrame(servo_id, frame.error, frame.data[:length]) for servo_id, frame in frames.items()}
 
-    def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
-        """Write the same block of several servos in one packet, which none of them acknowledges.
-
-        Args:
-            address: first register of the block.
-            data_by_id: bytes for each servo, all of one length; the dict must not be changed afterwards.
-
-        Raises:
-            PortLost: the port is gone.
-            ValueError: the data differ in length or exceed a packet.
-        """
-        if data_by_id is not self._written or address != self._written_address:
-            parameters = sync_write_parameters(address, data_by_id)
-            self._written_packet = instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, parameters)
-            self._written, self._written_address = data_by_id, address
-        self._await_quiet()
-        self._send(self._written_packet)
-
     def broadcast_torque_off(self) -> None:
         """Switch every servo's torque off at once, over replies in progress and without acknowledgement.
 
@@ -250,60 +210,17 @@ class Bus:
         if attempt + 1 < attempts:
             self.counters.retries += 1
 
-    def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Send an instruction and collect its replies."""
-        self._send(packet)
-        received, frames = self._collect(ids, data_length)
-        replies = len(frames)
-        missing, surplus = len(ids) - replies, len(received) - status_bytes(data_length, replies)
-        self.counters.replies += replies
-        self.counters.timeouts += missing
-        self.counters.discarded_bytes += surplus
-        if missing or surplus:
-            self._note_disturbance()
-        return frames
+    def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
+        return parse_status_frames(received, ids, data_length)
 
-    def _collect(self, ids: Sequence[int], data_length: int) -> tuple[bytes, dict[int, StatusFrame]]:
-        """Receive until every servo has replied, the replies have stopped, or their time is over."""
-        whole_bytes = status_bytes(data_length, len(ids))
-        deadline_s = self._line_free_s + wire_time_s(whole_bytes, self._port.baudrate) + self._port.latency_s
-        received = b""
-        frames: dict[int, StatusFrame] = {}
-        while len(frames) < len(ids) and len(received) < MAX_BURST_BYTES:
-            until_s = min(deadline_s, self._last_byte_s + self._port.quiet_s) if received else deadline_s
-            chunk = self._port.receive(max(0.0, until_s - self._clock()))
-            if not chunk:
-                break
-            self._last_byte_s = self._clock()
-            received += chunk
-            if len(received) >= whole_bytes:
-                frames = self._parse(received, ids, data_length)
-            if self._last_byte_s >= deadline_s:
-                break
-        return received, frames or self._parse(received, ids, data_length)
+    def _reply_bytes(self, data_length: int, replies: int) -> int:
+        return status_bytes(data_length, replies)
 
-    def _parse(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Parse replies; the same bytes as before, in reply to the same instruction, give the same dict."""
-        replied = received, tuple(ids), data_length
-        if replied != self._replied:
-            self._replied, self._replied_frames = replied, parse_status_frames(received, ids, data_length)
-        return self._replied_frames
-
-    def _send(self, packet: list[int]) -> None:
-        discarded = self._port.discarded_bytes
-        try:
-            result = self._sdk.txPacket(self._port, packet)
-        finally:
-            self._port.is_using = False
-        if result != COMM_SUCCESS:
-            raise PortLost(self._port.port_name, self._sdk.getTxRxResult(result))
-        self.counters.sent += 1
-        self.counters.discarded_bytes += self._port.discarded_bytes - discarded
-        start_s = max(self._clock(), self._line_free_s)
-        self._line_free_s = start_s + wire_time_s(len(packet), self._port.baudrate)
+    def _sync_write_packet(self, address: int, data_by_id: dict[int, bytes]) -> list[int]:
+        return instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, sync_write_parameters(address, data_by_id))
 
     def _note_disturbance(self) -> None:
-        self._disturbed = True
+        super()._note_disturbance()
         self._disturbed_s = self._clock()
         self._padding_is_safe = False
 
@@ -315,21 +232,6 @@ class Bus:
             self._padding = (self._padding + 1) % SYNC_READ_PADDINGS
         self._padding_is_safe = True
         return self._padding * SYNC_READ_PADDING_STEP
-
-    def _await_quiet(self) -> None:
-        """Discard unexpected bytes, and after a disturbance wait until no more come."""
-        limit_s = self._clock() + QUIET_LIMIT_S
-        while True:
-            wait_s = max(0.0, self._last_byte_s + QUIET_S - self._clock()) if self._disturbed else 0.0
-            chunk = self._port.receive(wait_s)
-            if not chunk:
-                break
-            self.counters.discarded_bytes += len(chunk)
-            self._last_byte_s = self._clock()
-            self._note_disturbance()
-            if self._last_byte_s > limit_s:
-                break
-        self._disturbed = False
 
 
 def read(bus: Bus, servo_id: int, register: Register) -> Steps[int]:

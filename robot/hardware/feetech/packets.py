@@ -7,7 +7,8 @@ CHK is the inverted sum of everything from ID on (Feetech SCS/STS protocol).
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import NamedTuple
+
+from robot.hardware.half_duplex import StatusFrame as StatusFrame
 
 HEADER = b"\xff\xff"
 
@@ -25,23 +26,6 @@ MAX_INSTRUCTION_BYTES = 250
 
 # Bytes of an instruction besides its parameters: header, id, LEN, INST, checksum.
 INSTRUCTION_OVERHEAD_BYTES = 6
-
-# Ten bits a byte: start, eight of data, stop.
-BITS_PER_BYTE = 10
-
-
-class StatusFrame(NamedTuple):
-    """Valid reply of a servo.
-
-    Attributes:
-        servo_id: id of the servo.
-        error: ERR byte, bits of ``robot.hardware.interface.StatusFlag``; set bits do not make the data wrong.
-        data: bytes of the registers.
-    """
-
-    servo_id: int
-    error: int
-    data: bytes
 
 
 def checksum(body: bytes) -> int:
@@ -79,11 +63,6 @@ def sync_write_parameters(address: int, data_by_id: dict[int, bytes]) -> list[in
 def status_bytes(data_length: int, replies: int = 1) -> int:
     """Count the bytes of ``replies`` status packets with ``data_length`` bytes of data each."""
     return replies * (data_length + STATUS_OVERHEAD_BYTES)
-
-
-def wire_time_s(byte_count: int, baudrate: int) -> float:
-    """Compute the time of bytes on the wire [s]."""
-    return byte_count * BITS_PER_BYTE / baudrate
 
 
 def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:

@@ -17,8 +17,8 @@ from robot.hardware.dynamixel.packets import (
     status_bytes,
     stuffed_bytes,
     sync_write_parameters,
-    wire_time_s,
 )
+from robot.hardware.half_duplex import wire_time_s
 
 
 # Examples of the e-manual, DYNAMIXEL Protocol 2.0: Ping, Read, Write, Sync Read and Reboot.

@@ -13,8 +13,8 @@ from robot.hardware.feetech.packets import (
     parse_status_frames,
     status_bytes,
     sync_write_parameters,
-    wire_time_s,
 )
+from robot.hardware.half_duplex import wire_time_s
 
 IDS = (1, 2, 3)
 LENGTH = 15

@@ -132,7 +132,7 @@ def complete(
     registry: Registry,
     type_name: str,
     value: object,
-    received: Stamp,
+    received: Stamp | Callable[[], Stamp],
     max_values: int = MAX_VALUES,
     max_values_at_once: int = MAX_VALUES,
 ) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def complete(
         registry: where the type is looked up.
         type_name: name of a message type, in two parts or three.
         value: the message as it was decoded.
-        received: the time of receipt.
+        received: the time of receipt, or a function that tells it, called where it is wanted.
         max_values: values that the elements of all its lists of messages may have, at most `MAX_VALUES`.
         max_values_at_once: such values beyond which the message is left to the background.
 
@@ -156,7 +156,9 @@ def complete(
     """
     BUDGET.renew(type_name, max_values, max_values_at_once)
     strict = _strict_way(registry, type_name)(value)
-    return _message_shape(registry, type_name).complete(value, received) if strict is None else strict
+    if strict is not None:
+        return strict
+    return _message_shape(registry, type_name).complete(value, received() if callable(received) else received)
 
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)

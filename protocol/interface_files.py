@@ -61,7 +61,7 @@ _DIVIDER = re.compile(r"\s*---\s*(?:#.*)?")
 _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 
 # What only ROS 1 reads, where a package does not tell its generation.
-_ROS1_LINE = re.compile(r"[ \t]*(?:(?P<time>time|duration)|Header)(?:\[[0-9]*\])?[ \t]+[A-Za-z]", re.MULTILINE)
+_ROS1_LINE = re.compile(r"^[ \t]*(?:(?P<time>time|duration)|Header)(?:\[[0-9]*\])?[ \t]+[A-Za-z]", re.MULTILINE)
 
 _OLD_TIMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 

@@ -272,15 +272,11 @@ def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterat
             if registry.knows(name):
                 continue
             known = known or [_spell(each) for each in registry.type_names() if registry.knows(each)]
-            meant = get_close_matches(name, known, n=1) or _of_this_name(name, known)
+            # The right name in the wrong package, or in none, tells more than a similar one does.
+            suffix = f"/{name.split('/')[1]}"
+            meant = [each for each in known if each.endswith(suffix)] or get_close_matches(name, known, n=1)
             hint = f"; did you mean {meant[0]}?" if meant else ""
             yield Problem(file.path, reference.line, reference.text, f"type {name} is unknown{hint}")
-
-
-def _of_this_name(name: str, known: Iterable[str]) -> list[str]:
-    """Return a type that has the name in another package."""
-    suffix = f"/{name.split('/')[1]}"
-    return [each for each in known if each.endswith(suffix)][:1]
 
 
 class _Sizes:

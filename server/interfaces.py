@@ -22,6 +22,7 @@ OWN_PACKAGES = frozenset(
         "builtin_interfaces",
         "control_msgs",
         "diagnostic_msgs",
+        "file_server",
         "geometry_msgs",
         "moveit_msgs",
         "object_recognition_msgs",

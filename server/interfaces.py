@@ -66,13 +66,14 @@ def load_registry(folders: Sequence[Path]) -> Registry:
         interfaces = read_packages(folders, OWN_PACKAGES)
     except InterfaceFilesError as error:
         raise ConfigurationError(f"server.interfaces: {error}") from error
-    count = len(interfaces.ros1) + len(interfaces.ros2)
-    log.info("%d types of the user's packages: %s", count, _told(interfaces.packages))
+    packages, count = interfaces.packages, len(interfaces.ros1) + len(interfaces.ros2)
+    added = count - len(interfaces.replaced)
+    log.info("interfaces of %d packages read: %s; %d types added", len(packages), _told(packages), added)
     if interfaces.replaced:
-        log.info("%d of them replace packaged ones: %s", len(interfaces.replaced), _told(interfaces.replaced))
+        log.info("%d types replace armbridge's: %s", len(interfaces.replaced), _told(interfaces.replaced))
     if interfaces.kept:
         log.warning(
-            "%d types of the user's packages differ from those that armbridge itself uses, which stay: %s",
+            "%d types of these packages differ from those that armbridge itself uses, which stay: %s",
             len(interfaces.kept),
             _told(interfaces.kept),
         )

@@ -49,7 +49,7 @@ def test_the_types_of_the_users_packages_are_known_and_told(caplog: pytest.LogCa
         registry = load_registry([INTERFACES / "lab_msgs", INTERFACES / "robots"])
     assert registry.knows("lab_msgs/Sample")
     assert registry.knows("old_lab_msgs/Reading")
-    assert "types of the user's packages: lab_msgs, old_lab_msgs" in caplog.text
+    assert "interfaces of 2 packages read: lab_msgs, old_lab_msgs; 13 types added" in caplog.text
 
 
 def test_a_type_of_the_servers_own_that_differs_is_told_and_stays(

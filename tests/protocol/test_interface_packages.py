@@ -3,6 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from mcap_ros2._dynamic import generate_dynamic
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from protocol import interface_packages
@@ -272,12 +273,31 @@ def test_wide_text_in_cdr_that_is_no_utf_16_is_refused() -> None:
         cdr.deserialize(Registry.load(), "example_interfaces/WString", octets[:-2] + b"\x00\xd8")
 
 
-def test_the_text_of_a_users_type_is_read_by_other_programs_with_the_same_hashes() -> None:
+# Without wide text, which neither reader has.
+LINES = """\
+string UNIT="mm # per \\"turn\\""
+float64 SMALL=1e-30
+string<=8 name "it's # ü"
+float64[3] offset [0.0, 0.5, 1e-7]
+int32[<=4] counts [1, 2]
+string<=4[<=2] tags ["a, b", 'c']
+uint8[] raw [1, 2, 255]
+bool[] ready [true, False]
+string[] plain
+std_msgs/Header header
+"""
+
+
+def test_the_text_of_a_users_type_is_read_by_other_programs_with_the_same_hash(tmp_path: Path) -> None:
+    registry = read_packages([package(tmp_path / "my_msgs", ("msg/A.msg", LINES))]).registry()
+    text = full_text(registry, "my_msgs/A")
     store = get_typestore(Stores.ROS2_JAZZY)
-    # rosbags reads neither defaults of arrays of texts with commas in them nor wide text.
-    text = full_text(USER, "lab_msgs/Tag")
-    store.register(get_types_from_msg(text, "lab_msgs/msg/Tag"))
-    assert store.hash_rihs01("lab_msgs/msg/Tag") == message_hash(USER, "lab_msgs/Tag")
+    store.register(get_types_from_msg(text, "my_msgs/msg/A"))
+    assert store.hash_rihs01("my_msgs/msg/A") == message_hash(registry, "my_msgs/A")
+    message = complete(registry, "my_msgs/A", {}, Stamp(1, 2))
+    octets = cdr.serialize(registry, "my_msgs/A", message)
+    decoded = generate_dynamic("my_msgs/A", text)["my_msgs/A"](octets)
+    assert (decoded.name, decoded.offset, decoded.tags) == (message["name"], message["offset"], message["tags"])
 
 
 def test_a_bound_of_text_changes_the_hash(tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ _OLDER_NAMES: Mapping[str, Mapping[str, str | None]] = {
 _OCTETS = ("uint8", "char", "byte")
 
 # Every distinct shape stays compiled: the tables hold fewer message types than this, each with two spellings.
-_MAX_COMPILED_TYPES = 1024
+_MAX_COMPILED_TYPES = 4096
 
 
 class Stamp(NamedTuple):

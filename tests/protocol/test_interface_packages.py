@@ -71,6 +71,16 @@ def test_a_workspace_is_looked_through_for_packages_but_not_inside_of_them(tmp_p
     assert list(read_packages([tmp_path]).ros2) == ["one_msgs/msg/A", "two_msgs/msg/A"]
 
 
+def test_links_in_a_workspace_are_followed_but_not_in_circles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package(tmp_path / "elsewhere" / "one_msgs", ("msg/A.msg", "int32 a"))
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src" / "one").symlink_to(tmp_path / "elsewhere")
+    for name in ("back", "again", "once_more"):
+        (tmp_path / "src" / name).symlink_to(tmp_path / "src")
+    monkeypatch.setattr(interface_packages, "MAX_FOLDERS", 10)
+    assert list(read_packages([tmp_path / "src"]).ros2) == ["one_msgs/msg/A"]
+
+
 def test_files_that_an_install_has_beside_them_are_left_alone(tmp_path: Path) -> None:
     files = [
         ("srv/B.srv", "int32 a\n---"),

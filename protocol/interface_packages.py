@@ -35,8 +35,8 @@ MAX_FILES = 10_000
 MAX_DEPTH = 6
 MAX_FOLDERS = 20_000
 
-# Values that a message has without its lists, which its compiled form has a line each for; the largest packaged type
-# has 200.
+# Values that a message has without its lists, for each of which its compiled form has a part; the largest packaged
+# type has 200.
 MAX_FIELDS = 10_000
 # Values of a message in which nothing is set, with the elements of its arrays of fixed size.
 MAX_DEFAULT_VALUES = 1_000_000

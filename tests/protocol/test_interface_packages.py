@@ -3,6 +3,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -12,6 +14,7 @@ from protocol.errors import InterfaceFilesError, MessageError
 from protocol.interface_packages import UserInterfaces, read_packages
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
+from protocol.strict_messages import strict_type
 from protocol.type_descriptions import full_text, message_hash, service_hash
 from tests.conformance.cases import INTERFACES
 from tests.helpers.messages import deserialize, made_up
@@ -268,6 +271,14 @@ def test_messages_of_the_users_types_go_through_cdr_unchanged(name: str, seed: i
     octets = cdr.serialize(USER, name, message)
     assert cdr.deserialize(USER, name, octets) == deserialize(USER, name, octets) == message
     assert complete(USER, name, message, Stamp(1, 2)) == message
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=13))
+def test_the_strict_form_takes_a_text_if_it_has_no_more_characters_than_its_bound(text: str) -> None:
+    strict = strict_type(USER, "lab_msgs/msg/Tag")
+    assert strict is not None
+    tag = {"text": text, "level": 0, "since": {"sec": 0, "nanosec": 0}}
+    assert strict.complete(tag) == (tag if len(text) <= 10 else None)
 
 
 def test_text_in_cdr_that_is_longer_than_its_bound_is_refused() -> None:

@@ -98,7 +98,7 @@ _OLDER_NAMES: Mapping[str, Mapping[str, str | None]] = {
 _OCTETS = ("uint8", "char", "byte")
 
 # Every distinct shape stays compiled: the tables hold fewer message types than this, each with two spellings.
-_MAX_COMPILED_TYPES = 1024
+_MAX_COMPILED_TYPES = 4096
 
 
 class Stamp(NamedTuple):
@@ -179,8 +179,8 @@ class _PrimitiveShape:
     """A single primitive value."""
 
     def __init__(self, field: Field) -> None:
-        self._convert = values.converter(field.base)
-        self._default = values.zero(field.base) if field.default is None else field.default
+        self._convert = values.converter(field.base, field.max_length)
+        self._default: values.Primitive = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> values.Primitive:
         """Convert the value."""
@@ -195,10 +195,10 @@ class _PrimitiveArrayShape:
     """An array of primitive values."""
 
     def __init__(self, field: Field, bounds: ArrayBounds) -> None:
-        self._convert = values.converter(field.base)
-        self._convert_list = values.list_converter(field.base)
+        self._convert = values.converter(field.base, field.max_length)
+        self._convert_list = values.list_converter(field.base, field.max_length)
         self._bounds = bounds
-        self._default = [values.zero(field.base)] * bounds.min_length
+        self._default: list[Any] = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> list[Any]:
         """Convert the elements, all at once where they are as they should be."""
@@ -207,7 +207,7 @@ class _PrimitiveArrayShape:
         return values.to_list(elements, self._convert) if converted is None else converted
 
     def default(self, _received: Stamp) -> list[Any]:
-        """Return zeros for an array of fixed size, else an empty list."""
+        """Return the definition's default, else zeros for an array of fixed size, else an empty list."""
         return self._default.copy()
 
 
@@ -219,6 +219,7 @@ class _OctetArrayShape:
         # rosbridge packs uint8[] and char[] alone (message_conversion), so clients expect integers in a byte[].
         self._as_text = field.base != "byte"
         self._bounds = bounds
+        self._default = bytes(values.default(field))
 
     def complete(self, value: object, _received: Stamp) -> str | list[int]:
         """Take base64 text or a list; whichever came, the spelling that goes out is the same."""
@@ -230,8 +231,8 @@ class _OctetArrayShape:
         return self._spell(octets)
 
     def default(self, _received: Stamp) -> str | list[int]:
-        """Return zeros for an array of fixed size, else an empty one."""
-        return self._spell(bytes(self._bounds.min_length))
+        """Return the definition's default, else zeros for an array of fixed size, else an empty one."""
+        return self._spell(self._default)
 
     def _spell(self, octets: bytes) -> str | list[int]:
         return values.octets_text(octets) if self._as_text else list(octets)

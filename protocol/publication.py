@@ -128,7 +128,9 @@ class EncodedMessage:
     @property
     def frames(self) -> tuple[Frame, ...]:
         """The frames; none while the message is still to be encoded, or when it cannot be."""
-        return (Frame(b"".join(self._parts), text=True),) if self._parts else self._frames
+        if self._parts:
+            self._frames, self._parts = (Frame(b"".join(self._parts), text=True),), ()
+        return self._frames
 
     @property
     def frame_count(self) -> int:

@@ -132,7 +132,8 @@ def _begins_with_bson(data: bytearray) -> bool:
     """
     if data[_LENGTH_BYTES - 1] <= _MAX_HIGH_BYTE:
         return True
-    if data[_filler_bytes(data) :][:1] in (b"{", b""):
+    begin = _filler_bytes(data)
+    if begin == len(data) or data.startswith(b"{", begin):
         return False
     length = int.from_bytes(data[:_LENGTH_BYTES], "little", signed=True)
     raise FrameError(

@@ -68,8 +68,10 @@ class StreamSplitter:
         self._data.clear()
         self._end = None
 
-    def next_frame(self) -> bytes | None:
-        """Return the next frame, one BSON document or one JSON object; None when its end has not come yet.
+    def next_frame(self) -> str | bytes | None:
+        """Return the next frame, one BSON document, or one JSON object as text; None when its end has not come yet.
+
+        An object that is no UTF-8 is returned as bytes, for the session to refuse.
 
         Raises:
             FrameError: the stream cannot be cut any further; nothing behind this can be read.
@@ -84,7 +86,7 @@ class StreamSplitter:
         frame = bytes(memoryview(self._data)[:size_bytes])
         del self._data[:size_bytes]
         self._end = None
-        return frame
+        return frame if self._is_bson else _text(frame)
 
     def _document_bytes(self) -> int | None:
         """Return the size of the document that the data begins with; None when it is not all there."""
@@ -140,6 +142,13 @@ def _begins_with_bson(data: bytearray) -> bool:
         f"a stream that begins with {_shown(data)}: wanted a JSON object, or a BSON document, whose length this would"
         f" be ({length} bytes); WebSocket and HTTP have a port of their own"
     )
+
+
+def _text(frame: bytes) -> str | bytes:
+    try:
+        return frame.decode()
+    except UnicodeDecodeError:
+        return frame
 
 
 def _filler_bytes(data: bytearray) -> int:

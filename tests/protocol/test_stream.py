@@ -23,7 +23,8 @@ def frames_of(*data: bytes, limit: int = LIMIT) -> tuple[list[bytes], str | None
         for piece in data:
             splitter.add(piece)
             while (frame := splitter.next_frame()) is not None:
-                frames.append(frame)
+                assert isinstance(frame, bytes) or not splitter.speaks_bson
+                frames.append(frame.encode() if isinstance(frame, str) else frame)
     except FrameError as error:
         return frames, str(error)
     return frames, None
@@ -142,3 +143,9 @@ def test_random_cuts_of_a_long_stream_give_every_document():
     stream = b"".join(documents)
     cut = [stream[at : at + 7] for at in range(0, len(stream), 7)]
     assert frames_of(*cut) == (documents, None)
+
+
+def test_an_object_comes_as_text_and_one_that_is_no_utf8_as_bytes_to_be_refused():
+    splitter = StreamSplitter(LIMIT)
+    splitter.add('{"op":"é"}'.encode() + b'{"op":"\xff"}')
+    assert [splitter.next_frame(), splitter.next_frame()] == ['{"op":"é"}', b'{"op":"\xff"}']

@@ -193,3 +193,16 @@ def test_a_type_that_exists_only_in_ros1_tells_that_a_client_speaks_it(registry,
 @pytest.mark.parametrize(("name", "known"), [("std_msgs/String", True), ("std_srvs/srv/Empty", False), ("time", False)])
 def test_a_type_is_known_as_a_message_or_not(registry, name, known):
     assert registry.knows(name) is known
+
+
+def test_the_message_of_a_feedback_topic_is_derived_from_its_action(registry):
+    message = registry.message("control_msgs/action/GripperCommand_FeedbackMessage")
+    assert [(field.name, field.base) for field in message.fields] == [
+        ("goal_id", "unique_identifier_msgs/msg/UUID"),
+        ("feedback", "control_msgs/action/GripperCommand_Feedback"),
+    ]
+
+
+@pytest.mark.parametrize("name", ["std_srvs/srv/SetBool_FeedbackMessage", "no/action/Such_FeedbackMessage"])
+def test_what_is_no_action_has_no_feedback_message(registry, name):
+    assert not registry.knows(name)

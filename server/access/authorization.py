@@ -90,12 +90,17 @@ PLANNING_GOAL = Rule(Role.OPERATE, drives=True, goal=True, may_plan_only=True)
 CONFIGURING = Rule(Role.ADMIN)
 
 _ROSAPI_LOOKING = (
+    "action_feedback_details",
+    "action_goal_details",
+    "action_result_details",
     "action_servers",
+    "action_type",
     "get_param",
     "get_param_names",
     "get_ros_version",
     "get_time",
     "has_param",
+    "interfaces",
     "message_details",
     "node_details",
     "nodes",

@@ -66,6 +66,7 @@ class Goal(PendingRequest[Result]):
         request: as given.
         sender: as given.
         goal_id: sixteen octets that no other goal has.
+        sender_id: the sender's own mark for it, None where it has none.
         cancel_requested: whether somebody has asked for the end of the goal.
         sender_left: whether its sender is to be told nothing any more.
     """
@@ -85,6 +86,7 @@ class Goal(PendingRequest[Result]):
         self.type_name = type_name
         self.request = request
         self.goal_id = uuid.uuid4().bytes
+        self.sender_id: str | int | None = None
         self.cancel_requested = False
         self.sender_left = False
         self._message_types = message_types
@@ -292,6 +294,18 @@ class Actions(ProviderDirectory[ActionProvider]):
         goal = Goal(name, offer.type_name, request, self._message_types, on_feedback, sender)
         self._start(goal, offer, on_result)
         return goal
+
+    def cancel_left_behind(self, name: str, sender_id: str | int) -> None:
+        """Cancel the goals of an action with this mark whose senders have left.
+
+        Args:
+            name: fully qualified name of the action.
+            sender_id: the mark that the senders gave them.
+        """
+        offer = self._offers.get(name)
+        for goal in list(offer.goals.values()) if offer is not None else ():
+            if goal.sender_left and goal.sender_id == sender_id:
+                goal.cancel()
 
     def _offer(self, name: str, type_name: str) -> ActionProvider:
         offer = self._offers.get(name)

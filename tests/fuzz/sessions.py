@@ -24,7 +24,7 @@ TOPICS = ("/t", "t", "/t", "/u", "/v", "/w", "/rosout", "/a/_action/status", "/a
 SERVICES = ("/s", "s", "/s", "/s#7", "/r")
 ACTIONS = ("/a", "a", "/a", "/b")
 NO_NAMES = ("", "/nobody", "/" + "x" * 300, "//", "/t ")
-IDS = ("1", "2", "service_request:/s:1", "service_request:/s:2", "send_action_goal:/a:1", 7, "x" * 600)
+IDS = ("1", "2", "service_request:/s:1", "service_request:/s:2", "action_goal:/a:1", 7, "x" * 600)
 COMPRESSIONS = ("none", "png", "cbor", "cbor-raw", "zip")
 LEVELS = ("none", "error", "warning", "info", "loud")
 
@@ -393,7 +393,7 @@ class SessionMaker:
 
     def _action_report(self) -> dict[str, Any]:
         action = self._name(ACTIONS)
-        given = {"action": action, "id": self._given_id("send_action_goal", action)}
+        given = {"action": action, "id": self._given_id("action_goal", action)}
         if self._random.random() < 0.5:
             return {"op": "action_feedback", **given, "values": self._args(action, ACTION_TYPES, "_Feedback")}
         given |= {"status": self._random.choice((0, 1, 2, 4, 5, 6, 99, -1)), "result": self._random.random() < 0.7}

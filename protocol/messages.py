@@ -34,7 +34,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from protocol import values
 from protocol.errors import LargeMessageError, MessageError, describe, shorten
-from protocol.registry import ArrayBounds, Field, MessageType, Registry
+from protocol.registry import TEXTS, ArrayBounds, Field, MessageType, Registry
 
 # Values of the elements of all lists of messages in one message. The largest mesh that is taken into a scene has half
 # as many; completing them takes two seconds at worst, and 150 MB.
@@ -179,8 +179,8 @@ class _PrimitiveShape:
     """A single primitive value."""
 
     def __init__(self, field: Field) -> None:
-        self._convert = values.converter(field.base)
-        self._default = values.zero(field.base) if field.default is None else field.default
+        self._convert = values.converter(field.base, field.max_length)
+        self._default: values.Primitive = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> values.Primitive:
         """Convert the value."""
@@ -195,10 +195,10 @@ class _PrimitiveArrayShape:
     """An array of primitive values."""
 
     def __init__(self, field: Field, bounds: ArrayBounds) -> None:
-        self._convert = values.converter(field.base)
-        self._convert_list = values.list_converter(field.base)
+        self._convert = values.converter(field.base, field.max_length)
+        self._convert_list = values.list_converter(field.base, field.max_length)
         self._bounds = bounds
-        self._default = [values.zero(field.base)] * bounds.min_length
+        self._default: list[Any] = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> list[Any]:
         """Convert the elements, the quick way where all are as they should be."""
@@ -207,7 +207,7 @@ class _PrimitiveArrayShape:
         return values.to_list(elements, self._convert) if converted is None else converted
 
     def default(self, _received: Stamp) -> list[Any]:
-        """Return zeros for an array of fixed size, else an empty list."""
+        """Return the definition's default, else zeros for an array of fixed size, else an empty list."""
         return self._default.copy()
 
 
@@ -219,6 +219,7 @@ class _OctetArrayShape:
         # rosbridge packs uint8[] and char[] alone (message_conversion), so clients expect integers in a byte[].
         self._as_text = field.base != "byte"
         self._bounds = bounds
+        self._default = bytes(values.default(field))
 
     def complete(self, value: object, _received: Stamp) -> str | list[int]:
         """Take base64 text or a list; whichever came, the spelling that goes out is the same."""
@@ -227,8 +228,8 @@ class _OctetArrayShape:
         return self._spell(octets)
 
     def default(self, _received: Stamp) -> str | list[int]:
-        """Return zeros for an array of fixed size, else an empty one."""
-        return self._spell(bytes(self._bounds.min_length))
+        """Return the definition's default, else zeros for an array of fixed size, else an empty one."""
+        return self._spell(self._default)
 
     def _spell(self, octets: bytes) -> str | list[int]:
         return b2a_base64(octets, newline=False).decode() if self._as_text else list(octets)
@@ -403,16 +404,15 @@ def _defaults(registry: Registry, message_type: MessageType) -> dict[str, Any]:
     for field in message_type.fields:
         if field.base in _OCTETS and field.array is not None:
             continue
-        value: Any
         if field.primitive:
-            value = values.zero(field.base) if field.default is None else field.default
-        elif message_type.name == _HEADER:
+            defaults[field.name] = values.default(field)
             continue
-        else:
-            part = registry.message(field.base)
-            value = _defaults(registry, part)
-            if len(value) != len(part.fields) and (field.array is None or field.array.min_length):
-                continue
+        if message_type.name == _HEADER:
+            continue
+        part = registry.message(field.base)
+        value = _defaults(registry, part)
+        if len(value) != len(part.fields) and (field.array is None or field.array.min_length):
+            continue
         defaults[field.name] = value if field.array is None else [value] * field.array.min_length
     return defaults
 
@@ -462,7 +462,7 @@ class _Writer:
             return self._array(variable, field, field.array)
         if not field.primitive:
             return self.message(variable, self._registry.message(field.base))
-        return self._primitive(variable, field.base)
+        return self._primitive(variable, field)
 
     def _array(self, variable: str, field: Field, bounds: ArrayBounds) -> str:
         if field.base in _OCTETS:
@@ -470,9 +470,9 @@ class _Writer:
         self._refuse_if(f"type({variable}) is not list")
         if bounds.max_length is not None:
             self._refuse_if(f"not {bounds.min_length} <= len({variable}) <= {bounds.max_length}")
-        convert = "convert_" + field.base.replace("/", "_")
+        convert = f"convert_{variable}"
         if field.primitive:
-            self._names[convert] = values.list_converter(field.base)
+            self._names[convert] = values.list_converter(field.base, field.max_length)
             self._lines.append(f"{variable} = {convert}({variable})")
             self._refuse_if(f"{variable} is None")
         else:
@@ -483,7 +483,8 @@ class _Writer:
             self._refuse_if(f"None in {variable}")
         return variable
 
-    def _primitive(self, variable: str, base: str) -> str:
+    def _primitive(self, variable: str, field: Field) -> str:
+        base = field.base
         if base in values.INTEGER_RANGES:
             lowest, highest = values.INTEGER_RANGES[base]
             self._refuse_if(f"type({variable}) is not int or not {lowest} <= {variable} <= {highest}")
@@ -494,7 +495,9 @@ class _Writer:
             if base == "float32":
                 self._refuse_if(f"not -{_FLOAT32_MAX} <= {variable} <= {_FLOAT32_MAX}")
         else:
-            self._refuse_if(f"type({variable}) is not {'str' if base == 'string' else 'bool'}")
+            self._refuse_if(f"type({variable}) is not {'str' if base in TEXTS else 'bool'}")
+            if field.max_length is not None:
+                self._refuse_if(f"len({variable}) > {field.max_length}")
         return variable
 
     def _refuse_if(self, condition: str) -> None:

@@ -58,7 +58,7 @@ class FrameReader:
         self._limits = limits
         # What begins with an object whose end has not come yet, and how far its end has been looked for.
         self._pending = bytearray()
-        self._end = _ObjectEnd()
+        self._end = ObjectEnd()
 
     def feed(self, frame: str | bytes) -> list[object | FrameError]:
         """Return what was completed by this frame, in order: decoded values, and errors for what is none.
@@ -121,7 +121,7 @@ class FrameReader:
             # It may have taken the end of the search for that of the text.
             start = _START.match(self._pending, start.start())
         del self._pending[: len(self._pending) if start is None else start.start()]
-        self._end = _ObjectEnd()
+        self._end = ObjectEnd()
         return start is not None
 
     def _give_up(self) -> list[object | FrameError]:
@@ -131,7 +131,7 @@ class FrameReader:
         return [FrameError(f"{size_bytes} bytes in which no object ends are given up")] if size_bytes else []
 
 
-class _ObjectEnd:
+class ObjectEnd:
     """Finds the brace that ends an object, over as many pieces as it takes.
 
     Attributes:

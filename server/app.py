@@ -271,8 +271,10 @@ class App:
         elif arm.state.mode is not Mode.HOLDING:
             bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
         shown = f"{self._listener.page_url} (page), " if page_is_built(PAGE_DIRECTORY) else ""
+        raw_tcp = self._listener.tcp_url
+        shown_tcp = f"{raw_tcp} (rosbridge over TCP), " if raw_tcp is not None else ""
         return (
-            f"armbridge is ready: {self._listener.url} (rosbridge), {shown}"
+            f"armbridge is ready: {self._listener.url} (rosbridge), {shown_tcp}{shown}"
             f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids) or 'of their own, shared'}"
         )

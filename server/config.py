@@ -89,6 +89,11 @@ class ServerSettings(SettingsSection):
     """address to listen on."""
     port: int = Field(default=9090, ge=0, le=65535)
     """TCP port; 0 takes a free one."""
+    tcp_port: int | None = Field(default=None, ge=0, le=65535)
+    """one more port, for clients that speak rosbridge over raw TCP; 0 takes a free one, None for no such port."""
+    # That of ROSIntegration's default, and of the rosbridge_tcp for which such clients were written.
+    tcp_ros_version: Literal[1, 2] = 1
+    """generation of ROS in whose spelling clients of tcp_port get messages: 1 has seq, secs and nsecs."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """least level of the log."""
     log_format: LogFormat = "plain"
@@ -125,6 +130,12 @@ class ServerSettings(SettingsSection):
         if (self.tls_certificate is None) != (self.tls_key is None):
             missing = "tls_key" if self.tls_key is None else "tls_certificate"
             raise ValueError(f"tls_certificate and tls_key must be given together; {missing} is missing")
+        return self
+
+    @model_validator(mode="after")
+    def _the_ports_differ(self) -> ServerSettings:
+        if self.tcp_port and self.tcp_port == self.port:
+            raise ValueError(f"tcp_port must differ from port, both are {self.port}")
         return self
 
 

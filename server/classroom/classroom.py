@@ -127,6 +127,11 @@ def _check_settings(settings: Settings) -> None:
             raise ConfigurationError(
                 f"{section}.{name}: the arms of a classroom are simulated, and {value} is for one arm; leave it out"
             )
+    if settings.server.tcp_port is not None:
+        raise ConfigurationError(
+            f"server.tcp_port: the servers of a classroom have one port each, and {settings.server.tcp_port} is for one"
+            " server; leave it out"
+        )
     if settings.zenoh.mode != "off":
         raise ConfigurationError(
             f"zenoh.mode: must be off in a classroom, not {settings.zenoh.mode}: its servers have the same topics, "

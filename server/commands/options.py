@@ -116,6 +116,7 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
 _KEYS = {
     "host": ("server", "host"),
     "port": ("server", "port"),
+    "tcp_port": ("server", "tcp_port"),
     "log_level": ("server", "log_level"),
     "interfaces": ("server", "interfaces"),
     "serial": ("arm", "serial"),
@@ -134,6 +135,12 @@ def add_setting_options(parser: argparse.ArgumentParser) -> None:
     """Describe the options of a command that needs the settings."""
     parser.add_argument("--host", help="address to listen on (127.0.0.1)")
     parser.add_argument("--port", type=int, help="TCP port (9090); 0 takes a free one")
+    parser.add_argument(
+        "--tcp-port",
+        type=int,
+        metavar="PORT",
+        help="one more port, for rosbridge over raw TCP (none); 0 takes a free one",
+    )
     parser.add_argument(
         "--insecure",
         action="store_true",

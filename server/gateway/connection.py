@@ -7,12 +7,9 @@ import contextlib
 import logging
 import time
 from typing import NamedTuple, Protocol
-from urllib.parse import parse_qs, urlsplit
 
 from websockets.exceptions import ConnectionClosed
-from websockets.protocol import State
 
-from protocol.dialect import Dialect
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage
 from protocol.session import Session
@@ -22,8 +19,8 @@ from server.access.permissions import Role, display_name
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
+from server.gateway.client_transport import ClientTransport
 from server.gateway.inbox import Scheduling
-from server.gateway.transport import WebSocket, address_of
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -94,7 +91,7 @@ class Connection:
     """Connection of one client.
 
     Args:
-        websocket: the open WebSocket.
+        websocket: the open transport, a WebSocket or a raw TCP stream.
         graph: the graph that the client takes part in.
         limits: limits of the client.
         access: authentication and authorization.
@@ -108,7 +105,7 @@ class Connection:
 
     def __init__(
         self,
-        websocket: WebSocket,
+        websocket: ClientTransport,
         graph: Graph,
         limits: Limits,
         access: Access,
@@ -121,11 +118,12 @@ class Connection:
         # Made when something has to wait: most clients hardly ever hear so much.
         self._wake: asyncio.Event | None = None
         self._writer: asyncio.Task[None] | None = None
-        self.address, port = address_of(websocket)
+        self.address, port = websocket.peer
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
         self._congested: asyncio.TimerHandle | None = None
-        asked = _query(websocket).get("on_disconnect", [""])[-1]
+        query = websocket.query
+        asked = query.get("on_disconnect", [""])[-1]
         node = Node(
             display_name(websocket.identity, place),
             remote=True,
@@ -133,7 +131,7 @@ class Connection:
             identity=websocket.identity,
             address=place,
         )
-        session = Session(limits, _dialect(websocket))
+        session = Session(limits, "ros1" if query.get("ros") == ["1"] else "ros2")
         self._client = Client(
             ClientContext(node, graph, session, time.monotonic, self._wake_up, websocket.send_at_once),
             AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),
@@ -141,9 +139,8 @@ class Connection:
             websocket,
         )
         self._background = scheduling.background
-        self._max_message_bytes = websocket.protocol.max_message_size
+        self._max_message_bytes = websocket.max_message_bytes
         self._limit_messages()
-        websocket.forget_handshake()
 
     @property
     def node(self) -> Node:
@@ -205,14 +202,14 @@ class Connection:
         try:
             async for frame in self._websocket:
                 self._client.receive_frame(frame)
-        except ConnectionClosed as closed:
+        except (ConnectionClosed, ConnectionError) as closed:
             log.warning("%s: connection closed: %s", self._client.node, closed)
         else:
             log.info("%s left", self._client.node)
 
     async def _write(self, wake: asyncio.Event) -> None:
         """Send the messages that the socket did not take at once, as it takes them and as they become due."""
-        while self._websocket.state is State.OPEN:
+        while self._websocket.is_open:
             wake.clear()
             self._flush()
             await self._websocket.drain()
@@ -262,7 +259,7 @@ class Connection:
             limit_bytes = MAX_UNKNOWN_BYTES
         elif identity.role is Role.VIEW:
             limit_bytes = min(MAX_VIEW_BYTES, limit_bytes or MAX_VIEW_BYTES)
-        self._websocket.protocol.max_message_size = limit_bytes
+        self._websocket.max_message_bytes = limit_bytes
 
     def _check_authenticated(self) -> None:
         if self._client.node.identity is None and self._closing is None:
@@ -279,7 +276,7 @@ class Connection:
         told = reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
         with contextlib.suppress(TimeoutError, ConnectionClosed):
             await asyncio.wait_for(self._websocket.close(POLICY_VIOLATION, told), CLOSE_TIMEOUT_S)
-        self._websocket.transport.abort()
+        self._websocket.abort()
 
     def _flush(self) -> None:
         """Send the messages that are due while the socket takes them without waiting."""
@@ -335,16 +332,6 @@ class Traffic:
         """Return the bytes that wait for all clients, and those for the client with the most."""
         queued = [connection.queued_bytes for connection in self._open]
         return sum(queued), max(queued, default=0)
-
-
-def _dialect(websocket: WebSocket) -> Dialect:
-    """Return the dialect that the client asks for in its URL: ``?ros=1`` for ROS 1."""
-    return "ros1" if _query(websocket).get("ros") == ["1"] else "ros2"
-
-
-def _query(websocket: WebSocket) -> dict[str, list[str]]:
-    """Return the fields of the query in the client's URL."""
-    return parse_qs(urlsplit(websocket.request.path).query if websocket.request else "")
 
 
 def _sum(counts: list[TrafficCounts]) -> TrafficCounts:

@@ -33,10 +33,12 @@ from server.gateway.admission import (
     HandshakeRequest,
     check_exposure,
 )
+from server.gateway.client_transport import ClientTransport
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler, HttpResponse, names
 from server.gateway.inbox import Scheduling
-from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket, address_of
+from server.gateway.raw_tcp import TcpListener
+from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.gateway.turns import Threads, Turns, call_soon
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -307,6 +309,11 @@ class Listener:
         self._threads = Threads()
         self._scheduling = Scheduling(Turns(call_soon, time.monotonic), self._threads)
         self.traffic = Traffic()
+        self._tcp_sockets: list[socket.socket] = []
+        self._tcp: TcpListener | None = None
+        if settings.tcp_port is not None:
+            context, anonymous = None if self._tls is None else self._tls.context, self._access.tokens.anonymous
+            self._tcp = TcpListener(settings, self._limiter, anonymous, context, self._serve_client)
 
     @property
     def port(self) -> int:
@@ -314,9 +321,20 @@ class Listener:
         return self._port
 
     @property
+    def tcp_port(self) -> int | None:
+        """The port of raw TCP in use; None for none."""
+        return self._tcp_sockets[0].getsockname()[1] if self._tcp_sockets else None
+
+    @property
     def url(self) -> str:
         """URL for clients of rosbridge."""
         return f"{'ws' if self._tls is None else 'wss'}://{self._authority}"
+
+    @property
+    def tcp_url(self) -> str | None:
+        """Address of the port of raw TCP, for people; None for no such port."""
+        scheme = "tcp" if self._tls is None else "tls"
+        return None if self.tcp_port is None else f"{scheme}://{self._shown_host}:{self.tcp_port}"
 
     @property
     def page_url(self) -> str:
@@ -325,7 +343,11 @@ class Listener:
 
     @property
     def _authority(self) -> str:
-        return f"{f'[{self._host}]' if ':' in self._host else self._host}:{self._port}"
+        return f"{self._shown_host}:{self._port}"
+
+    @property
+    def _shown_host(self) -> str:
+        return f"[{self._host}]" if ":" in self._host else self._host
 
     def refused_connections(self) -> Mapping[str, int]:
         """Return the numbers of refused connections and requests by reason: ``limit``, and those of the admission."""
@@ -343,6 +365,8 @@ class Listener:
         check_exposure(self._host, addresses, self._access.tokens, insecure=self._access.settings.insecure)
         self._sockets = listen(places, self._host, self._port)
         self._port = self._sockets[0].getsockname()[1]
+        if self._settings.tcp_port is not None:
+            self._tcp_sockets = listen(places, self._host, self._settings.tcp_port, "--tcp-port")
 
     async def open(self) -> None:
         """Begin to serve clients."""
@@ -355,6 +379,12 @@ class Listener:
         WEBSOCKETS_LOG.addFilter(tells_of_more_than_http)
         for listening in self._sockets:
             self._servers.append(await self._serve_on(listening))
+        if self._tcp is not None:
+            await self._tcp.open(
+                self._tcp_sockets,
+                ssl_handshake_timeout=TLS_HANDSHAKE_TIMEOUT_S,
+                ssl_shutdown_timeout=TLS_SHUTDOWN_TIMEOUT_S,
+            )
 
     def _serve_on(self, listening: socket.socket) -> Server:
         options: dict[str, Any] = {}
@@ -399,6 +429,8 @@ class Listener:
         self._clients.close()
         for server in self._servers:
             server.close()
+        if self._tcp is not None:
+            self._tcp.close()
         # `close` starts a task, which has stopped the server from accepting when this turn of the loop is over. Clients
         # that have not sent their request by then are not waited for.
         await asyncio.sleep(0)
@@ -408,7 +440,9 @@ class Listener:
             async with asyncio.timeout(2 * CLOSE_TIMEOUT_S):
                 for server in self._servers:
                     await server.wait_closed()
-        for each in self._sockets:
+                if self._tcp is not None:
+                    await self._tcp.wait_closed()
+        for each in (*self._sockets, *self._tcp_sockets):
             each.close()
         self._threads.close()
 
@@ -419,7 +453,7 @@ class Listener:
             return rejection.response(request)
         admitted = self.admission.check(
             HandshakeRequest(
-                address_of(websocket)[0],
+                websocket.peer[0],
                 request.path,
                 request.headers,
                 upgrade=names(request.headers, "Upgrade", "websocket"),
@@ -433,8 +467,12 @@ class Listener:
 
     async def _handle_connection(self, server_connection: ServerConnection) -> None:
         websocket = cast(WebSocket, server_connection)
+        await self._serve_client(websocket)
+
+    async def _serve_client(self, transport: ClientTransport) -> None:
+        """Serve a client until it leaves."""
         connection = Connection(
-            websocket,
+            transport,
             self._graph,
             self._limits,
             self._access,
@@ -474,13 +512,14 @@ async def resolve(host: str, port: int) -> list[Place]:
     return list(dict.fromkeys(places))
 
 
-def listen(places: Sequence[Place], host: str, port: int) -> list[socket.socket]:
+def listen(places: Sequence[Place], host: str, port: int, option: str = "--port") -> list[socket.socket]:
     """Take a port on every address that this machine has.
 
     Args:
         places: at least one.
         host: host that they were resolved from, for the error.
         port: TCP port; 0 takes a free one, the same on all.
+        option: option of the command line that chooses another one, for the error.
 
     Raises:
         StartError: the port is in use, not allowed, or none of the addresses is ours.
@@ -490,7 +529,7 @@ def listen(places: Sequence[Place], host: str, port: int) -> list[socket.socket]
             return _listen_on_all(places, port)
         except OSError as error:
             if port or error.errno != errno.EADDRINUSE or not tries_left:
-                raise StartError(_reason(host, port, error)) from error
+                raise StartError(_reason(host, port, error, option)) from error
     raise AssertionError("no try was the last")
 
 
@@ -536,12 +575,12 @@ def _close(sockets: Sequence[socket.socket]) -> None:
         each.close()
 
 
-def _reason(host: str, port: int, error: OSError | UnicodeError) -> str:
+def _reason(host: str, port: int, error: OSError | UnicodeError, option: str = "--port") -> str:
     where = f"{host}:{port}"
     if isinstance(error, UnicodeError):
         return f"cannot listen on {where}: this is no name of a host"
     if error.errno == errno.EADDRINUSE:
-        return f"port in use: {where} is taken by another program; choose one with --port"
+        return f"port in use: {where} is taken by another program; choose one with {option}"
     return f"cannot listen on {where}: {error.strerror or error}"
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import math
-import socket
-import struct
 import time
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import InvalidMessage
@@ -25,6 +24,7 @@ from protocol.errors import one_line, shorten
 from protocol.publication import EncodedMessage
 from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
+from server.gateway.client_transport import address_and_port, reset
 from server.gateway.http import bad_request
 from server.gateway.turns import TURN_S
 
@@ -47,10 +47,6 @@ GROWTH = 4
 
 # Clients send their request at once; one that takes longer only holds the connection (slow loris).
 REQUEST_TIMEOUT_S = 10.0
-
-# SO_LINGER of no time: the connection is reset, and leaves no TIME_WAIT of two minutes in the kernel's table, which a
-# flood would fill.
-_RESET = struct.pack("ii", 1, 0)
 
 
 class WebSocket(ServerConnection):
@@ -132,11 +128,10 @@ class WebSocket(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a place among the connections, and limit the time for the request."""
         peer = transport.get_extra_info("peername")
-        self.slot = self._limiter.acquire(_address_and_port(peer)[0], time.monotonic())
+        self.slot = self._limiter.acquire(address_and_port(peer)[0], time.monotonic())
         if self.slot is None:
             # websockets, which would make a task for the handshake, is not told of it.
-            transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-            cast(asyncio.Transport, transport).abort()
+            reset(transport)
             return
         super().connection_made(transport)
         self._connections.add(self)
@@ -180,20 +175,21 @@ class WebSocket(ServerConnection):
             self._request_refused = True
             self.transport.write(bad_request(sentence))
 
-    def forget_handshake(self) -> None:
-        """Free the headers of request and response: they take as much memory as all else of an idle client."""
-        if self.request is not None:
-            # websockets itself holds on to the request.
-            self.request.headers.clear()
-        self.response = None
-
     def start_delivery(self, on_message: Callable[[str | bytes], None]) -> None:
         """Hand messages over as they come.
 
         Args:
             on_message: called with a message, text or bytes; must not raise.
         """
+        self._forget_handshake()
         self._on_message = on_message
+
+    def _forget_handshake(self) -> None:
+        """Free the headers of request and response: they take as much memory as all else of an idle client."""
+        if self.request is not None:
+            # websockets itself holds on to the request.
+            self.request.headers.clear()
+        self.response = None
 
     def stop_delivery(self) -> None:
         """Leave messages to the task that iterates over the connection."""
@@ -203,6 +199,34 @@ class WebSocket(ServerConnection):
         if self._request_timer is not None:
             self._request_timer.cancel()
             self._request_timer = None
+
+    @property
+    def peer(self) -> tuple[str, int]:
+        """IP address and port of the client."""
+        return address_and_port(self.remote_address)
+
+    @property
+    def query(self) -> dict[str, list[str]]:
+        """Fields of the query in the client's URL."""
+        return parse_qs(urlsplit(self.request.path).query if self.request else "")
+
+    @property
+    def max_message_bytes(self) -> int | None:
+        """Size of a message beyond which the connection is closed (1009) before it is read; None for any."""
+        return self.protocol.max_message_size
+
+    @max_message_bytes.setter
+    def max_message_bytes(self, limit_bytes: int | None) -> None:
+        self.protocol.max_message_size = limit_bytes
+
+    @property
+    def is_open(self) -> bool:
+        """True between the opening and the closing handshake."""
+        return self.protocol.state is _OPEN
+
+    def abort(self) -> None:
+        """End the connection without a closing handshake."""
+        self.transport.abort()
 
     @property
     def takes_more(self) -> bool:
@@ -322,15 +346,6 @@ class WebSocket(ServerConnection):
             super().process_event(event)
             return
         self._on_message(message)
-
-
-def address_of(websocket: ServerConnection) -> tuple[str, int]:
-    """Return IP address and port of the client; a connection that broke off at once has none any more."""
-    return _address_and_port(websocket.remote_address)
-
-
-def _address_and_port(peer: object) -> tuple[str, int]:
-    return (str(peer[0]), int(peer[1])) if isinstance(peer, tuple) else ("unknown", 0)
 
 
 def _is_message(event: Any) -> bool:

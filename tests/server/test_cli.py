@@ -34,7 +34,7 @@ def test_help_names_every_command_and_what_exit_codes_mean(capsys: pytest.Captur
 def test_help_of_a_command_names_its_options(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code_of("serve", "--help") == 0
     said = capsys.readouterr().out
-    for option in ("--host", "--port", "--serial", "--calibration", "--urdf", "--srdf", "--config"):
+    for option in ("--host", "--port", "--tcp-port", "--serial", "--calibration", "--urdf", "--srdf", "--config"):
         assert option in said
 
 

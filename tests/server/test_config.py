@@ -88,3 +88,9 @@ def test_the_defaults_are_those_of_the_old_goal_node() -> None:
 def test_a_certificate_needs_its_key_and_the_other_way_round(given: str, missing: str) -> None:
     with pytest.raises(ValidationError, match=f"must be given together; {missing} is missing"):
         ServerSettings.model_validate({given: "x.pem"})
+
+
+def test_the_port_of_raw_tcp_is_another_one() -> None:
+    with pytest.raises(ConfigurationError, match="tcp_port must differ from port, both are 9090"):
+        load(None, {"server": {"tcp_port": 9090}})
+    assert load(None, {"server": {"port": 0, "tcp_port": 0}}).server.tcp_port == 0

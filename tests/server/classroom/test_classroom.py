@@ -17,6 +17,7 @@ from server.errors import ConfigurationError
         ({"emulator": {"control": "/tmp/servos"}}, "emulator.control: the arms of a classroom are simulated"),
         ({"emulator": {"write_log": "/tmp/writes"}}, "emulator.write_log: the arms of a classroom are simulated"),
         ({"zenoh": {"mode": "peer"}}, "zenoh.mode: must be off in a classroom, not peer"),
+        ({"server": {"tcp_port": 9091}}, "server.tcp_port: the servers of a classroom have one port each"),
         ({"arm": {"robot": "no such arm"}}, "no such arm"),
         ({"server": {"port": 65_535}}, "there are none above 65535"),
     ],

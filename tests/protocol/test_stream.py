@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import json
+import random
+
+import bson
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.errors import FrameError
+from protocol.session import Refusal, Session
+from protocol.stream import StreamSplitter
+from tests.protocol.test_framing import operations, pieces
+
+LIMIT = 10_000
+
+
+def frames_of(*data: bytes, limit: int = LIMIT) -> tuple[list[bytes], str | None]:
+    """Every frame of a stream that comes in pieces, and the sentence that ended it."""
+    splitter, frames = StreamSplitter(limit), []
+    try:
+        for piece in data:
+            splitter.add(piece)
+            while (frame := splitter.next_frame()) is not None:
+                frames.append(frame)
+    except FrameError as error:
+        return frames, str(error)
+    return frames, None
+
+
+cuts = st.lists(st.integers(1, 400), max_size=8)
+
+
+@given(st.lists(operations, min_size=1, max_size=5), cuts, st.sampled_from(["", "\n", " \r\n\t", "\0", "\0\0\0"]))
+def test_json_objects_are_found_in_order_however_the_stream_is_cut(several, cuts, between):
+    texts = [json.dumps(operation, ensure_ascii=False).encode() for operation in several]
+    stream = between.encode().join(texts) + between.encode()
+    assert frames_of(*pieces(stream, cuts)) == (texts, None)
+
+
+@given(st.lists(operations, min_size=1, max_size=5), cuts)
+def test_bson_documents_are_found_in_order_however_the_stream_is_cut(several, cuts):
+    documents = [bson.encode(operation) for operation in several]
+    assert frames_of(*pieces(b"".join(documents), cuts)) == (documents, None)
+
+
+@given(
+    st.binary(max_size=300) | st.lists(st.sampled_from([b"{", b"}", b'"', b"\\", b"\0", b"\x05", b"a"])).map(b"".join)
+)
+def test_garbage_gives_the_same_frames_and_the_same_end_byte_by_byte(data):
+    at_once, end = frames_of(data, limit=100)
+    one_by_one, later_end = frames_of(*(data[at : at + 1] for at in range(len(data))), limit=100)
+    assert at_once == one_by_one
+    assert (end is None) == (later_end is None)
+
+
+@given(st.binary(max_size=300))
+def test_a_session_refuses_whatever_garbage_gives_and_raises_nothing(data):
+    session = Session()
+    for frame in frames_of(data)[0]:
+        assert all(isinstance(item, Refusal) for item in session.receive_frame(frame, 0.0))
+
+
+def test_an_object_that_is_as_long_as_its_own_brace_says_is_told_from_json():
+    # A document of 123 bytes begins as an object does.
+    document = bson.encode({"op": "publish", "x": "y" * 94})
+    assert document[:1] == b"{"
+    assert frames_of(document) == ([document], None)
+
+
+def test_an_operation_inside_of_an_object_that_comes_as_a_piece_of_its_own_stays_inside():
+    stream = [b'{"op":"publish","topic":"/t","msg":', b'{"op":"x"}', b"}"]
+    assert frames_of(*stream) == ([b"".join(stream)], None)
+
+
+@pytest.mark.parametrize("length", [0, 4, LIMIT + 1, 2**26])
+def test_a_first_length_outside_of_the_limits_is_named(length):
+    assert f"of {length} bytes, the limits are 5 and {LIMIT}" in str(frames_of(length.to_bytes(4, "little"))[1])
+
+
+@pytest.mark.parametrize("length", [-1, -(2**31), 4, LIMIT + 1, 2**31 - 1])
+def test_a_later_length_outside_of_the_limits_is_named_behind_the_frames_before_it(length):
+    document = bson.encode({"op": "x"})
+    frames, end = frames_of(document + length.to_bytes(4, "little", signed=True))
+    assert frames == [document]
+    assert f"of {length} bytes, the limits are 5 and {LIMIT}" in str(end)
+
+
+def test_a_document_without_the_zero_at_its_end_ends_the_stream():
+    assert "does not end with zero" in str(frames_of(bson.encode({"op": "x"})[:-1] + b"\x01")[1])
+
+
+@pytest.mark.parametrize(("pieces", "size"), [(1, "10001"), (2, "more than 10001")])
+def test_an_object_beyond_the_limit_is_refused_before_it_has_come_to_its_end(pieces, size):
+    longest = b'{"op":"%b"}' % (b"x" * (LIMIT - 9))
+    assert frames_of(longest) == ([longest], None)
+    longer = longest.replace(b'x"}', b'xx"}')
+    assert f"a JSON object of {size} bytes, the limit is {LIMIT}" in str(
+        frames_of(longer if pieces == 1 else longer.replace(b'"}', b"xx"))[1]
+    )
+
+
+def test_a_lowered_limit_counts_from_the_next_frame_on():
+    splitter = StreamSplitter(LIMIT)
+    splitter.add(b'{"op":"long enough"}')
+    splitter.max_frame_bytes = 10
+    with pytest.raises(FrameError, match="limit is 10"):
+        splitter.next_frame()
+
+
+@pytest.mark.parametrize(
+    "stream", [b"POST / HTTP/1.1\r\n\r\n", b"[1]  ", b"secret-token-0123456789", b"\x80\x81\x82\x83"]
+)
+def test_a_stream_that_is_neither_is_refused_and_little_of_it_is_shown(stream):
+    frames, end = frames_of(stream + b'{"op":"publish"}')
+    assert frames == []
+    assert "wanted a JSON object, or a BSON document" in str(end)
+    assert "token" not in str(end)
+
+
+def test_whatever_stands_between_objects_ends_the_stream():
+    frames, end = frames_of(b'{"op":"a"}, {"op":"b"}')
+    assert frames == [b'{"op":"a"}']
+    assert "between JSON objects" in str(end)
+
+
+def test_braces_that_never_close_end_the_stream():
+    assert "nested deeper" in str(frames_of(b'{"a":' * 1000)[1])
+
+
+def test_a_stream_of_bson_stays_bson():
+    document = bson.encode({"op": "x"})
+    frames, end = frames_of(document + b'{"op":"x"}')
+    assert frames == [document]
+    assert "a BSON document of" in str(end)
+
+
+def test_random_cuts_of_a_long_stream_give_every_document():
+    draw = random.Random(1)
+    documents = [bson.encode({"op": "publish", "n": n, "x": "y" * draw.randrange(300)}) for n in range(300)]
+    stream = b"".join(documents)
+    cut = [stream[at : at + 7] for at in range(0, len(stream), 7)]
+    assert frames_of(*cut) == (documents, None)

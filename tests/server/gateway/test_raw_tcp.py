@@ -1,0 +1,479 @@
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import socket
+import ssl
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import bson
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.publication import EncodedMessage, Frame
+from server.access.authorization import Access
+from server.access.settings import AccessSettings, SessionSettings
+from server.config import ServerSettings
+from server.errors import StartError
+from server.gateway import connection, raw_tcp
+from server.gateway.admission import ConnectionLimiter
+from server.gateway.listener import Listener
+from server.gateway.raw_tcp import TcpStream
+from server.gateway.transport import WRITE_LIMIT_BYTES
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.rosapi import RosApi
+from tests.conformance.cases import cases, play
+from tests.helpers.gateway import REGISTRY, TIMEOUT_S, until_empty
+from tests.helpers.raw_tcp import RawClient
+from tests.helpers.resources import make_pair
+
+TALKER = Node("talker")
+
+
+@contextlib.asynccontextmanager
+async def serving(graph: Graph | None = None, access: Access | None = None, **chosen: Any) -> AsyncIterator[Listener]:
+    listener = Listener(graph or Graph(REGISTRY), ServerSettings(port=0, tcp_port=0, **chosen), access=access)
+    await listener.bind()
+    await listener.open()
+    try:
+        yield listener
+    finally:
+        await listener.close()
+
+
+def port_of(listener: Listener) -> int:
+    assert listener.tcp_port is not None
+    return listener.tcp_port
+
+
+def streams_of(listener: Listener) -> set[TcpStream]:
+    assert listener._tcp is not None
+    return listener._tcp._streams
+
+
+@pytest.fixture
+async def graph() -> Graph:
+    made = Graph(REGISTRY)
+    made.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    made.publish(TALKER, "/t", {"data": "hello"})
+    made.services.offer(TALKER, "/trigger", "std_srvs/Trigger", lambda _: {"success": True, "message": "done"})
+    return made
+
+
+@pytest.fixture
+async def listener(graph: Graph) -> AsyncIterator[Listener]:
+    async with serving(graph) as made:
+        yield made
+
+
+both = pytest.mark.parametrize("speaks_bson", [True, False], ids=["bson", "json"])
+
+
+@both
+async def test_a_client_subscribes_publishes_and_calls(listener: Listener, *, speaks_bson: bool) -> None:
+    async with await RawClient.connect(port_of(listener), speaks_bson=speaks_bson) as client:
+        client.send(op="subscribe", id="subscribe:/t:1", topic="/t", type="std_msgs/String")
+        assert await client.receive() == {"op": "publish", "topic": "/t", "msg": {"data": "hello"}}
+        client.send(op="publish", id="publish:/t:2", topic="/t", latch=False, msg={"data": "own"})
+        assert await client.until_topic("/t") == {"data": "own"}
+        client.send(op="call_service", id="call_service:/trigger:3", service="/trigger", args={})
+        answer = await client.receive()
+        assert list(answer) == ["op", "service", "values", "result", "id"]
+        assert (answer["result"], answer["id"]) == (True, "call_service:/trigger:3")
+        assert answer["values"] == {"success": True, "message": "done"}
+
+
+async def test_a_client_by_tcp_offers_a_service_that_another_one_calls(listener: Listener) -> None:
+    async with (
+        await RawClient.connect(port_of(listener), speaks_bson=True) as offering,
+        await RawClient.connect(port_of(listener)) as calling,
+    ):
+        offering.send(op="advertise_service", service="/mine", type="std_srvs/SetBool")
+        offering.send(op="call_service", service="/nobody")
+        assert (await offering.receive())["service"] == "/nobody"
+        calling.send(op="call_service", service="/mine", args={"data": True}, id="c")
+        call = await offering.receive()
+        assert (call["op"], call["service"], call["args"]) == ("call_service", "/mine", {"data": True})
+        values = {"success": True, "message": "set"}
+        offering.send(op="service_response", id=call["id"], service="/mine", result=True, values=values)
+        assert (await calling.receive())["values"] == values
+
+
+@pytest.mark.parametrize(("version", "stamp"), [(1, {"secs": 1, "nsecs": 2}), (2, {"sec": 1, "nanosec": 2})])
+async def test_clients_get_the_spelling_of_the_generation_that_is_set(version: int, stamp: dict[str, int]) -> None:
+    graph = Graph(REGISTRY)
+    graph.advertise(TALKER, "/h", "std_msgs/Header", latch=True)
+    graph.publish(TALKER, "/h", {"stamp": {"sec": 1, "nanosec": 2}})
+    async with (
+        serving(graph, tcp_ros_version=version) as listener,
+        await RawClient.connect(port_of(listener), speaks_bson=True) as client,
+    ):
+        client.send(op="subscribe", topic="/h")
+        header = await client.until_topic("/h")
+        assert header["stamp"] == stamp
+        assert ("seq" in header) is (version == 1)
+
+
+async def test_bytes_go_to_a_bson_client_as_binary(graph: Graph, listener: Listener) -> None:
+    graph.advertise(TALKER, "/image", "sensor_msgs/CompressedImage", latch=True)
+    graph.publish(TALKER, "/image", {"format": "jpeg", "data": "AAEC"})
+    async with await RawClient.connect(port_of(listener), speaks_bson=True) as client:
+        client.send(op="subscribe", topic="/image")
+        assert (await client.until_topic("/image"))["data"] == b"\x00\x01\x02"
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(1, 300), max_size=6), st.booleans())
+def test_any_cut_of_the_stream_gives_the_same_answers(cuts: list[int], speaks_bson: bool) -> None:
+    async def answers() -> list[Any]:
+        async with (
+            serving() as listener,
+            await RawClient.connect(port_of(listener), speaks_bson=speaks_bson) as client,
+        ):
+            stream = b"".join(
+                bson.encode(call) if speaks_bson else json.dumps(call).encode()
+                for call in ({"op": "call_service", "service": f"/nobody{n}", "id": f'"{{{n}'} for n in range(4))
+            )
+            places = [0, *sorted({cut for cut in cuts if cut < len(stream)}), len(stream)]
+            for start, end in itertools.pairwise(places):
+                client.write(stream[start:end])
+                await client.writer.drain()
+                await asyncio.sleep(0.001)
+            return [(await client.receive())["id"] for _ in range(4)]
+
+    assert asyncio.run(answers()) == [f'"{{{n}' for n in range(4)]
+
+
+@pytest.mark.parametrize("turn_s", [0.0, 0.0001, 60.0])
+@both
+async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch, turn_s: float, *, speaks_bson: bool
+) -> None:
+    monkeypatch.setattr(raw_tcp, "TURN_S", turn_s)
+    async with await RawClient.connect(port_of(listener), speaks_bson=speaks_bson) as client:
+        client.send(op="subscribe", topic="/numbers", type="std_msgs/String")
+        for number in range(1000):
+            client.send(op="publish", topic="/numbers", msg={"data": str(number)})
+        got = [(await client.until_topic("/numbers"))["data"] for _ in range(1000)]
+    assert got == [str(number) for number in range(1000)]
+
+
+@pytest.mark.parametrize(
+    ("stream", "sentence"),
+    [
+        (
+            b"POST / HTTP/1.1\r\n\r\n" + b'{"op":"publish","topic":"/t","msg":{"data":"x"}}',
+            "another port|port of their own",
+        ),
+        ((2**26).to_bytes(4, "little"), "a BSON document of 67108864 bytes, the limits are 5 and 10000000"),
+        (bson.encode({"op": "x"}) + b"\xff\xff\xff\xff", "a BSON document of -1 bytes"),
+        (b'{"op":"x"} }', "wanted the next one"),
+    ],
+    ids=["http", "long", "negative", "brace"],
+)
+async def test_a_stream_that_cannot_be_cut_is_told_why_and_closed(
+    graph: Graph, listener: Listener, caplog: pytest.LogCaptureFixture, stream: bytes, sentence: str
+) -> None:
+    speaks_bson = stream[3] == 0 or stream[3] == 4
+    async with await RawClient.connect(port_of(listener), speaks_bson=speaks_bson) as client:
+        client.write(stream)
+        status = await client.receive()
+        assert (status["op"], status["level"]) == ("status", "error")
+        assert any(each in status["msg"] for each in sentence.split("|"))
+        assert await client.next_frame() is None
+    await until_empty(listener)
+    assert status["msg"] in caplog.text
+    assert list(graph.publishers("/t")) == [TALKER]
+
+
+async def test_what_came_before_an_error_is_carried_out(listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.write(json.dumps({"op": "call_service", "service": "/trigger", "id": "before"}).encode() + b"#")
+        assert (await client.receive())["id"] == "before"
+        assert (await client.receive())["op"] == "status"
+
+
+async def test_a_client_that_has_said_its_last_still_gets_its_answers(listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        for number in range(200):
+            client.send(op="call_service", service="/trigger", id=str(number))
+        client.writer.write_eof()
+        assert [(await client.receive())["id"] for _ in range(200)] == [str(number) for number in range(200)]
+        assert await client.next_frame() is None
+
+
+async def test_a_connection_that_is_held_reads_on_where_it_stopped(listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="subscribe", topic="/t")
+        assert await client.until_topic("/t") == {"data": "hello"}
+        (stream,) = streams_of(listener)
+        stream.hold_reading()
+        for number in range(100):
+            client.send(op="publish", topic="/t", msg={"data": str(number)})
+        assert await client.next_frame(0.05) is None
+        stream.release_reading()
+        assert [(await client.until_topic("/t"))["data"] for _ in range(100)] == [str(number) for number in range(100)]
+
+
+async def test_a_client_that_never_reads_costs_a_bounded_amount_and_is_closed(
+    graph: Graph, listener: Listener, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 0.2)
+    graph.services.offer(TALKER, "/long", "std_srvs/Trigger", lambda _: {"message": "x" * 100_000})
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.writer.transport.pause_reading()  # type: ignore[attr-defined]
+        for _ in range(300):
+            client.send(op="call_service", service="/long")
+        await asyncio.wait_for(until_empty(listener), TIMEOUT_S)
+    assert "does not read its replies; closing" in caplog.text
+
+
+async def test_no_more_is_taken_at_once_than_the_limit(listener: Listener) -> None:
+    encoded = EncodedMessage(Frame(b"x" * 1000, text=True))
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="subscribe", topic="/t")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        before = stream.sent_bytes
+        while stream.send_at_once(encoded):
+            assert stream.sent_bytes - stream.taken_bytes <= WRITE_LIMIT_BYTES + 1000
+        assert stream.taken_bytes < stream.sent_bytes
+        await asyncio.wait_for(client.reader.readexactly(stream.sent_bytes - before), TIMEOUT_S)
+        await stream.drain()
+        assert stream.taken_bytes == stream.sent_bytes
+        assert stream.takes_more
+
+
+async def test_a_client_that_leaves_is_taken_out_of_the_graph_and_counted(graph: Graph, listener: Listener) -> None:
+    client = await RawClient.connect(port_of(listener))
+    client.send(op="subscribe", topic="/t")
+    await client.receive()
+    assert listener.traffic.clients == 1
+    client.writer.transport.abort()
+    await client.close()
+    await until_empty(listener)
+    assert not graph.subscribers("/t")
+    counts = listener.traffic.counts()
+    assert (counts.received_messages, counts.received_bytes) == (1, client.sent_bytes)
+    assert (counts.sent_messages, listener.traffic.clients) == (1, 0)
+
+
+async def test_clients_by_tcp_are_listed_with_the_others(graph: Graph, listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="subscribe", topic="/client_count")
+        assert await client.until_topic("/client_count") == {"data": 1}
+
+
+async def test_connections_of_both_ports_count_together() -> None:
+    async with serving(max_clients=1) as listener, await RawClient.connect(port_of(listener)) as first:
+        first.send(op="call_service", service="/nobody")
+        await first.receive()
+        async with await RawClient.connect(port_of(listener)) as second:
+            status = await second.receive()
+            assert "1 connections are open, the limit is 1 (server.max_clients)" in status["msg"]
+            assert await second.next_frame() is None
+        assert listener.refused_connections()["limit"] == 1
+
+
+async def test_of_refused_connections_a_flood_gets_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ConnectionLimiter, "acquire", lambda *_: None)
+    async with serving() as listener, await RawClient.connect(port_of(listener)) as client:
+        client.send(op="x")
+        assert await client.next_frame() is None
+
+
+async def test_the_system_asks_idle_clients_whether_they_are_there() -> None:
+    async with (
+        serving(ping_interval_s=7.0, ping_timeout_s=5.0) as listener,
+        await RawClient.connect(port_of(listener)) as client,
+    ):
+        client.send(op="call_service", service="/nobody")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        assert stream._transport is not None
+        accepted = stream._transport.get_extra_info("socket")
+        options = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_USER_TIMEOUT)
+        assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+        assert [accepted.getsockopt(socket.IPPROTO_TCP, option) for option in options] == [7, 2, 12_000]
+
+
+async def test_closing_ends_every_connection_at_once(listener: Listener) -> None:
+    client = await RawClient.connect(port_of(listener))
+    client.send(op="call_service", service="/nobody")
+    await client.receive()
+    await asyncio.wait_for(listener.close(), TIMEOUT_S)
+    assert await client.next_frame() is None
+    await client.close()
+    assert listener.traffic.clients == 0
+
+
+async def test_a_port_that_is_taken_is_told_with_its_option() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        listener = Listener(Graph(REGISTRY), ServerSettings(port=0, tcp_port=port))
+        with pytest.raises(StartError, match=f"port in use: 127.0.0.1:{port} .* --tcp-port"):
+            await listener.bind()
+        await listener.close()
+
+
+async def test_a_server_without_the_setting_has_no_such_port() -> None:
+    listener = Listener(Graph(REGISTRY), ServerSettings(port=0))
+    await listener.bind()
+    assert (listener.tcp_port, listener.tcp_url) == (None, None)
+    await listener.close()
+
+
+async def test_with_a_certificate_the_port_is_encrypted(tmp_path: Path, graph: Graph) -> None:
+    pair = make_pair(tmp_path)
+    trusting = ssl.create_default_context(cafile=str(pair.certificate))
+    async with serving(graph, tls_certificate=pair.certificate, tls_key=pair.key) as listener:
+        assert str(listener.tcp_url).startswith("tls://")
+        client = await RawClient.connect(port_of(listener), ssl=trusting, server_hostname="localhost")
+        async with client:
+            client.send(op="call_service", service="/trigger", id="1")
+            assert (await client.receive())["result"] is True
+            client.write(b"#")
+            assert (await client.receive())["op"] == "status"
+            assert await client.next_frame() is None
+
+
+async def test_the_limit_of_a_message_is_that_of_the_settings() -> None:
+    chosen = SessionSettings(max_message_bytes=100_000)
+    async with serving(limits=chosen) as listener, await RawClient.connect(port_of(listener)) as client:
+        client.write(b'{"op":"%b' % (b"x" * 100_000))
+        assert "the limit is 100000" in (await client.receive())["msg"]
+
+
+class TestGuarded:
+    """A server with tokens, which clients show by the op ``auth``."""
+
+    TOKEN = "ada-0123456789abcdef"
+    SCREEN = "screen-0123456789abcdef"
+
+    @pytest.fixture
+    async def guarded(self, graph: Graph) -> AsyncIterator[Listener]:
+        tokens = {"admin_tokens": {"ada": self.TOKEN}, "view_tokens": {"screen": self.SCREEN}}
+        async with serving(graph, Access(AccessSettings.model_validate(tokens))) as made:
+            yield made
+
+    @both
+    async def test_a_client_that_shows_its_token_first_is_served(self, guarded: Listener, *, speaks_bson: bool) -> None:
+        async with await RawClient.connect(port_of(guarded), speaks_bson=speaks_bson) as client:
+            client.send(op="auth", token=self.TOKEN)
+            client.send(op="call_service", service="/trigger", id="1")
+            assert (await client.receive())["result"] is True
+
+    @both
+    async def test_any_other_first_operation_ends_the_connection(self, guarded: Listener, *, speaks_bson: bool) -> None:
+        async with await RawClient.connect(port_of(guarded), speaks_bson=speaks_bson) as client:
+            client.send(op="call_service", service="/trigger", id="1")
+            assert "the first message must be auth" in (await client.receive())["msg"]
+            assert await client.next_frame() is None
+
+    async def test_a_wrong_token_ends_the_connection(self, guarded: Listener) -> None:
+        async with await RawClient.connect(port_of(guarded)) as client:
+            client.send(op="auth", token="nobody-0123456789abcdef")
+            assert (await client.receive())["op"] == "status"
+            assert await client.next_frame() is None
+
+    async def test_a_client_that_says_nothing_is_closed(
+        self, guarded: Listener, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.05)
+        async with await RawClient.connect(port_of(guarded)) as client:
+            assert "the op auth is wanted" in (await client.receive())["msg"]
+            assert await client.next_frame() is None
+
+    async def test_a_long_message_without_a_token_is_not_read(self, guarded: Listener) -> None:
+        async with await RawClient.connect(port_of(guarded), speaks_bson=True) as client:
+            client.write((200_000).to_bytes(4, "little"))
+            assert f"the limits are 5 and {connection.MAX_UNKNOWN_BYTES}" in (await client.receive())["msg"]
+
+    async def test_a_viewer_may_look_and_not_drive(self, guarded: Listener) -> None:
+        async with await RawClient.connect(port_of(guarded)) as client:
+            client.send(op="auth", token=self.SCREEN)
+            client.send(op="set_level", level="error")
+            client.send(op="subscribe", topic="/t")
+            assert await client.until_topic("/t") == {"data": "hello"}
+            client.send(op="publish", topic="/moveit_goal_named", type="std_msgs/String", msg={"data": "ready"})
+            assert (await client.receive())["op"] == "status"
+
+
+def by_one_encoding(case: dict[str, Any]) -> bool:
+    """True for a case whose clients each send JSON objects alone, or BSON documents alone."""
+    sent: dict[str, set[str]] = {}
+    for step in case["steps"]:
+        kinds = {key for key in step if key.startswith("send")}
+        if kinds:
+            sent.setdefault(step["client"], set()).update(kinds)
+    return all(kinds in ({"send"}, {"send_bson"}) for kinds in sent.values())
+
+
+class OverTcp:
+    """Real clients of the port of raw TCP; plays conformance cases."""
+
+    def __init__(self, listener: Listener, case: dict[str, Any]) -> None:
+        self._listener = listener
+        self._bson = {step["client"] for step in case["steps"] if "send_bson" in step}
+        self._clients: dict[str, RawClient] = {}
+
+    async def connect(self, name: str) -> RawClient:
+        if name not in self._clients:
+            self._clients[name] = await RawClient.connect(port_of(self._listener), speaks_bson=name in self._bson)
+            await self._until_read(self._clients[name])
+        return self._clients[name]
+
+    async def _until_read(self, client: RawClient) -> None:
+        """Wait until the server has read all that a client has sent."""
+        async with asyncio.timeout(TIMEOUT_S):
+            while True:
+                found = [each for each in streams_of(self._listener) if each.peer == client.address]
+                if found and found[0].received_bytes == client.sent_bytes:
+                    break
+                await asyncio.sleep(0.001)
+        for _ in range(10):
+            await asyncio.sleep(0)
+
+    async def send(self, client: str, frame: str | bytes) -> None:
+        stream = await self.connect(client)
+        stream.write(frame.encode() if isinstance(frame, str) else frame)
+        await self._until_read(stream)
+
+    async def next_frame(self, client: str) -> str | bytes | None:
+        return await (await self.connect(client)).next_frame()
+
+    async def nothing_comes(self, client: str) -> bool:
+        return await (await self.connect(client)).next_frame(0.02) is None
+
+    async def close(self, client: str) -> None:
+        clients = self._listener.traffic.clients
+        await self._clients.pop(client).close()
+        async with asyncio.timeout(TIMEOUT_S):
+            while self._listener.traffic.clients == clients:
+                await asyncio.sleep(0.001)
+
+    async def advance(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+
+    async def end(self) -> None:
+        for client in self._clients.values():
+            await client.close()
+
+
+@pytest.mark.parametrize("case", [case for case in cases() if by_one_encoding(case)], ids=lambda case: case["name"])
+async def test_conformance_over_raw_tcp(case: dict[str, Any]) -> None:
+    graph = Graph(REGISTRY, relay_unknown_types=case.get("relay_unknown_types", False))
+    if case.get("rosapi", False):
+        RosApi(graph)
+    async with serving(graph, tcp_ros_version=2) as listener:
+        player = OverTcp(listener, case)
+        try:
+            await play(case, player)
+        finally:
+            await player.end()

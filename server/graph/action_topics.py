@@ -43,6 +43,9 @@ class Topics(Protocol):
     def unadvertise(self, node: Node, name: str) -> None:
         """Forget a publisher."""
 
+    def topic_type(self, name: str) -> str | None:
+        """Return the canonical type of a topic, None for no such topic."""
+
     def publishers(self, name: str) -> list[Node]:
         """Return the publishers of a topic."""
 
@@ -114,7 +117,7 @@ class ActionTopics:
 
         def tell_feedback(values: Mapping[str, Any]) -> None:
             topic = goal.action + FEEDBACK
-            if self._topics.subscribers(topic):
+            if self._is_open(node, topic, f"{goal.type_name}_FeedbackMessage") and self._topics.subscribers(topic):
                 self._topics.publish(node, topic, {"goal_id": goal_id, "feedback": values}, as_it_is=True)
 
         def tell_end(status: int) -> None:
@@ -130,12 +133,16 @@ class ActionTopics:
 
     def _publish_status(self, node: Node, action: str) -> None:
         told = self._told.get(action)
-        if told is None or node not in self._topics.publishers(action + STATUS):
+        if told is None or not self._is_open(node, action + STATUS, STATUS_TYPE):
             return
         self._forget_ended(told)
         newest = list(told.values())[-MAX_TOLD:]
         statuses = [{"goal_info": each.goal_info, "status": each.status} for each in newest]
         self._topics.publish(node, action + STATUS, {"status_list": statuses}, as_it_is=True)
+
+    def _is_open(self, node: Node, topic: str, type_name: str) -> bool:
+        """Return True for a topic of the node's action; a client that offers one may have made its own of this name."""
+        return self._topics.topic_type(topic) == type_name and node in self._topics.publishers(topic)
 
     def _forget_ended(self, told: dict[Goal, _Told]) -> None:
         """Drop the goals that ended long ago, and the first of too many."""

@@ -20,12 +20,14 @@ CLIENT = Node("client", remote=True)
 class World:
     """A graph with an action that takes goals and does nothing with them."""
 
-    def __init__(self, provider: Node | None = None) -> None:
+    def __init__(self, provider: Node | None = None, made: str | None = None) -> None:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, self.clock, lambda: 12.5, self.clock.call_later, relay_unknown_types=True)
         self.provider = provider or Node("provider")
         self.goals: list[Goal] = []
         self.heard: list[Any] = []
+        if made is not None:
+            self.graph.advertise(self.provider, made, "std_msgs/Time", latch=True)
         self.graph.actions.offer(self.provider, "/grip", GRIPPER, self.goals.append)
 
     def listen(self, topic: str) -> None:
@@ -54,6 +56,14 @@ def test_the_provider_publishes_both_topics(world: World) -> None:
     assert world.graph.publishers(STATUS) == world.graph.publishers(FEEDBACK) == [world.provider]
     assert world.graph.topic_type(STATUS) == "action_msgs/msg/GoalStatusArray"
     assert world.graph.topic_type(FEEDBACK) == "control_msgs/action/GripperCommand_FeedbackMessage"
+
+
+@pytest.mark.parametrize("topic", [STATUS, FEEDBACK])
+def test_nothing_is_published_on_a_topic_of_this_name_that_the_provider_has_made_itself(topic: str) -> None:
+    world = World(CLIENT, made=topic)
+    world.listen(topic)
+    world.send().feedback({})
+    assert world.heard == []
 
 
 @pytest.mark.parametrize(

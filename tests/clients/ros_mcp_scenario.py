@@ -22,18 +22,8 @@ from mcp.client.stdio import stdio_client
 from PIL import Image
 
 GRIPPER = ("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand")
-MOVE = ("/move_action", "moveit_msgs/action/MoveGroup")
 
 TURNED = {"name": ["shoulder_pan"], "position": [0.4]}
-SLOW_TURN = {
-    "request": {
-        "group_name": "arm",
-        "max_velocity_scaling_factor": 0.05,
-        "goal_constraints": [
-            {"joint_constraints": [{"joint_name": "shoulder_pan", "position": -0.8, "weight": 1.0}]},
-        ],
-    },
-}
 
 
 class Agent:
@@ -119,7 +109,12 @@ async def look(agent: Agent, port: int) -> None:
     await call("action", "get_action_details", action=GRIPPER[0], action_type=GRIPPER[1])
     await call("action without a type", "get_action_details", action=GRIPPER[0])
     await call("unknown action type", "get_action_details", action="/a", action_type="nobody_msgs/action/Nothing")
-    await call("idle action", "get_action_status", action_name=MOVE[0])
+    await call(
+        "action of this server",
+        "get_action_details",
+        action="/moveit_goal",
+        action_type="armbridge_msgs/action/MoveitGoal",
+    )
 
 
 async def keep_parameters(agent: Agent) -> None:
@@ -172,13 +167,20 @@ async def move(agent: Agent, port: int) -> None:
     wide = {"command": {"position": 1.0, "max_effort": 0.0}}
     await call("gripped", "send_action_goal", **gripper, goal=wide, timeout=20.0)
     await call("wrong goal", "send_action_goal", **gripper, goal={"command": {"position": "wide"}})
-    moved = {"action_name": MOVE[0], "action_type": MOVE[1], "goal": SLOW_TURN}
-    started = await call("goal in progress", "send_action_goal", **moved, timeout=1.5)
-    await call("active action", "get_action_status", action_name=MOVE[0])
-    await call("cancelled", "cancel_action_goal", action_name=MOVE[0], goal_id=started["goal_id"])
-    await call("after the cancel", "get_action_status", action_name=MOVE[0])
+    goal_call = {"service_name": "/moveit_goal", "service_type": "armbridge_msgs/srv/MoveitGoal", "timeout": 20.0}
+    await call("planned", "call_service", **goal_call, request={"named": "ready", "plan_only": True})
+    await call("moved", "call_service", **goal_call, request={"named": "ready"})
+    await call("called wrongly", "call_service", **goal_call, request={"named": "raedy"})
+    await call("called out of reach", "call_service", **goal_call, request={"pose": point})
+    goal_action = {"action_name": "/moveit_goal", "action_type": "armbridge_msgs/action/MoveitGoal"}
+    await call("sent", "send_action_goal", **goal_action, goal={"named": "home"}, timeout=20.0)
+    slowly = {"joints": {"name": ["shoulder_pan"], "position": [-0.8]}, "velocity_scaling": 0.05}
+    started = await call("goal in progress", "send_action_goal", **goal_action, goal=slowly, timeout=1.0)
+    await call("active action", "get_action_status", action_name="/moveit_goal")
+    await call("cancelled", "cancel_action_goal", action_name="/moveit_goal", goal_id=started["goal_id"])
+    await asyncio.sleep(1.0)
+    await call("cancelled action", "get_action_status", action_name="/moveit_goal")
     await call("stopped", "call_service", service_name="/arm/stop", service_type=trigger, request={})
-    await call("stopped action", "get_action_status", action_name=MOVE[0])
 
 
 async def main(port: int, folder: Path) -> dict[str, Any]:

@@ -106,7 +106,6 @@ class TcpStream(asyncio.Protocol):
         if self._slot.rejection is not None:
             self.end(one_line(self._slot.rejection.body.decode(errors="replace").strip()))
             return
-        self._transport.pause_reading()
         self._task = asyncio.create_task(self._serve(), name="serve {}:{} by TCP".format(*self.peer))
 
     def connection_lost(self, exc: Exception | None) -> None:

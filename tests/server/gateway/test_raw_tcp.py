@@ -6,6 +6,7 @@ import itertools
 import json
 import socket
 import ssl
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -199,13 +200,60 @@ async def test_what_came_before_an_error_is_carried_out(listener: Listener) -> N
         assert (await client.receive())["op"] == "status"
 
 
-async def test_a_client_that_has_said_its_last_still_gets_its_answers(listener: Listener) -> None:
+async def test_a_client_that_has_said_its_last_still_gets_its_answers(graph: Graph, listener: Listener) -> None:
+    def slow(_request: dict[str, Any]) -> dict[str, Any]:
+        # Longer than a turn, so that most calls wait when the client's end is seen.
+        time.sleep(0.002)
+        return {}
+
+    graph.services.offer(TALKER, "/slow", "std_srvs/Trigger", slow)
     async with await RawClient.connect(port_of(listener)) as client:
-        for number in range(200):
-            client.send(op="call_service", service="/trigger", id=str(number))
+        for number in range(50):
+            client.send(op="call_service", service="/slow", id=str(number))
         client.writer.write_eof()
-        assert [(await client.receive())["id"] for _ in range(200)] == [str(number) for number in range(200)]
+        assert [(await client.receive())["id"] for _ in range(50)] == [str(number) for number in range(50)]
         assert await client.next_frame() is None
+
+
+async def test_the_end_of_what_a_client_says_leaves_the_way_for_its_answers_open(listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="call_service", service="/trigger")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        assert stream.eof_received()
+        assert await client.next_frame() is None
+
+
+async def test_a_client_that_goes_on_sending_is_told_why_it_is_closed(listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        for _ in range(100):
+            client.write(b"#" * 100_000)
+        assert "wanted a JSON object" in (await client.receive())["msg"]
+        # Its end comes, not a reset, which would take the message with it on some systems.
+        assert await asyncio.wait_for(client.reader.read(), TIMEOUT_S) == b""
+
+
+async def test_a_client_that_never_closes_its_side_is_closed(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(raw_tcp, "END_TIMEOUT_S", 0.05)
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.write(b"####")
+        await until_empty(listener)
+
+
+async def test_a_client_that_closes_its_side_is_not_waited_for_any_longer(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(raw_tcp, "END_TIMEOUT_S", 10 * TIMEOUT_S)
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="call_service", service="/trigger")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        stream.hold_reading()
+        stream.end("enough")
+        assert (await client.receive())["msg"] == "enough"
+    await until_empty(listener)
 
 
 async def test_a_connection_that_is_held_reads_on_where_it_stopped(listener: Listener) -> None:
@@ -216,9 +264,12 @@ async def test_a_connection_that_is_held_reads_on_where_it_stopped(listener: Lis
         stream.hold_reading()
         for number in range(100):
             client.send(op="publish", topic="/t", msg={"data": str(number)})
+        # What the socket had received already.
+        stream.data_received(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "first"}}).encode())
         assert await client.next_frame(0.05) is None
         stream.release_reading()
-        assert [(await client.until_topic("/t"))["data"] for _ in range(100)] == [str(number) for number in range(100)]
+        wanted = ["first", *map(str, range(100))]
+        assert [(await client.until_topic("/t"))["data"] for _ in range(101)] == wanted
 
 
 async def test_a_client_that_never_reads_costs_a_bounded_amount_and_is_closed(
@@ -250,6 +301,22 @@ async def test_no_more_is_taken_at_once_than_the_limit(listener: Listener) -> No
         assert stream.takes_more
 
 
+async def test_the_writer_waits_while_the_client_reads_nothing(listener: Listener) -> None:
+    encoded = EncodedMessage(Frame(b"x" * 100_000, text=True))
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="subscribe", topic="/t")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        client.writer.transport.pause_reading()  # type: ignore[attr-defined]
+        for _ in range(1000):
+            stream.send_at_once(encoded)
+            await asyncio.sleep(0)
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(stream.drain(), 0.05)
+        client.writer.transport.resume_reading()  # type: ignore[attr-defined]
+        await asyncio.wait_for(stream.drain(), TIMEOUT_S)
+
+
 async def test_a_client_that_leaves_is_taken_out_of_the_graph_and_counted(graph: Graph, listener: Listener) -> None:
     client = await RawClient.connect(port_of(listener))
     client.send(op="subscribe", topic="/t")
@@ -261,7 +328,11 @@ async def test_a_client_that_leaves_is_taken_out_of_the_graph_and_counted(graph:
     assert not graph.subscribers("/t")
     counts = listener.traffic.counts()
     assert (counts.received_messages, counts.received_bytes) == (1, client.sent_bytes)
-    assert (counts.sent_messages, listener.traffic.clients) == (1, 0)
+    assert (counts.sent_messages, counts.sent_bytes) == (
+        1,
+        len(b'{"op":"publish","topic":"/t","msg":{"data":"hello"}}'),
+    )
+    assert listener.traffic.clients == 0
 
 
 async def test_clients_by_tcp_are_listed_with_the_others(graph: Graph, listener: Listener) -> None:
@@ -284,8 +355,8 @@ async def test_connections_of_both_ports_count_together() -> None:
 async def test_of_refused_connections_a_flood_gets_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ConnectionLimiter, "acquire", lambda *_: None)
     async with serving() as listener, await RawClient.connect(port_of(listener)) as client:
-        client.send(op="x")
-        assert await client.next_frame() is None
+        with pytest.raises(ConnectionResetError):
+            await asyncio.wait_for(client.reader.read(), TIMEOUT_S)
 
 
 async def test_the_system_asks_idle_clients_whether_they_are_there() -> None:
@@ -303,13 +374,15 @@ async def test_the_system_asks_idle_clients_whether_they_are_there() -> None:
         assert [accepted.getsockopt(socket.IPPROTO_TCP, option) for option in options] == [7, 2, 12_000]
 
 
-async def test_closing_ends_every_connection_at_once(listener: Listener) -> None:
+async def test_closing_ends_every_connection_at_once(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(raw_tcp, "END_TIMEOUT_S", 10 * TIMEOUT_S)
     client = await RawClient.connect(port_of(listener))
     client.send(op="call_service", service="/nobody")
     await client.receive()
     await asyncio.wait_for(listener.close(), TIMEOUT_S)
     assert await client.next_frame() is None
     await client.close()
+    assert not streams_of(listener)
     assert listener.traffic.clients == 0
 
 

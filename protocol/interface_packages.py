@@ -35,8 +35,8 @@ MAX_FILES = 10_000
 MAX_DEPTH = 6
 MAX_FOLDERS = 20_000
 
-# Values that a message has without its lists, which its compiled form has a line each for; the largest packaged type
-# has 200.
+# Values that a message has without its lists, for each of which its compiled form has a part; the largest packaged
+# type has 200.
 MAX_FIELDS = 10_000
 # Values of a message in which nothing is set, with the elements of its arrays of fixed size.
 MAX_DEFAULT_VALUES = 1_000_000
@@ -127,12 +127,15 @@ class _PackageReader:
         self.problems: list[Problem] = []
         self._files_left = MAX_FILES
         self._folders_left = MAX_FOLDERS
+        # Folders of the one that is read, without symbolic links, which may lead in a circle.
+        self._seen: set[Path] = set()
 
     def read_folder(self, folder: Path) -> list[_Package]:
         """Read the packages of a folder that have interfaces."""
         if not folder.is_dir():
             self._refuse(folder, "wanted a folder with ROS packages, and there is none")
             return []
+        self._seen.clear()
         found = [self._read_package(each) for each in self._packages(folder, MAX_DEPTH)]
         packages = [package for package in found if package is not None]
         if not packages and not self.problems:
@@ -146,6 +149,9 @@ class _PackageReader:
 
     def _packages(self, folder: Path, depth: int) -> Iterator[Path]:
         """Go over the folders that are packages; there are no packages inside of packages."""
+        if (place := folder.resolve()) in self._seen:
+            return
+        self._seen.add(place)
         self._folders_left -= 1
         if self._folders_left < 0:
             if self._folders_left == -1:

@@ -21,7 +21,7 @@ from protocol.registry import ROS1_TIMES, TEXTS, ArrayBounds, Constant, Field, M
 
 # Definitions that are kept, for headers and poses are in most descriptions; there are fewer message types, in two
 # dialects, than this.
-MAX_DECLARED_TYPES = 1024
+MAX_DECLARED_TYPES = 4096
 
 # What readers split the text at (genmsg's gendeps).
 _SEPARATOR = "=" * 80
@@ -157,7 +157,7 @@ def _example(field: Field) -> str:
 PREFIX = "RIHS01_"
 
 # As many as there are compiled types in protocol.codecs.
-MAX_HASHED_TYPES = 1024
+MAX_HASHED_TYPES = 4096
 
 # type_description_interfaces/msg/FieldType; ROS 2 generates code for a char as for a uint8.
 _IDS = {

@@ -29,7 +29,7 @@ from protocol.registry import TEXTS, Field, Registry
 HEADER = b"\x00\x01\x00\x00"
 
 # As many as there are compiled types in protocol.messages.
-MAX_COMPILED_TYPES = 1024
+MAX_COMPILED_TYPES = 4096
 
 # Element types of `array` and `struct`: the same letters, and without alignment of the library's own the same sizes.
 CODES = {

@@ -3,6 +3,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap_ros2._dynamic import generate_dynamic
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from protocol import interface_packages
@@ -11,6 +14,7 @@ from protocol.errors import InterfaceFilesError, MessageError
 from protocol.interface_packages import UserInterfaces, read_packages
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
+from protocol.strict_messages import strict_type
 from protocol.type_descriptions import full_text, message_hash, service_hash
 from tests.conformance.cases import INTERFACES
 from tests.helpers.messages import deserialize, made_up
@@ -68,6 +72,16 @@ def test_a_workspace_is_looked_through_for_packages_but_not_inside_of_them(tmp_p
     package(tmp_path / "src" / "old" / "four_msgs", ("msg/A.msg", "not read"))
     (tmp_path / "src" / "old" / "COLCON_IGNORE").touch()
     assert list(read_packages([tmp_path]).ros2) == ["one_msgs/msg/A", "two_msgs/msg/A"]
+
+
+def test_links_in_a_workspace_are_followed_but_not_in_circles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package(tmp_path / "elsewhere" / "one_msgs", ("msg/A.msg", "int32 a"))
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src" / "one").symlink_to(tmp_path / "elsewhere")
+    for name in ("back", "again", "once_more"):
+        (tmp_path / "src" / name).symlink_to(tmp_path / "src")
+    monkeypatch.setattr(interface_packages, "MAX_FOLDERS", 10)
+    assert list(read_packages([tmp_path / "src"]).ros2) == ["one_msgs/msg/A"]
 
 
 def test_files_that_an_install_has_beside_them_are_left_alone(tmp_path: Path) -> None:
@@ -259,6 +273,14 @@ def test_messages_of_the_users_types_go_through_cdr_unchanged(name: str, seed: i
     assert complete(USER, name, message, Stamp(1, 2)) == message
 
 
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=13))
+def test_the_strict_form_takes_a_text_if_it_has_no_more_characters_than_its_bound(text: str) -> None:
+    strict = strict_type(USER, "lab_msgs/msg/Tag")
+    assert strict is not None
+    tag = {"text": text, "level": 0, "since": {"sec": 0, "nanosec": 0}}
+    assert strict.complete(tag) == (tag if len(text) <= 10 else None)
+
+
 def test_text_in_cdr_that_is_longer_than_its_bound_is_refused() -> None:
     tag = complete(USER, "lab_msgs/Tag", {}, Stamp(1, 2))
     octets = cdr.serialize(USER, "lab_msgs/Tag", {**tag, "text": "eleven here"})
@@ -272,12 +294,31 @@ def test_wide_text_in_cdr_that_is_no_utf_16_is_refused() -> None:
         cdr.deserialize(Registry.load(), "example_interfaces/WString", octets[:-2] + b"\x00\xd8")
 
 
-def test_the_text_of_a_users_type_is_read_by_other_programs_with_the_same_hashes() -> None:
+# Without wide text, which neither reader has.
+LINES = """\
+string UNIT="mm # per \\"turn\\""
+float64 SMALL=1e-30
+string<=8 name "it's # ü"
+float64[3] offset [0.0, 0.5, 1e-7]
+int32[<=4] counts [1, 2]
+string<=4[<=2] tags ["a, b", 'c']
+uint8[] raw [1, 2, 255]
+bool[] ready [true, False]
+string[] plain
+std_msgs/Header header
+"""
+
+
+def test_the_text_of_a_users_type_is_read_by_other_programs_with_the_same_hash(tmp_path: Path) -> None:
+    registry = read_packages([package(tmp_path / "my_msgs", ("msg/A.msg", LINES))]).registry()
+    text = full_text(registry, "my_msgs/A")
     store = get_typestore(Stores.ROS2_JAZZY)
-    # rosbags reads neither defaults of arrays of texts with commas in them nor wide text.
-    text = full_text(USER, "lab_msgs/Tag")
-    store.register(get_types_from_msg(text, "lab_msgs/msg/Tag"))
-    assert store.hash_rihs01("lab_msgs/msg/Tag") == message_hash(USER, "lab_msgs/Tag")
+    store.register(get_types_from_msg(text, "my_msgs/msg/A"))
+    assert store.hash_rihs01("my_msgs/msg/A") == message_hash(registry, "my_msgs/A")
+    message = complete(registry, "my_msgs/A", {}, Stamp(1, 2))
+    octets = cdr.serialize(registry, "my_msgs/A", message)
+    decoded = generate_dynamic("my_msgs/A", text)["my_msgs/A"](octets)
+    assert (decoded.name, decoded.offset, decoded.tags) == (message["name"], message["offset"], message["tags"])
 
 
 def test_a_bound_of_text_changes_the_hash(tmp_path: Path) -> None:

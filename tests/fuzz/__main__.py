@@ -1,6 +1,7 @@
 """Fuzz a server's clients with as many frames as are asked for: ``python -m tests.fuzz --frames 10000000 --jobs 2``.
 
 Sessions of four clients are made up by chance and played, in batches; the seed and its number tell all of a batch.
+Streams of raw TCP and interface files are among them.
 Each find is cut down to the frames that it needs and saved as a file that the corpus may take. One session in fifty is
 played under a tracer, which tells how many lines of the code behind the socket have been reached.
 """

@@ -10,21 +10,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from types import CodeType, FrameType, ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 from tests.fuzz.sessions import SessionMaker
-from tests.fuzz.target import REGISTRY, SEPARATOR, run_world
+from tests.fuzz.target import REGISTRY, SEPARATOR, run_interface_file, run_stream, run_world
 
 ROOT = Path(__file__).parents[2]
 CORPUS = Path(__file__).parent / "corpus"
 
+Run: TypeAlias = Callable[[bytes], None]
+
 # Code of which the lines are counted.
 COUNTED = ("protocol/", "server/gateway/client", "server/gateway/inbox", "server/graph/", "server/rosapi")
 
-# A traced session takes ten times as long.
-TRACED_EVERY = 50
-
 SESSIONS_PER_BATCH = 50
+
+# One in ten is a stream of raw TCP or an interface file.
+OTHERS_EVERY = 10
 
 # A batch takes a second; on a busy machine much longer, but never without an end.
 STUCK_S = 300.0
@@ -38,12 +40,12 @@ class LineCoverage:
         self.reached: set[tuple[str, int]] = set()
         self.total = {line for module in list(sys.modules.values()) for line in _lines_of_module(module)}
 
-    def trace(self, play: Callable[[bytes], str | None], data: bytes) -> str | None:
-        """Play a session, and note the lines that it reaches."""
+    def trace(self, play: Callable[[bytes, Run], str | None], data: bytes, run: Run) -> str | None:
+        """Play some bytes, and note the lines that it reaches."""
         before = sys.gettrace()
         sys.settrace(self._enter)
         try:
-            return play(data)
+            return play(data, run)
         finally:
             sys.settrace(before)
 
@@ -85,10 +87,10 @@ def _functions(code: CodeType, *, inside: bool) -> list[CodeType]:
     return found
 
 
-def problem_of(data: bytes) -> str | None:
-    """Return the kind of find that a session is, None for none: the error and where it was raised."""
+def problem_of(data: bytes, run: Run = run_world) -> str | None:
+    """Return the kind of find that some bytes are, None for none: the error and where it was raised."""
     try:
-        run_world(data)
+        run(data)
     except Exception as error:  # noqa: BLE001 - every one is a find
         cause = error.__cause__ or error
         trace = cause.__traceback__
@@ -99,21 +101,22 @@ def problem_of(data: bytes) -> str | None:
     return None
 
 
-def cut_down(data: bytes) -> bytes:
-    """Leave frames out, as long as the same kind of find remains."""
-    kind = kind_of(problem_of(data))
-    parts = data.split(SEPARATOR)
+def cut_down(data: bytes, run: Run = run_world) -> bytes:
+    """Leave frames or lines out, as long as the same kind of find remains."""
+    kind = kind_of(problem_of(data, run))
+    separator = SEPARATOR if run is run_world else b"\n"
+    parts = data.split(separator)
     size = len(parts) // 2
     while size:
         start = 0
         while start < len(parts):
             shorter = parts[:start] + parts[start + size :]
-            if kind_of(problem_of(SEPARATOR.join(shorter))) == kind:
+            if kind_of(problem_of(separator.join(shorter), run)) == kind:
                 parts = shorter
             else:
                 start += size
         size //= 2
-    return SEPARATOR.join(parts)
+    return separator.join(parts)
 
 
 def kind_of(problem: str | None) -> str:
@@ -157,12 +160,15 @@ class Player:
         maker = SessionMaker(Random(f"{self._seed}:{number}"), REGISTRY, self._corpus)
         frames, finds = 0, dict[str, tuple[str, bytes]]()
         for session in range(SESSIONS_PER_BATCH):
-            data, count = maker.session()
+            make, run = maker.session, run_world
+            if session % OTHERS_EVERY == 0:
+                make, run = (maker.stream, run_stream) if number % 2 else (maker.interface_file, run_interface_file)
+            data, count = make()
             frames += count
-            traced = (number * SESSIONS_PER_BATCH + session) % TRACED_EVERY == 0
-            problem = self._coverage.trace(problem_of, data) if traced else problem_of(data)
+            traced = session == number % SESSIONS_PER_BATCH
+            problem = self._coverage.trace(problem_of, data, run) if traced else problem_of(data, run)
             if problem is not None and kind_of(problem) not in finds:
-                finds[kind_of(problem)] = problem, cut_down(data)
+                finds[kind_of(problem)] = problem, cut_down(data, run)
         faulthandler.cancel_dump_traceback_later()
         lines = self._coverage.reached - self._told
         self._told |= lines

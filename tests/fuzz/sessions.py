@@ -17,7 +17,7 @@ from protocol.codecs import png
 from protocol.errors import InterfaceError
 from protocol.operations import qualify
 from protocol.registry import Field, Kind, MessageType, Registry
-from tests.fuzz.target import ADVANCE, BINARY, CLIENT, FLUSH, SEPARATOR, TOKENS, escape
+from tests.fuzz.target import ADVANCE, BINARY, CLIENT, ESCAPES, FLUSH, SEPARATOR, TOKENS, escape
 
 # Few names, or nobody would meet anybody; some are spelled in two ways.
 TOPICS = ("/t", "t", "/t", "/u", "/v", "/w", "/rosout", "/a/_action/status", "/a/goal", "/ä b")
@@ -113,6 +113,24 @@ GUEST = 2
 
 FROM_PROVIDERS = ("advertise_service", "advertise_action", "service_response", "action_feedback", "action_result")
 
+# Parts of interface files.
+DECLARED = (
+    "int32",
+    "uint8",
+    "string",
+    "wstring",
+    "string<=5",
+    "float64",
+    "bool",
+    "time",
+    "Header",
+    "std_msgs/Header",
+    "Made",
+)
+ARRAYS = ("", "", "", "[]", "[3]", "[<=4]", "[0]", "[-1]", "[", "[99999999999999999999]")
+DECLARED_NAMES = ("data", "a_b", "A", "MAX", "9x", "_a", "data__x", "")
+ASSIGNED = ("", "", "=", " = ", " 1", "=-1", '="a"', "='a", " [1, 2]", "=1.5 #", "=nan", " true", "=1e400")
+
 # Deeper messages are left at their defaults.
 MAX_DEPTH = 4
 
@@ -174,6 +192,39 @@ class SessionMaker:
             parts += self._parts_of_one()
         data = SEPARATOR.join(parts)
         return data, sum(1 for part in data.split(SEPARATOR) if part)
+
+    def stream(self) -> tuple[bytes, int]:
+        """Make a stream of raw TCP, of BSON or of JSON.
+
+        Returns:
+            What `run_stream` plays, and the number of frames in it.
+        """
+        random, count = self._random, self._random.randrange(1, 12)
+        if random.random() < 0.5:
+            frames = [self._bson(self._operation(), BINARY)[:-1] for _ in range(count)]
+            for byte, escaped in reversed(ESCAPES):
+                frames = [frame.replace(escaped, byte) for frame in frames]
+        else:
+            frames = [json.dumps(self._operation()).encode() for _ in range(count)]
+        data = random.choice((b"", b"", b"\n", b"\0", b" ")).join(frames)
+        return self._damaged(data) if random.random() < 0.3 else data, count
+
+    def interface_file(self) -> tuple[bytes, int]:
+        """Make an interface file.
+
+        Returns:
+            What `run_interface_file` plays, and the number of its lines.
+        """
+        random = self._random
+        lines = [
+            f"{random.choice(DECLARED)}{random.choice(ARRAYS)} {random.choice(DECLARED_NAMES)}"
+            f"{random.choice(ASSIGNED)}{random.choice(TEXTS[:6])}"
+            if random.random() < 0.8
+            else random.choice(("---", "# ---", "", "   ", "\t# a: b", "string X=a # b"))
+            for _ in range(random.randrange(1, 20))
+        ]
+        data = "\n".join(lines).encode("utf-8", "replace")
+        return self._damaged(data) if random.random() < 0.3 else data, len(lines)
 
     def _parts_of_one(self) -> list[bytes]:
         """One operation as frames, each with its control byte."""

@@ -1,21 +1,26 @@
-"""What a fuzzer feeds: one session, or four clients on one graph, which get frames cut out of any bytes."""
+"""What a fuzzer feeds with any bytes: a session, four clients on one graph, a stream, the reader of interface files."""
 
 from __future__ import annotations
 
+import itertools
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import cbor2
 import orjson
 from bson import decode as decode_bson
 
 from protocol.codecs.bson import is_document
+from protocol.errors import FrameError
+from protocol.interface_files import Generation, read_file
 from protocol.limits import Limits
 from protocol.operations import Operation
 from protocol.publication import Frame
-from protocol.registry import Registry
+from protocol.registry import Kind, Registry
 from protocol.session import Packed, Refusal, Session
+from protocol.stream import StreamSplitter
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.permissions import ANYONE, Identity, Role
@@ -213,6 +218,41 @@ def run_world(data: bytes) -> None:
         for control, frame in parts_of(data):
             world.receive(control, frame)
         world.end()
+
+
+def run_stream(data: bytes) -> None:
+    """Play bytes as a stream of raw TCP; it is cut into the same frames however it has been cut on its way."""
+    whole = _frames_of_stream([data])
+    size = 1 + len(data) % 17
+    pieces = _frames_of_stream([data[start : start + size] for start in range(0, len(data), size)])
+    if whole != pieces:
+        raise FindError(f"a stream gives {len(whole)} frames in one piece and {len(pieces)} in pieces of {size} bytes")
+    session = Session(LIMITS)
+    for frame in whole:
+        if frame is not None:
+            session.receive_frame(frame, 0.0)
+
+
+def _frames_of_stream(pieces: Iterable[bytes]) -> list[bytes | None]:
+    """Cut a stream into frames; None at the end stands for one that cannot be cut any further."""
+    splitter, frames = StreamSplitter(LIMITS.max_message_bytes), list[bytes | None]()
+    try:
+        for piece in pieces:
+            splitter.add(piece)
+            while (frame := splitter.next_frame()) is not None:
+                frames.append(frame)
+    except FrameError:
+        frames.append(None)
+    return frames
+
+
+def run_interface_file(data: bytes) -> None:
+    """Read bytes as an interface file of each kind; whatever is wrong in it is told, and nothing is raised."""
+    text = data.decode("utf-8", errors="surrogateescape")
+    kinds: tuple[Kind, ...] = ("msg", "srv", "action")
+    generations: tuple[Generation, ...] = ("ros1", "ros2")
+    for kind, generation in itertools.product(kinds, generations):
+        read_file(Path(f"Made.{kind}"), text, "made_msgs", kind, generation)
 
 
 def parts_of(data: bytes) -> Iterator[tuple[int, bytes]]:

@@ -7,10 +7,21 @@ from random import Random
 import pytest
 
 from protocol.publication import Frame
+from protocol.stream import StreamSplitter
 from server.gateway.client_topics import ClientTopics
 from tests.fuzz.batches import cut_down, problem_of
 from tests.fuzz.sessions import SessionMaker
-from tests.fuzz.target import REGISTRY, SEPARATOR, FindError, check_sent, escape, frame_of, parts_of
+from tests.fuzz.target import (
+    REGISTRY,
+    SEPARATOR,
+    FindError,
+    check_sent,
+    escape,
+    frame_of,
+    parts_of,
+    run_interface_file,
+    run_stream,
+)
 
 
 def sessions(seed: int, number: int) -> list[bytes]:
@@ -50,3 +61,21 @@ def test_a_binary_frame_may_have_every_byte() -> None:
     ((control, played),) = parts_of(escape(frame) + b"\x02" + SEPARATOR)
     assert control == 2
     assert frame_of(played, binary=True) == frame
+
+
+def test_a_stream_that_is_cut_into_other_frames_when_it_comes_in_pieces_is_a_find(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    maker = SessionMaker(Random(5), REGISTRY, [])
+    streams = [maker.stream()[0] for _ in range(60)]
+    assert [problem for data in streams if (problem := problem_of(data, run_stream))] == []
+    add = StreamSplitter.add
+    monkeypatch.setattr(StreamSplitter, "add", lambda splitter, data: add(splitter, data[:100]))
+    assert any(problem_of(data, run_stream) for data in streams)
+
+
+def test_interface_files_are_made_up_and_taken() -> None:
+    maker = SessionMaker(Random(6), REGISTRY, [])
+    files = [maker.interface_file()[0] for _ in range(60)]
+    assert any(b"---" in file for file in files)
+    assert [problem for file in files if (problem := problem_of(file, run_interface_file))] == []

@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PAGE := server/page
 COMPAS_FAB := compas_fab==2.0.1
+ROS_MCP := ros-mcp==3.1.2
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
@@ -13,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 MANY_PROCESSES := tests/test_campaign.py tests/test_survival.py tests/test_zenoh_end_to_end.py \
 	tests/planners/files/test_batch.py
 
-.PHONY: install install-dev run page page-if-npm test test-processes test-page test-clients lint check bench bench-planning campaign campaign-planners lock clean
+.PHONY: install install-dev run page page-if-npm test test-processes test-page test-clients fuzz lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -70,12 +71,17 @@ test-page: install-dev page
 	$(BIN)/python -m pytest tests/page $(ARGS)
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev build/compas_fab/.installed
+test-clients: install-dev build/compas_fab/.installed build/ros_mcp/.installed
 	$(BIN)/python -m pytest tests/clients tests/examples $(ARGS)
 
 build/compas_fab/.installed:
 	$(PYTHON) -m venv build/compas_fab
 	build/compas_fab/bin/python -m pip --disable-pip-version-check install --quiet $(COMPAS_FAB)
+	touch $@
+
+build/ros_mcp/.installed:
+	$(PYTHON) -m venv build/ros_mcp
+	build/ros_mcp/bin/python -m pip --disable-pip-version-check install --quiet $(ROS_MCP)
 	touch $@
 
 lint: install-dev
@@ -84,6 +90,10 @@ lint: install-dev
 	$(BIN)/mypy
 
 check: test test-processes lint
+
+# A million frames from made-up clients; ARGS="--frames 10000000 --jobs 2" takes most of an hour.
+fuzz: install-dev
+	$(BIN)/python -m tests.fuzz $(ARGS)
 
 bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeAlias
 
 from protocol import values
 from protocol.registry import Field, MessageType, Registry
+from protocol.ros1_log import ROS1_TYPE, ROS2_TYPE, log_from_ros1, log_to_ros1
 
 Dialect: TypeAlias = Literal["ros2", "ros1"]
 
@@ -33,8 +34,10 @@ _RENAMED: Mapping[str, Mapping[str, str]] = {
     "rosapi/srv/GetParam_Request": {"default": "default_value"},
 }
 
-# Primitives in ROS 1; clients write the names of ROS 2 in two parts or three.
+# Types that ROS 1 calls otherwise. Times are primitives there; clients write the names of ROS 2 in two parts or three.
 _ROS1_TYPES = {
+    ROS2_TYPE: ROS1_TYPE,
+    "rcl_interfaces/Log": ROS1_TYPE,
     "builtin_interfaces/msg/Time": "time",
     "builtin_interfaces/Time": "time",
     "builtin_interfaces/msg/Duration": "duration",
@@ -125,6 +128,8 @@ def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | N
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
 def _to_ros1(registry: Registry, type_name: str) -> Translation:
+    if type_name == ROS2_TYPE:
+        return log_to_ros1
     ours = registry.message(type_name)
     pairs = _pair(ours, declared_in_ros1(registry, ours.name))
     plan = [
@@ -147,6 +152,8 @@ def _to_ros1(registry: Registry, type_name: str) -> Translation:
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
 def _from_ros1(registry: Registry, type_name: str) -> Translation:
+    if type_name == ROS2_TYPE:
+        return log_from_ros1
     ours = registry.message(type_name)
     pairs = _pair(ours, declared_in_ros1(registry, ours.name))
     names = {theirs.name: field.name if field else None for theirs, field in pairs}

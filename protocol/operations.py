@@ -6,7 +6,8 @@ refusals quote it. Fields that are not listed are ignored, as rosbridge ignores 
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeAlias
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -84,9 +85,7 @@ JsonObject: TypeAlias = Annotated[dict[str, Any], Field(description="an object")
 # Providers that fail give a sentence, an object or nothing; whether it fits is for the one who knows the type.
 Anything: TypeAlias = Annotated[Any, Field(description="any value")]
 Qos: TypeAlias = Annotated[dict[str, Any] | None, Field(description="an object or null")]
-Compression: TypeAlias = Annotated[
-    Literal["none", "png", "cbor", "cbor-raw"], Field(description="none, png, cbor or cbor-raw")
-]
+Compression: TypeAlias = Literal["none", "png", "cbor", "cbor-raw"]
 Level: TypeAlias = Annotated[
     Literal["none", "error", "warning", "info"], Field(description="none, error, warning or info")
 ]
@@ -151,6 +150,9 @@ class Publish(Operation):
     queue_size: Count = 100
 
 
+_COMPRESSIONS: Mapping[str, Compression] = {name: name for name in get_args(Compression)}
+
+
 class Subscribe(Operation):
     """Ask for the messages of a topic.
 
@@ -158,7 +160,7 @@ class Subscribe(Operation):
         type: the messages' type, None for the topic's established type.
         throttle_rate: least time between two messages [ms].
         queue_length: messages kept for the throttle to let through, 0 for none.
-        compression: the encoding asked for.
+        compression: the encoding asked for, by any name; see `encoding`.
         qos: ROS 2 quality of service, accepted and not applied.
     """
 
@@ -167,8 +169,13 @@ class Subscribe(Operation):
     type: OptionalName = None
     throttle_rate: Milliseconds = 0.0
     queue_length: Count = 0
-    compression: Compression = "none"
+    compression: Text = "none"
     qos: Qos = None
+
+    @property
+    def encoding(self) -> Compression:
+        """The compression as it is applied: one that is unknown counts as none, as in rosbridge_library."""
+        return _COMPRESSIONS.get(self.compression, "none")
 
 
 class Unsubscribe(Operation):

@@ -12,7 +12,7 @@ import uuid
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from protocol.codecs import bson, cbor, cdr, json, png
+from protocol.codecs import bson, cbor, cdr, json, png, ros1_serialization
 from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.dialect import Dialect, to_ros1
 from protocol.framing import split
@@ -336,8 +336,8 @@ class PublishedMessage:
             return self._encode_json(self.msg)
         known = self._registry.knows(self.type_name)
         if encoding == "cbor-raw" and known:
-            # Serialized messages are the same in both dialects.
-            octets = cdr.serialize(self._registry, self.type_name, self.msg)
+            serialize = ros1_serialization.serialize if dialect == "ros1" else cdr.serialize
+            octets = serialize(self._registry, self.type_name, self.msg)
             return cbor.encode({"secs": self.received.sec, "nsecs": self.received.nanosec, "bytes": octets})
         msg = self._packed(encoding) if known else self.msg
         if known and dialect == "ros1":

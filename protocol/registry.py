@@ -114,6 +114,12 @@ _KIND_WORDS: dict[str, str] = {"msg": "a message type", "srv": "a service type",
 # Name of a member's message type behind its service or action -> key of the member in the tables.
 _MEMBERS = {member.title(): member for member in ("request", "response", "goal", "result", "feedback")}
 
+# Ending of the type of an action's feedback topic, and the type of a goal's id in it.
+_FEEDBACK_MESSAGE, _UUID = "_FeedbackMessage", "unique_identifier_msgs/msg/UUID"
+
+# Types of ROS 1 that ROS 2 has by another name, each the same type to the server.
+_RENAMED = {"rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log"}
+
 # How ROS 2 calls the two primitives of ROS 1 that it has no primitives for.
 _ROS2_NAMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 
@@ -275,10 +281,23 @@ class Registry:
         return ActionType(canonical, *(self.message(f"{canonical}_{part}") for part in ("Goal", "Result", "Feedback")))
 
     def _find(self, canonical: str) -> Definition | None:
-        return _definition(self._table, canonical) or _definition(self._ros1_table, canonical)
+        return (
+            _definition(self._table, canonical)
+            or _definition(self._ros1_table, canonical)
+            or self._feedback_message(canonical)
+        )
+
+    def _feedback_message(self, canonical: str) -> Definition | None:
+        """Return the message of an action's topic ``_action/feedback``, as rosidl derives it from the action."""
+        action = canonical.removesuffix(_FEEDBACK_MESSAGE)
+        if action == canonical or _UUID not in self._table or not self.knows(f"{action}_Feedback"):
+            return None
+        return {"kind": "msg", **_message([["goal_id", _UUID], ["feedback", f"{action}_Feedback"]])}
 
     def _look_up(self, name: str, kind: Kind) -> tuple[str, Definition]:
         canonical = _canonical(name, kind)
+        if self._ros1_table:
+            canonical = _RENAMED.get(canonical, canonical)
         definition = self._find(canonical)
         if definition is None:
             raise InterfaceError(name, "unknown (package and name must match, in upper and lower case too)")

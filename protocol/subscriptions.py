@@ -234,9 +234,7 @@ class Subscriptions:
         Raises:
             OperationError: the client's limit is reached.
         """
-        rule = Rule(
-            operation.throttle_rate / 1000, operation.queue_length, operation.compression, operation.fragment_size
-        )
+        rule = Rule(operation.throttle_rate / 1000, operation.queue_length, operation.encoding, operation.fragment_size)
         first = self._rules.put(operation.topic, operation.id, rule)
         # The delivery outlives the id that opened it: its spelling and its throttle's clock belong to the topic.
         subscription = self._merged.setdefault(qualify(operation.topic), Subscription(operation.topic))

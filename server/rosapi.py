@@ -12,10 +12,11 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
-from protocol.dialect import Dialect
+from protocol.dialect import Dialect, spell_type
 from protocol.errors import InterfaceError
 from protocol.messages import Stamp
 from protocol.operations import qualify
+from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
 from server.access.permissions import NameFilter
 from server.errors import ServiceError
@@ -44,6 +45,13 @@ MAX_NODE_NAMES = 8192
 
 # As many as any robot's parameter server has.
 MAX_PARAMETERS = 10_000
+
+# Value of a parameter that there is not, of a request without a default: rosapi's JSON of what each generation has for
+# nothing. Clients read every value as JSON.
+NO_PARAMETER: Mapping[Dialect, str] = {"ros2": '""', "ros1": "null"}
+
+# What rosapi's answers about parameters tell since 2025.
+DONE = {"successful": True, "reason": ""}
 
 # Names and values of all parameters together: a robot's description and the settings of all its controllers.
 MAX_PARAMETER_BYTES = 16 << 20
@@ -106,7 +114,7 @@ class RosApi:
             "subscribers": ("rosapi_msgs/srv/Subscribers", self._subscribers),
             "services": (
                 "rosapi_msgs/srv/Services",
-                Latest(services, lambda _: {"services": sorted(services.types())}),
+                Latest(services, lambda _: {"services": _shown(services.types())}),
             ),
             "services_for_type": ("rosapi_msgs/srv/ServicesForType", self._services_for_type),
             "service_type": ("rosapi_msgs/srv/ServiceType", self._service_type),
@@ -118,11 +126,17 @@ class RosApi:
                 "rosapi_msgs/srv/GetActionServers",
                 Latest(actions, lambda _: {"action_servers": sorted(actions.types())}),
             ),
+            "action_type": ("rosapi_msgs/srv/ActionType", self._action_type),
             "nodes": ("rosapi_msgs/srv/Nodes", self._nodes),
             "node_details": ("rosapi_msgs/srv/NodeDetails", self._node_details),
             "message_details": ("rosapi_msgs/srv/MessageDetails", self._message_details),
             "service_request_details": ("rosapi_msgs/srv/ServiceRequestDetails", self._service_request_details),
             "service_response_details": ("rosapi_msgs/srv/ServiceResponseDetails", self._service_response_details),
+            **{
+                f"action_{part}_details": (f"rosapi_msgs/srv/Action{part.title()}Details", self._action_details(part))
+                for part in ("goal", "result", "feedback")
+            },
+            "interfaces": ("rosapi_msgs/srv/Interfaces", self._interfaces),
             "get_time": ("rosapi_msgs/srv/GetTime", self._get_time),
             "get_ros_version": ("rosapi_msgs/srv/GetROSVersion", lambda request: ROS_VERSIONS[request.dialect]),
             **self.parameters.handlers,
@@ -134,13 +148,14 @@ class RosApi:
 
     def _topics(self, dialect: Dialect) -> dict[str, Any]:
         types = self._graph.topic_names.types(dialect)
-        return {"topics": list(types), "types": list(types.values())}
+        shown = [name for name in types if not _is_hidden(name)]
+        return {"topics": shown, "types": [types[name] for name in shown]}
 
     def _topics_for_type(self, request: Request) -> dict[str, Any]:
-        return {"topics": sorted(self._graph.topic_names.of_type(request.values["type"]))}
+        return {"topics": _shown(self._graph.topic_names.of_type(request.values["type"]))}
 
     def _topics_and_raw_types(self, dialect: Dialect) -> dict[str, Any]:
-        types = self._graph.topic_types().values()
+        types = [type_name for name, type_name in self._graph.topic_types().items() if not _is_hidden(name)]
         texts = {type_name: self._full_text(type_name, dialect) for type_name in set(types)}
         return {**self._topics(dialect), "typedefs_full_text": _limited([texts[type_name] for type_name in types])}
 
@@ -165,7 +180,7 @@ class RosApi:
     # Services.
 
     def _services_for_type(self, request: Request) -> dict[str, Any]:
-        return {"services": sorted(self._services.names.of_type(request.values["type"]))}
+        return {"services": _shown(self._services.names.of_type(request.values["type"]))}
 
     def _service_type(self, request: Request) -> dict[str, Any]:
         return {"type": self._services.names.type_of(request.name("service"), request.dialect) or ""}
@@ -182,6 +197,11 @@ class RosApi:
         """Return this host: every service is reached through this server."""
         provider = self._services.provider(request.name("service"))
         return {"host": "" if provider is None else socket.gethostname()}
+
+    # Actions.
+
+    def _action_type(self, request: Request) -> dict[str, Any]:
+        return {"type": self._actions.names.type_of(request.name("action"), request.dialect) or ""}
 
     # Nodes.
 
@@ -201,21 +221,29 @@ class RosApi:
     # Types, as the caller's dialect declares them.
 
     def _message_details(self, request: Request) -> dict[str, Any]:
-        return self._details(request.values["type"], "", request.dialect)
+        return self._details(request.values["type"], "msg", "", request.dialect)
 
     def _service_request_details(self, request: Request) -> dict[str, Any]:
-        return self._details(request.values["type"], "_Request", request.dialect)
+        return self._details(request.values["type"], "srv", "_Request", request.dialect)
 
     def _service_response_details(self, request: Request) -> dict[str, Any]:
-        return self._details(request.values["type"], "_Response", request.dialect)
+        return self._details(request.values["type"], "srv", "_Response", request.dialect)
 
-    def _make_details(self, name: str, member: str, dialect: Dialect) -> dict[str, Any]:
-        """Return the fields of a message type, or of a service's request or response, as a response."""
+    def _action_details(self, part: str) -> Handler:
+        return lambda request: self._details(request.values["type"], "action", f"_{part.title()}", request.dialect)
+
+    def _make_details(self, name: str, kind: Kind, member: str, dialect: Dialect) -> dict[str, Any]:
+        """Return the fields of a message type, or of a member of a service or action, as a response."""
         try:
-            message = f"{self._registry.canonical(name, 'srv')}{member}" if member else name
+            message = f"{self._registry.canonical(name, kind)}{member}"
             return {"typedefs": typedefs(self._registry, message, dialect)}
         except InterfaceError as error:
             raise ServiceError(str(error)) from error
+
+    def _interfaces(self, request: Request) -> dict[str, Any]:
+        """Return all types of messages, services and actions, as the caller's generation declares and names them."""
+        registry = self._registry.ros1 if request.dialect == "ros1" else self._registry
+        return {"interfaces": sorted(spell_type(name, request.dialect) for name in registry.type_names())}
 
     # The server.
 
@@ -292,16 +320,22 @@ class Parameters:
             raise ServiceError(f"value: {size_bytes} bytes of parameters with it, the limit is {MAX_PARAMETER_BYTES}")
         try:
             json.loads(value)
-        # Text that nests too deep exceeds the parser's recursion limit.
         except (ValueError, RecursionError) as error:
             raise ServiceError(f"value: must be JSON text: {error}") from error
         self._values[name] = value
         self._open.add(name)
         self._size_bytes = size_bytes
-        return {}
+        return DONE
 
     def _get_param(self, request: Request) -> dict[str, Any]:
-        return {"value": self._values.get(self._allowed_name(request), request.values["default_value"])}
+        """Return a parameter, or the default of the request; what there is not is JSON text too, as in rosapi."""
+        name, default = self._allowed_name(request), request.values["default_value"]
+        value = self._values.get(name)
+        if value is not None:
+            return {"value": value, **DONE}
+        if default:
+            return {"value": _as_json(default), **DONE}
+        return {"value": NO_PARAMETER[request.dialect], "successful": False, "reason": f"there is no parameter {name}"}
 
     def _has_param(self, request: Request) -> dict[str, Any]:
         return {"exists": self._allowed_name(request) in self._values}
@@ -311,7 +345,7 @@ class Parameters:
         self._size_bytes -= self._stored_bytes(name)
         self._values.pop(name, None)
         self._open.discard(name)
-        return {}
+        return DONE
 
     def _search_param(self, request: Request) -> dict[str, Any]:
         """Return the name itself if it exists: there are no namespaces to search upwards."""
@@ -351,6 +385,16 @@ def _node_names(nodes: Iterable[Node]) -> list[str]:
     return sorted({node_name(node) for node in nodes})
 
 
+def _is_hidden(name: str) -> bool:
+    """Return True for a name that ROS 2 leaves out of lists: a part of it begins with an underscore."""
+    return "/_" in name
+
+
+def _shown(names: Iterable[str]) -> list[str]:
+    """Return the names that are listed, in order."""
+    return sorted(name for name in names if not _is_hidden(name))
+
+
 def _joined(lists: Iterable[list[str]]) -> list[str]:
     """Join lists of names, each name once."""
     return list(dict.fromkeys(itertools.chain.from_iterable(lists)))
@@ -368,6 +412,16 @@ def _limited(texts: list[str]) -> list[str]:
     """Replace texts from the one on that exceeds `MAX_TEXTS_CHARACTERS` in all by empty ones."""
     kept = bisect_right(list(itertools.accumulate(map(len, texts))), MAX_TEXTS_CHARACTERS)
     return texts[:kept] + [""] * (len(texts) - kept)
+
+
+def _as_json(text: str) -> str:
+    """Return a JSON text as it is, and any other as the JSON of a text."""
+    try:
+        json.loads(text)
+    # Text that nests too deep exceeds the parser's recursion limit.
+    except (ValueError, RecursionError):
+        return json.dumps(text)
+    return text
 
 
 def _size_bytes(name: str, value: str) -> int:

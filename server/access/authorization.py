@@ -64,7 +64,7 @@ class Rule:
         at_once_data: text in the field ``data`` with which alone a message does so; None for any message.
         drives: True for names that move or switch the arm, which one client does at a time.
         goal: True for names that count against the rate of goals.
-        may_plan_only: True for goals whose ``planning_options`` may say that nothing moves.
+        plan_only: path of the field in a goal that may say that nothing moves; empty where there is none.
         plans: True for services whose answer takes a planner; the calls of one client that wait for it are limited.
     """
 
@@ -74,7 +74,7 @@ class Rule:
     at_once_data: str | None = None
     drives: bool = False
     goal: bool = False
-    may_plan_only: bool = False
+    plan_only: tuple[str, ...] = ()
     plans: bool = False
 
 
@@ -86,16 +86,22 @@ STOP_EVENT = Rule(Role.VIEW, stops=True, at_once=True, at_once_data="stop")
 WORKING = Rule(Role.OPERATE)
 SWITCHING = Rule(Role.OPERATE, drives=True)
 GOAL = Rule(Role.OPERATE, drives=True, goal=True)
-PLANNING_GOAL = Rule(Role.OPERATE, drives=True, goal=True, may_plan_only=True)
+PLANNING_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("planning_options", "plan_only"))
+CALLED_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("plan_only",), plans=True)
 CONFIGURING = Rule(Role.ADMIN)
 
 _ROSAPI_LOOKING = (
+    "action_feedback_details",
+    "action_goal_details",
+    "action_result_details",
     "action_servers",
+    "action_type",
     "get_param",
     "get_param_names",
     "get_ros_version",
     "get_time",
     "has_param",
+    "interfaces",
     "message_details",
     "node_details",
     "nodes",
@@ -150,6 +156,7 @@ SERVICES: Mapping[str, Rule] = {
     "/has_robot_state": LOOKING,
     "/list_robot_states": LOOKING,
     "/load_geometry_from_file": WORKING,
+    "/moveit_goal": CALLED_GOAL,
     "/moveit_goal_confirm_mode": CONFIGURING,
     "/plan_kinematic_path": PLANNING,
     "/plan_sequence_path": PLANNING,
@@ -194,6 +201,7 @@ ACTIONS: Mapping[str, Rule] = {
     "/joint_trajectory_action": GOAL,
     "/move_action": PLANNING_GOAL,
     "/move_group": PLANNING_GOAL,
+    "/moveit_goal": CALLED_GOAL,
     "/sequence_move_group": PLANNING_GOAL,
 }
 
@@ -254,10 +262,12 @@ def _name_of(service: str) -> str:
     return qualify(service.partition("#")[0])
 
 
-def plans_only(goal: object) -> bool:
+def plans_only(rule: Rule, goal: object) -> bool:
     """Return True for a goal, as its client spelled it, that asks for a plan and for no motion."""
-    options: Any = goal.get("planning_options") if isinstance(goal, Mapping) else None
-    return isinstance(options, Mapping) and options.get("plan_only") is True
+    value = goal
+    for field in rule.plan_only:
+        value = value.get(field) if isinstance(value, Mapping) else None
+    return bool(rule.plan_only) and value is True
 
 
 class Authorizer:
@@ -290,7 +300,7 @@ class Authorizer:
                 known = operation.topic in self._settled
                 return None if known else self.publishing(operation.topic, operation.msg)
             case CallService():
-                return self.calling(operation.service)
+                return self.calling(operation.service, operation.args)
             case SendActionGoal():
                 name = qualify(operation.action)
                 rule = rule_of_action(name)
@@ -331,14 +341,14 @@ class Authorizer:
             self._settled.add(topic)
         return refusal or self._drive(rule, name, message.get("goal"))
 
-    def calling(self, service: str) -> str | None:
-        """Check a call of a service, as :meth:`refusal`."""
+    def calling(self, service: str, arguments: object) -> str | None:
+        """Check a call of a service with its request, as :meth:`refusal`."""
         name = _name_of(service)
         rule = rule_of_service(name)
         if name.endswith(CANCEL_SERVICE) and self._graph.actions.provider(name.removesuffix(CANCEL_SERVICE)) is None:
             # It belongs to no action, so it stops nothing.
             rule = WORKING
-        return self._name_refusal(rule, "service", name) or self._drive(rule, name, None)
+        return self._name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
 
     def _rule_of_publishing(self, name: str) -> Rule:
         """Return the rule of a topic, that of any other topic for one that would stop nothing.
@@ -372,7 +382,7 @@ class Authorizer:
                 f"{name}: this client sends more than {self._goals.burst} goals at once (access.goal_burst) and "
                 f"{self._goals.per_s:g} a second (access.goals_per_s)"
             )
-        if not rule.drives or (rule.may_plan_only and plans_only(goal)):
+        if not rule.drives or plans_only(rule, goal):
             return None
         refusal = self._access.lease.drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"

@@ -146,6 +146,7 @@ class ClientActions:
         listener = on_feedback if operation.feedback else None
         goal = self._actions.send_goal(self._node, name, operation.action_type, arguments, on_result, listener)
         if goal is not None and not goal.ended:
+            goal.sender_id = operation.id
             self._sent[goal] = name, operation.id
             self._values_in_flight += message.values
             goal.when_ended(lambda _result: self._forget(goal, message.values))
@@ -160,7 +161,14 @@ class ClientActions:
         self._client.send(with_id({**fields, "status": int(GoalStatus.UNKNOWN)}, operation.id))
 
     def cancel(self, operation: CancelActionGoal) -> None:
-        """Cancel the goal of this id; one that is unknown has most likely just ended."""
-        wanted = qualify(operation.action), operation.id
-        for goal in [goal for goal, sent in self._sent.items() if sent == wanted]:
+        """Cancel the goal of this id; one that is unknown has most likely just ended.
+
+        A client that connects anew for each request, as ros-mcp does, cancels goals of its former connections. In
+        rosbridge_library (capabilities/send_action_goal.py) all clients share one table of goals.
+        """
+        wanted = name, id_ = qualify(operation.action), operation.id
+        own = [goal for goal, sent in self._sent.items() if sent == wanted]
+        for goal in own:
             goal.cancel()
+        if not own and id_ is not None:
+            self._actions.cancel_left_behind(name, id_)

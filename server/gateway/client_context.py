@@ -14,7 +14,7 @@ from protocol import dialect
 from protocol.codecs import cbor
 from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.dialect import Dialect
-from protocol.errors import NothingToDoError, OperationError, ProtocolError, one_line, shorten
+from protocol.errors import NothingToDoError, OperationError, ProtocolError, describe, one_line, shorten
 from protocol.operations import (
     Advertise,
     AdvertiseAction,
@@ -137,6 +137,9 @@ class ClientStatus:
         self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
         if isinstance(operation, Advertise | Subscribe) and operation.qos:
             self.tell("warning", operation, "field qos: has no effect")
+        if isinstance(operation, Subscribe) and operation.compression != operation.encoding:
+            unknown = f"wanted none, png, cbor or cbor-raw, got {describe(operation.compression)}"
+            self.tell("warning", operation, f"field compression: {unknown}; messages come as with none")
 
     def set_level(self, operation: SetLevel) -> None:
         """Set the least level of the status messages."""

@@ -11,7 +11,7 @@ import uuid
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from protocol.errors import InterfaceError, MessageError
 from server.errors import GraphError
@@ -66,6 +66,7 @@ class Goal(PendingRequest[Result]):
         request: as given.
         sender: as given.
         goal_id: sixteen octets that no other goal has.
+        sender_id: the sender's own mark for it, None where it has none.
         cancel_requested: whether somebody has asked for the end of the goal.
         sender_left: whether its sender is to be told nothing any more.
     """
@@ -85,11 +86,17 @@ class Goal(PendingRequest[Result]):
         self.type_name = type_name
         self.request = request
         self.goal_id = uuid.uuid4().bytes
+        self.sender_id: str | int | None = None
         self.cancel_requested = False
         self.sender_left = False
         self._message_types = message_types
         self._on_feedback = on_feedback
+        self._on_every_feedback: Callable[[dict[str, Any]], None] | None = None
         self._when_canceled: list[Callable[[], None]] = []
+
+    def on_every_feedback(self, callback: Callable[[dict[str, Any]], None]) -> None:
+        """Have this called with every complete feedback message, whether its sender wants it or not."""
+        self._on_every_feedback = callback
 
     def feedback(self, values: object) -> None:
         """Tell how the goal goes; what the message leaves out gets its default.
@@ -98,8 +105,12 @@ class Goal(PendingRequest[Result]):
             MessageError: the values do not fit the action's type.
         """
         completed = self._message_types.complete(f"{self.type_name}_Feedback", values)
-        if self._on_feedback is not None and not self.ended:
+        if self.ended:
+            return
+        if self._on_feedback is not None:
             self._on_feedback(completed)
+        if self._on_every_feedback is not None:
+            self._on_every_feedback(completed)
 
     def finish(self, status: GoalStatus, values: object) -> None:
         """End the goal with a result message; what it leaves out gets its default.
@@ -166,6 +177,19 @@ class ActionProvider(Provider):
     goals: dict[str, Goal] = field(default_factory=dict)
 
 
+class ActionFollower(Protocol):
+    """Someone who tells others of all actions and goals."""
+
+    def open(self, node: Node, action: str, type_name: str) -> None:
+        """Take note of an action that is offered from now on."""
+
+    def close(self, node: Node, action: str) -> None:
+        """Take note of an action that is withdrawn, after its goals have ended."""
+
+    def follow(self, node: Node, goal: Goal) -> None:
+        """Take note of a goal that its provider is just getting."""
+
+
 class Actions(ProviderDirectory[ActionProvider]):
     """All actions.
 
@@ -182,6 +206,11 @@ class Actions(ProviderDirectory[ActionProvider]):
         self._call_later = call_later
         # Those in flight, by their sender.
         self._sent: Index[Node, Goal] = Index()
+        self._follower: ActionFollower | None = None
+
+    def tell(self, follower: ActionFollower) -> None:
+        """Tell someone of all actions and goals from now on."""
+        self._follower = follower
 
     def offer(
         self,
@@ -214,6 +243,8 @@ class Actions(ProviderDirectory[ActionProvider]):
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._offers.add(offer)
+        if self._follower is not None:
+            self._follower.open(node, name, canonical)
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; goals in flight end. Nothing happens when it offers no such action."""
@@ -264,6 +295,18 @@ class Actions(ProviderDirectory[ActionProvider]):
         self._start(goal, offer, on_result)
         return goal
 
+    def cancel_left_behind(self, name: str, sender_id: str | int) -> None:
+        """Cancel the goals of an action with this mark whose senders have left.
+
+        Args:
+            name: fully qualified name of the action.
+            sender_id: the mark that the senders gave them.
+        """
+        offer = self._offers.get(name)
+        for goal in list(offer.goals.values()) if offer is not None else ():
+            if goal.sender_left and goal.sender_id == sender_id:
+                goal.cancel()
+
     def _offer(self, name: str, type_name: str) -> ActionProvider:
         offer = self._offers.get(name)
         if offer is None:
@@ -284,6 +327,8 @@ class Actions(ProviderDirectory[ActionProvider]):
             self._sent.discard(goal.sender, goal)
 
         goal.when_ended(forget)
+        if self._follower is not None:
+            self._follower.follow(offer.node, goal)
         goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
         try:
             offer.start(goal)
@@ -295,6 +340,8 @@ class Actions(ProviderDirectory[ActionProvider]):
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         for goal in list(offer.goals.values()):
             goal.fail(f"Action {offer.name} was withdrawn by its provider")
+        if self._follower is not None:
+            self._follower.close(offer.node, offer.name)
 
 
 def _cancel_service(action: str) -> str:

@@ -72,6 +72,7 @@ class Call(PendingRequest[Response]):
         request: as given.
         caller: as given.
         dialect: as given.
+        caller_left: True once the caller has left.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class Call(PendingRequest[Response]):
         self.request = request
         self.caller = caller
         self.dialect = dialect
+        self.caller_left = False
         self._message_types = message_types
 
     def succeed(self, values: object, reason: str = "") -> None:
@@ -262,6 +264,7 @@ class Services(ProviderDirectory[ServiceProvider]):
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its services, and what it has called."""
         for call in self._calls.of(node):
+            call.caller_left = True
             call.fail("the caller has left")
         self._offers.withdraw_all(node)
 

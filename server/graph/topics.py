@@ -22,6 +22,7 @@ from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.strict_messages import PublicationReader
 from server.errors import GraphError
+from server.graph.action_topics import ActionTopics
 from server.graph.actions import Actions
 from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
@@ -126,6 +127,7 @@ class Graph:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.message_types, call_later)
         self.actions = Actions(self.message_types, self.services, call_later)
+        self.actions.tell(ActionTopics(self, clock))
         self._clock = clock
         self._unregister_timeout_s = unregister_timeout_s
         self.topic_names = TypedNames()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
+from planners.problem import PlanningProblem
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.execution.monitors import CurrentState
@@ -25,8 +26,29 @@ JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
 POSE_TOPIC, POSE_TYPE = "/moveit_goal_pose", "geometry_msgs/PoseStamped"
 GROUP_TOPIC, GROUP_TYPE = "/moveit_goal_group", "std_msgs/String"
 
+# Fields of armbridge_msgs/GoalTarget, by the topic whose message each takes.
+TARGET_FIELDS = {NAMED_TOPIC: "named", JOINTS_TOPIC: "joints", POSE_TOPIC: "pose"}
+
 # A quaternion's length may differ from 1 by the rounding of clients that write a few digits.
 UNIT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class GoalOptions:
+    """What a goal chooses for itself, where a topic's goal has what is selected and configured.
+
+    Attributes:
+        group: its planning group; None for the selected one.
+        velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one.
+        acceleration_scaling: share of the acceleration limits, likewise.
+    """
+
+    group: Group | None = None
+    velocity_scaling: float = 0.0
+    acceleration_scaling: float = 0.0
+
+
+AS_SELECTED = GoalOptions()
 
 
 class GoalTranslator:
@@ -75,28 +97,54 @@ class GoalTranslator:
         self.group = planning_group(self._robot, name, self._parameters)
         self._states.select_group(self.group.name)
 
-    def named(self, message: Message) -> PlannedMotion:
+    def options(self, message: Message) -> GoalOptions:
+        """Read the fields of an armbridge_msgs/MoveitGoal that choose group and speed.
+
+        Raises:
+            RefusedError: there is no such group, or a scaling is not from 0 to 1.
+        """
+        group = planning_group(self._robot, message["group"], self._parameters) if message["group"] else None
+        scalings = []
+        for field in ("velocity_scaling", "acceleration_scaling"):
+            value = float(message[field])
+            if not 0.0 <= value <= 1.0:
+                raise invalid(f"{field} must be from 0 to 1, 0 for the configured one, not {value:g}", value=value)
+            scalings.append(value)
+        return GoalOptions(group, *scalings)
+
+    def named(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a std_msgs/String with the name of a state; case and blanks do not matter.
+
+        Args:
+            message: the message.
+            options: what the goal chooses for itself.
 
         Raises:
             RefusedError: there is no such state, or it has no joint of the group.
         """
-        found = self._states.find(message["data"])
+        group = options.group or self.group
+        found = self._states.find(message["data"], group.name)
         if found is None:
-            names = self._states.names
+            names = self._states.names_in(group.name)
             text = f"there is no named target {message['data']!r}; known are: {', '.join(names) or 'none'}"
-            nearest = self._states.nearest_name(message["data"])
+            nearest = self._states.nearest_name(message["data"], group.name)
             raise invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))
         name, positions_rad = found
-        goal_rad = {joint: value for joint, value in positions_rad.items() if joint in self.group.joints}
+        goal_rad = {joint: value for joint, value in positions_rad.items() if joint in group.joints}
         if not goal_rad:
-            raise invalid(f"the named target {name!r} has no joint of group {self.group.name}", name=name)
-        return self._motion(self.group, lambda _start_rad: JointGoal(goal_rad, self._parameters.joint_tolerance))
+            raise invalid(f"the named target {name!r} has no joint of group {group.name}", name=name)
+        goal = JointGoal(goal_rad, self._parameters.joint_tolerance)
+        return self._motion(group, lambda _start_rad: goal, options)
 
-    def joints(self, message: Message) -> PlannedMotion:
+    def joints(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a sensor_msgs/JointState; joints that are not named keep their position.
 
-        The goal is one of the smallest group that has all the named joints, whatever group is selected.
+        Unless it chooses its group, the goal is one of the smallest group that has all the named joints, whatever group
+        is selected.
+
+        Args:
+            message: the message.
+            options: what the goal chooses for itself.
 
         Raises:
             RefusedError: names and positions do not fit, or a position is not finite.
@@ -107,7 +155,7 @@ class GoalTranslator:
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise invalid(f"the joint {repeated[0]} is named more than once")
-        group = self._group_of(names)
+        group = options.group or self._group_of(names)
         known = {name: value for name, value in zip(names, positions, strict=True) if name in group.joints}
         if not known:
             raise invalid(
@@ -119,7 +167,7 @@ class GoalTranslator:
         ignored = [name for name in names if name not in known]
         warning = f"ignored joints that are not in group {group.name}: {', '.join(ignored)}"
         goal = JointGoal(known, self._parameters.joint_tolerance)
-        return self._motion(group, lambda _start_rad: goal, (warning,) if ignored else ())
+        return self._motion(group, lambda _start_rad: goal, options, (warning,) if ignored else ())
 
     def _group_of(self, names: Sequence[str]) -> Group:
         """Return the group of a joint goal: the smallest that has all of its joints, or else the selected one."""
@@ -127,17 +175,21 @@ class GoalTranslator:
         fitting = [group for group in self._robot.groups.values() if named and named <= set(group.joints)]
         return min(fitting, key=lambda group: (len(group.joints), group is not self.group), default=self.group)
 
-    def pose(self, message: Message) -> PlannedMotion:
+    def pose(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a geometry_msgs/PoseStamped: a whole pose for six joints or more, a position for fewer.
 
         A frame that moves with the arm is resolved when the goal's turn comes.
+
+        Args:
+            message: the message.
+            options: what the goal chooses for itself.
 
         Raises:
             RefusedError: a number is not finite, the orientation is none although it counts, the group has no tip, or
                 there is no such frame.
         """
-        frame, group = self._frame(message), self.group
-        tip = checked_tip(self.tip, group)
+        frame, group = self._frame(message), options.group or self.group
+        tip = checked_tip(tip_link(self._robot, group, self._parameters), group)
         whole = chooses_orientation(group)
         pose = _whole_pose(message["pose"], group) if whole else Pose(_position_m(message["pose"]))
         radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
@@ -152,7 +204,7 @@ class GoalTranslator:
         present_rad = self._current.positions_rad()
         if present_rad is not None:
             self._frames.resolve(frame, present_rad)
-        return self._motion(group, goal)
+        return self._motion(group, goal, options)
 
     def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose:
         """Return the whole pose of a geometry_msgs/PoseStamped in the root link.
@@ -171,12 +223,19 @@ class GoalTranslator:
         frame: str = message["header"]["frame_id"] or self._parameters.planning_frame
         return frame
 
-    def _motion(self, group: Group, goal: Callable[[Positions], Goal], warnings: tuple[str, ...] = ()) -> PlannedMotion:
-        return PlannedMotion(
-            (lambda start_rad: self._problems.goal(group, goal(start_rad), start_rad),),
-            frozenset(group.joints),
-            warnings=warnings,
-        )
+    def _motion(
+        self,
+        group: Group,
+        goal: Callable[[Positions], Goal],
+        options: GoalOptions,
+        warnings: tuple[str, ...] = (),
+    ) -> PlannedMotion:
+        scalings = options.velocity_scaling, options.acceleration_scaling
+
+        def step(start_rad: Positions) -> PlanningProblem:
+            return self._problems.goal(group, goal(start_rad), start_rad, *scalings)
+
+        return PlannedMotion((step,), frozenset(group.joints), warnings=warnings)
 
 
 def _position_m(message: Message) -> tuple[float, float, float]:
@@ -227,6 +286,14 @@ class Suggestion:
     def as_data(self) -> dict[str, Any]:
         """Return the fields of rosbridge's operations advertise and publish."""
         return {"topic": self.topic, "type": self.type_name, "msg": self.msg}
+
+    def as_target(self) -> dict[str, Any]:
+        """Return the armbridge_msgs/GoalTarget, whose one field that is given is a goal of ``/moveit_goal``."""
+        return {TARGET_FIELDS[self.topic]: self.msg["data"] if self.topic == NAMED_TOPIC else self.msg}
+
+    def added_to(self, message: str) -> str:
+        """Return the sentence of an answer with the suggestion."""
+        return f"{message}; what would work: {self.words}"
 
 
 def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) -> Suggestion | None:

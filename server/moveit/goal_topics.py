@@ -176,14 +176,13 @@ class GoalStatusTopics:
     def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
         """Log the end of a goal and publish its final status, then the one result of a goal from a topic."""
         instead = suggestion(goal.message, answer.details, self._robot)
-        message = answer.message if instead is None else f"{answer.message}; what would work: {instead.words}"
+        message = answer.message if instead is None else instead.added_to(answer.message)
         succeeded = answer.code is MoveItErrorCode.SUCCESS
         level = logging.INFO if succeeded else logging.WARNING
         # A goal without permission is logged where the permission is checked.
         if goal.only_for is None:
             log.log(level, "goal %s from %s: %s: %s", goal.goal_id, goal.source, answer.code.name, message)
-        details = {"code": str(int(answer.code))}
-        details |= {name: json.dumps(value, default=str) for name, value in answer.details.items()}
+        details = {"code": str(int(answer.code)), **details_as_json(answer)}
         if instead is not None:
             details["suggested_goal"] = json.dumps(instead.as_data())
         done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
@@ -219,6 +218,11 @@ class GoalStatusTopics:
             self._graph.publish(self._node, topic, message)
         else:
             self._graph.tell(goal.only_for, topic, message)
+
+
+def details_as_json(answer: Answer) -> dict[str, str]:
+    """Return the diagnostic details of an answer, each value as JSON text."""
+    return {name: json.dumps(value, default=str) for name, value in answer.details.items()}
 
 
 class GoalTopics:

@@ -25,6 +25,7 @@ from server.monitoring.goal_counters import GoalCounters
 from server.moveit.actions.move_group import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
+from server.moveit.goal_calls import GoalCalls
 from server.moveit.goal_messages import GoalTranslator
 from server.moveit.goal_topics import Confirmation, GoalChecks, GoalReports, GoalStatusTopics, GoalTopics
 from server.moveit.gripper import FETCH_ACTION, GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
@@ -134,6 +135,7 @@ class MoveItInterface:
         self._named_states = NamedStatesServices(graph, robot, states, self._current)
         translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
         self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
+        self._goal_calls = GoalCalls(graph, self.queue, translator, self._confirmation, self._context)
         reports = GoalReports(robot, moveit)
         self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
 
@@ -167,6 +169,7 @@ class MoveItInterface:
         self._confirmation.open()
         self._goal_status.open()
         self._goal_topics.open()
+        self._goal_calls.open()
         self._named_states.open()
         self._goal_checks.open()
         self._display.open()

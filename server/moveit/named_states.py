@@ -95,24 +95,37 @@ class NamedStates:
     @property
     def names(self) -> list[str]:
         """Names of all states, in alphabetical order."""
-        return sorted((*self._described, *self._saved))
+        return sorted(self._of(None))
+
+    def names_in(self, group: str) -> list[str]:
+        """Return the names of all states of a planning group, in alphabetical order."""
+        return sorted(self._of(group))
 
     def select_group(self, group: str) -> None:
         """Have the states of the SRDF be those of a planning group."""
         self._described = self._states_of_groups.get(group, {})
         self._changed()
 
-    def find(self, name: str) -> tuple[str, Positions] | None:
-        """Return the spelling of a name and its state; None when there is no such state."""
-        states = {**self._saved, **self._described}
+    def find(self, name: str, group: str | None = None) -> tuple[str, Positions] | None:
+        """Return the spelling of a name and its state; None when there is no such state.
+
+        Args:
+            name: the name.
+            group: planning group whose states of the SRDF count; None for the selected one.
+        """
+        states = self._of(group)
         spelled = _spelling(name, states)
         return None if spelled is None else (spelled, states[spelled])
 
-    def nearest_name(self, name: str) -> str | None:
-        """Return the name that is most similar to one that does not exist; None when none is."""
-        by_key = {_key(known): known for known in self.names}
+    def nearest_name(self, name: str, group: str | None = None) -> str | None:
+        """Return the name that is most similar to one that does not exist, None when none is; as :meth:`find`."""
+        by_key = {_key(known): known for known in self._of(group)}
         alike = difflib.get_close_matches(_key(name), by_key, 1, MIN_SIMILARITY)
         return by_key[alike[0]] if alike else None
+
+    def _of(self, group: str | None) -> dict[str, Positions]:
+        described = self._described if group is None else self._states_of_groups.get(group, {})
+        return {**self._saved, **described}
 
     def on_change(self, listener: Callable[[], None]) -> None:
         """Have this called after every change."""

@@ -155,7 +155,7 @@ class OfferedServices:
                 self._in_progress -= 1
             network.thread.submit_call(lambda _session: call.service.reply(call, response))
 
-        refusal = self._authorizer.calling(name)
+        refusal = self._authorizer.calling(name, None)
         if refusal is not None:
             network.warn(refusal)
             respond(Response(ok=False, values=refusal))

@@ -109,6 +109,20 @@ await step("parameter", (resolve) => {
   parameter.set(0.5, () => parameter.get(resolve));
 });
 
+await step("unknown parameter", (resolve) => {
+  // Version 1 gets what stands for no value, version 2 the reason.
+  const parameter = new ROSLIB.Param({ ros, name: "nobody_has_set_this" });
+  parameter.get((value) => resolve(value || null), (reason) => resolve(`failed: ${reason}`));
+});
+
+function fibonacci(order) {
+  const sequence = [0, 1];
+  while (sequence.length <= order) {
+    sequence.push(sequence.at(-1) + sequence.at(-2));
+  }
+  return sequence;
+}
+
 if (ROSLIB.Action) {
   const server = new ROSLIB.Action({ ros: other, name: "/grip", actionType: "control_msgs/action/GripperCommand" });
   server.advertise(
@@ -123,6 +137,26 @@ if (ROSLIB.Action) {
     const send = () =>
       new ROSLIB.Action({ ros, name: "/grip", actionType: "control_msgs/action/GripperCommand" }).sendGoal(
         { command: { position: 0.5 } },
+        (result) => resolve({ result, feedback }),
+        (told) => (feedback = told),
+        (error) => (String(error).includes("does not exist") ? setTimeout(send, 50) : reject(new Error(error))),
+      );
+    send();
+  });
+  const series = { name: "/fibonacci", actionType: "example_interfaces/action/Fibonacci" };
+  const teacher = new ROSLIB.Action({ ros: other, ...series });
+  teacher.advertise(
+    (goal, id) => {
+      teacher.sendFeedback(id, { sequence: fibonacci(2) });
+      teacher.setSucceeded(id, { sequence: fibonacci(goal.order) });
+    },
+    () => {},
+  );
+  await step("fibonacci", (resolve, reject) => {
+    let feedback = null;
+    const send = () =>
+      new ROSLIB.Action({ ros, ...series }).sendGoal(
+        { order: 7 },
         (result) => resolve({ result, feedback }),
         (told) => (feedback = told),
         (error) => (String(error).includes("does not exist") ? setTimeout(send, 50) : reject(new Error(error))),
@@ -144,6 +178,20 @@ if (ROSLIB.Action) {
     let feedback = null;
     const client = new ROSLIB.ActionClient({ ros, serverName: "/grip", actionName: "control_msgs/GripperCommandAction" });
     const goal = new ROSLIB.Goal({ actionClient: client, goalMessage: { command: { position: 0.5, max_effort: 0.0 } } });
+    goal.on("feedback", (told) => (feedback = told));
+    goal.on("result", (result) => resolve({ result, feedback }));
+    setTimeout(() => goal.send(), 300);
+  });
+  const series = { serverName: "/fibonacci", actionName: "actionlib_tutorials/FibonacciAction" };
+  const teacher = new ROSLIB.SimpleActionServer({ ros: other, ...series });
+  teacher.on("goal", (goal) => {
+    teacher.sendFeedback({ sequence: fibonacci(2) });
+    teacher.setSucceeded({ sequence: fibonacci(goal.order) });
+  });
+  await step("fibonacci", (resolve) => {
+    let feedback = null;
+    const client = new ROSLIB.ActionClient({ ros, ...series });
+    const goal = new ROSLIB.Goal({ actionClient: client, goalMessage: { order: 7 } });
     goal.on("feedback", (told) => (feedback = told));
     goal.on("result", (result) => resolve({ result, feedback }));
     setTimeout(() => goal.send(), 300);

@@ -106,3 +106,12 @@ def test_an_action_of_one_client_is_run_by_another(answers: dict[str, Any]) -> N
     assert answers["action"]["result"]["position"] == 0.5
     assert answers["action"]["result"]["reached_goal"] is True
     assert answers["action"]["feedback"]["position"] == 0.25
+
+
+def test_the_action_of_the_examples_is_run(answers: dict[str, Any]) -> None:
+    assert answers["fibonacci"]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
+    assert answers["fibonacci"]["feedback"]["sequence"] == [0, 1, 1]
+
+
+def test_a_parameter_that_is_not_there_is_read(answers: dict[str, Any]) -> None:
+    assert answers["unknown parameter"] in (None, "failed: there is no parameter nobody_has_set_this")

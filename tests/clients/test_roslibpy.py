@@ -72,3 +72,19 @@ def test_an_action_of_one_client_is_run_by_another(answers: dict[str, Any]) -> N
 
 def test_a_parameter_is_kept(answers: dict[str, Any]) -> None:
     assert answers["parameter"] == 0.5
+
+
+def test_the_action_of_the_examples_is_run(answers: dict[str, Any]) -> None:
+    assert answers["fibonacci"]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
+    assert answers["fibonacci"]["feedback"]["sequence"] == [0, 1, 1]
+
+
+def test_the_action_of_the_examples_of_ros2_is_run(answers: dict[str, Any]) -> None:
+    if "fibonacci of ROS 2" not in answers:
+        pytest.skip("roslibpy 1 has no actions of ROS 2")
+    assert answers["fibonacci of ROS 2"]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
+    assert answers["fibonacci of ROS 2"]["feedback"]["sequence"] == [0, 1, 1]
+
+
+def test_a_parameter_that_is_not_there_is_read(answers: dict[str, Any]) -> None:
+    assert not answers["unknown parameter"]

@@ -21,7 +21,8 @@ server.
 | ``{"client", "close": true}`` | the client leaves |
 | ``{"advance_ms": number}`` | time passes |
 
-In what is expected ``"<any>"`` stands for any value, and ``"<... words ...>"`` for text that contains the words.
+In what is expected ``"<any>"`` stands for any value, ``"<... words ...>"`` for text that contains the words, and
+``"<hex 0a 0b>"`` for these bytes.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ INTERFACES = FOLDER / "interfaces"
 
 ANY = "<any>"
 CONTAINS = ("<... ", " ...>")
+BYTES = ("<hex ", ">")
 
 
 class Player(Protocol):
@@ -136,6 +138,8 @@ def assert_matches(wanted: Any, got: Any, where: str) -> None:
     if isinstance(wanted, str) and wanted.startswith(CONTAINS[0]):
         words = wanted.removeprefix(CONTAINS[0]).removesuffix(CONTAINS[1])
         assert words in got, f"{where}: got {got!r}"
+    elif isinstance(wanted, str) and wanted.startswith(BYTES[0]):
+        assert got == bytes.fromhex(wanted.removeprefix(BYTES[0]).removesuffix(BYTES[1])), f"{where}: got {got!r}"
     elif isinstance(wanted, dict) and isinstance(got, dict):
         assert list(got) == list(wanted), where
         for key, value in wanted.items():

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of a client's session: whatever arrives, nothing is raised.
+"""Coverage-guided fuzzing of a client's session, beside ``python -m tests.fuzz``: whatever arrives, nothing is raised.
 
 Needs ``pip install atheris`` (Python 3.11 to 3.13). Usage:
 ``python tests/fuzz/fuzz_session.py tests/fuzz/corpus -runs=10000000``; libFuzzer's options follow the corpus.

@@ -1,12 +1,30 @@
-"""What a fuzzer feeds: one session, or two clients on one graph, which get frames cut out of any bytes."""
+"""What a fuzzer feeds with any bytes: a session, four clients on one graph, a stream, the reader of interface files."""
 
 from __future__ import annotations
 
+import itertools
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cbor2
+import orjson
+from bson import decode as decode_bson
+
+from protocol.codecs.bson import is_document
+from protocol.errors import FrameError
+from protocol.interface_files import Generation, read_file
 from protocol.limits import Limits
 from protocol.operations import Operation
-from protocol.registry import Registry
+from protocol.publication import Frame
+from protocol.registry import Kind, Registry
 from protocol.session import Packed, Refusal, Session
-from server.access.authorization import unlimited
+from protocol.stream import StreamSplitter
+from server.access.authentication import AuthThrottle
+from server.access.authorization import Access
+from server.access.permissions import ANYONE, Identity, Role
+from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
@@ -14,66 +32,247 @@ from server.gateway.inbox import Scheduling
 from server.gateway.turns import Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.rosapi import RosApi
+from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import AtOnce, UnreadSocket
 
 REGISTRY = Registry.load()
 
 # Small limits are reached by small inputs.
-LIMITS = Limits(max_subscriptions=20, max_publications=20, max_queued_topic_bytes=20_000, max_queued_reply_bytes=20_000)
+LIMITS = Limits(
+    max_message_bytes=200_000,
+    max_fragments=100,
+    max_fragmented_messages=4,
+    fragment_timeout_s=10.0,
+    max_subscriptions=20,
+    max_publications=6,
+    max_offers=3,
+    max_calls_in_flight=6,
+    max_queued_topic_bytes=20_000,
+    max_queued_request_bytes=5_000,
+    max_queued_reply_bytes=20_000,
+)
 
-# Ends a frame; the byte before it chooses the client, the kind of frame and how much time passes.
+# Ends a frame; the byte before it tells the client, the kind of frame and how much time passes.
 SEPARATOR = b"\xff"
+CLIENT, BINARY, FLUSH, OTHER_CLIENTS, ADVANCE = 1, 2, 4, 8, 4
+
+# In a binary frame it would end it: there two bytes stand for it, and two for the byte that begins these.
+ESCAPES = ((b"\xfe", b"\xfe\x00"), (SEPARATOR, b"\xfe\x01"))
+
+# One for each role, best first.
+TOKENS = ("token-of-an-admin", "token-of-an-operator", "token-of-a-viewer")
+
+# Two that may do everything, the second in the spelling of ROS 1; one that must authenticate; one that may look.
+CLIENTS: tuple[tuple[str, Identity | None], ...] = (
+    ("a", ANYONE),
+    ("b", ANYONE),
+    ("guest", None),
+    ("viewer", Identity("viewer", Role.VIEW)),
+)
+ROS1 = "b"
 
 
-class NoTimer:
-    """Time does not run by itself here."""
+class FindError(AssertionError):
+    """Something that must not happen, in a sentence."""
 
-    def cancel(self) -> None:
-        """Nothing to cancel."""
+
+class World:
+    """Four clients on one graph with rosapi, in a time of their own."""
+
+    def __init__(self) -> None:
+        self.clock = FakeClock()
+        self.graph = Graph(REGISTRY, self.clock, self.clock, self.clock.call_later)
+        RosApi(self.graph, self.clock)
+        self.topics = self.graph.topic_types()
+        admin, operator, viewer = TOKENS
+        settings = AccessSettings.model_validate(
+            {
+                "control": "shared",
+                "admin_tokens": {"admin": admin},
+                "operate_tokens": {"operator": operator},
+                "view_tokens": {"viewer": viewer},
+            }
+        )
+        self.access = Access(settings, self.clock, self.clock, lambda: None)
+        self.throttle = AuthThrottle(self.clock)
+        self.scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
+        self.clients = [self._enter(number) for number in range(len(CLIENTS))]
+        self.disconnected: set[int] = set()
+
+    def _enter(self, number: int) -> Client:
+        name, identity = CLIENTS[number]
+        node = Node(name, remote=True, identity=identity)
+        session = Session(LIMITS, "ros1" if name == ROS1 else "ros2")
+        auth = AuthContext(self.access, name, self.throttle, disconnect=lambda _reason: self.disconnected.add(number))
+        context = ClientContext(node, self.graph, session, self.clock, lambda: None)
+        return Client(context, auth, self.scheduling, UnreadSocket())
+
+    def receive(self, control: int, frame: bytes) -> None:
+        """Give one client one frame, and what follows from it."""
+        number = control & CLIENT | (control & OTHER_CLIENTS) >> 2
+        self.clock.advance(control >> ADVANCE)
+        self.clients[number].receive_frame(frame_of(frame, binary=bool(control & BINARY)))
+        for client in self.clients:
+            for encoded in client.session.take_unready():
+                encode_or_log(encoded)
+        if control & FLUSH:
+            self._flush(number, len(frame))
+        for left in self.disconnected | {
+            number for number, client in enumerate(self.clients) if client.session.overflowed
+        }:
+            self.clients[left].leave()
+            self.clients[left] = self._enter(left)
+        self.disconnected.clear()
+
+    def _flush(self, number: int, received_bytes: int) -> None:
+        """Have one client read what is due."""
+        client = self.clients[number]
+        queued = 0
+        while frames := client.session.data_to_send(self.clock()):
+            queued += sum(len(frame.data) for frame in frames)
+            for frame in frames:
+                check_sent(frame)
+        client.inbox.resume()
+
+    def end(self) -> None:
+        """Have all clients leave; nothing of them may stay."""
+        for client in self.clients:
+            client.leave()
+        if self.graph.topic_types() != self.topics:
+            raise FindError("topics of clients that have left are still there")
+        self.clock.advance(1000.0)
+        if self.clock.waiting:
+            raise FindError(f"{self.clock.waiting} timers wait when everybody has left")
+
+
+def check_sent(frame: Frame) -> None:
+    """Read a frame as a client does: it is one operation, and its text is JSON as browsers read it.
+
+    Raises:
+        FindError: it is not.
+    """
+    try:
+        if frame.text:
+            # Refuses NaN and Infinity, as browsers do.
+            value = orjson.loads(frame.data.decode("ascii"))
+        else:
+            value = decode_bson(frame.data) if is_document(frame.data) else cbor2.loads(frame.data)
+    except Exception as error:
+        raise FindError(f"a frame to a client cannot be read: {error!r}: {frame.data[:200]!r}") from error
+    if not isinstance(value, dict) or not isinstance(value.get("op"), str):
+        raise FindError(f"a frame to a client is no operation: {frame.data[:200]!r}")
+
+
+class _Errors(logging.Handler):
+    """Errors of the program itself, which it logs with a traceback where it carries on."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.found: list[logging.LogRecord] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.exc_info:
+            self.found.append(record)
+
+
+@contextmanager
+def logged_errors_raised() -> Iterator[None]:
+    """Raise what is logged with a traceback.
+
+    Raises:
+        FindError: something was.
+    """
+    handler, log = _Errors(), logging.getLogger("armbridge")
+    level, log.level, propagate, log.propagate = log.level, logging.ERROR, log.propagate, False
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
+        log.propagate = propagate
+    for record in handler.found:
+        raise FindError(record.getMessage()) from (record.exc_info[1] if record.exc_info else None)
 
 
 def run_session(data: bytes) -> None:
     """Play frames to a session alone; any exception is a find."""
     session = Session(LIMITS)
     now_s = 0.0
-    for part in data.split(SEPARATOR):
-        if part:
-            control, frame = part[-1], part[:-1]
-            now_s += control >> 4
-            for item in session.receive_frame(_frame(frame, binary=bool(control & 2)), now_s):
-                read = session.unpack(item) if isinstance(item, Packed) else item
-                assert isinstance(read, Operation | Refusal)
+    for control, frame in parts_of(data):
+        now_s += control >> ADVANCE
+        for item in session.receive_frame(frame_of(frame, binary=bool(control & BINARY)), now_s):
+            read = session.unpack(item) if isinstance(item, Packed) else item
+            assert isinstance(read, Operation | Refusal)
 
 
 def run_world(data: bytes) -> None:
-    """Play frames to two clients; any exception is a find, and so is a client whose queue outgrows its limits."""
-    now_s = 0.0
-    graph = Graph(REGISTRY, lambda: now_s, lambda: now_s, lambda _delay_s, _action: NoTimer())
-    nodes = [Node(name, remote=True) for name in ("a", "b")]
-    contexts = [ClientContext(node, graph, Session(LIMITS), lambda: now_s, lambda: None) for node in nodes]
-    scheduling = Scheduling(
-        Turns(lambda callback: callback(), lambda: now_s), AtOnce(), lambda _delay_s, _action: NoTimer()
-    )
-    clients = [Client(context, AuthContext(unlimited()), scheduling, UnreadSocket()) for context in contexts]
+    """Play frames to four clients.
+
+    Finds are exceptions, also those that are logged, frames to a client that it cannot read, and anything that stays
+    when all have left.
+    """
+    with logged_errors_raised():
+        world = World()
+        for control, frame in parts_of(data):
+            world.receive(control, frame)
+        world.end()
+
+
+def run_stream(data: bytes) -> None:
+    """Play bytes as a stream of raw TCP; it is cut into the same frames however it has been cut on its way."""
+    whole = _frames_of_stream([data])
+    size = 1 + len(data) % 17
+    pieces = _frames_of_stream([data[start : start + size] for start in range(0, len(data), size)])
+    if whole != pieces:
+        raise FindError(f"a stream gives {len(whole)} frames in one piece and {len(pieces)} in pieces of {size} bytes")
+    session = Session(LIMITS)
+    for frame in whole:
+        if frame is not None:
+            session.receive_frame(frame, 0.0)
+
+
+def _frames_of_stream(pieces: Iterable[bytes]) -> list[bytes | None]:
+    """Cut a stream into frames; None at the end stands for one that cannot be cut any further."""
+    splitter, frames = StreamSplitter(LIMITS.max_message_bytes), list[bytes | None]()
+    try:
+        for piece in pieces:
+            splitter.add(piece)
+            while (frame := splitter.next_frame()) is not None:
+                frames.append(frame)
+    except FrameError:
+        frames.append(None)
+    return frames
+
+
+def run_interface_file(data: bytes) -> None:
+    """Read bytes as an interface file of each kind; whatever is wrong in it is told, and nothing is raised."""
+    text = data.decode("utf-8", errors="surrogateescape")
+    kinds: tuple[Kind, ...] = ("msg", "srv", "action")
+    generations: tuple[Generation, ...] = ("ros1", "ros2")
+    for kind, generation in itertools.product(kinds, generations):
+        read_file(Path(f"Made.{kind}"), text, "made_msgs", kind, generation)
+
+
+def parts_of(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Cut bytes into frames, each with its control byte before it."""
     for part in data.split(SEPARATOR):
-        if not part:
-            continue
-        control, frame = part[-1], part[:-1]
-        now_s += control >> 4
-        clients[control & 1].receive_frame(_frame(frame, binary=bool(control & 2)))
-        client = clients[control & 1]
-        for encoded in client.session.take_unready():
-            encode_or_log(encoded)
-        if control & 4:
-            queued = sum(len(one.data) for one in client.session.data_to_send(now_s))
-            client.inbox.resume()
-            assert queued <= 2 * (LIMITS.max_queued_topic_bytes + LIMITS.max_queued_reply_bytes) + len(data) * 8
-    for client in clients:
-        client.leave()
-    assert graph.topic_types() == {}
+        if part:
+            yield part[-1], part[:-1]
 
 
-def _frame(frame: bytes, *, binary: bool) -> str | bytes:
-    if binary:
-        return frame
-    return frame.decode("utf-8", errors="replace")
+def escape(frame: bytes) -> bytes:
+    """Return a binary frame as it stands in the bytes that are played."""
+    for byte, escaped in ESCAPES:
+        frame = frame.replace(byte, escaped)
+    return frame
+
+
+def frame_of(frame: bytes, *, binary: bool) -> str | bytes:
+    """Return a frame as a client sends it: text, or the bytes that `escape` got."""
+    if not binary:
+        return frame.decode("utf-8", errors="replace")
+    for byte, escaped in reversed(ESCAPES):
+        frame = frame.replace(escaped, byte)
+    return frame

@@ -126,7 +126,7 @@ def test_a_mandatory_field_that_is_missing_is_named(op, field):
         ("subscribe", "fragment_size", 0),
         ("subscribe", "fragment_size", -5),
         ("subscribe", "fragment_size", "many"),
-        ("subscribe", "compression", "zip"),
+        ("subscribe", "compression", 7),
         ("subscribe", "compression", None),
         ("call_service", "service", 1),
         ("call_service", "timeout", -1),
@@ -159,6 +159,16 @@ def test_a_refusal_says_what_was_wanted_and_what_came():
 @pytest.mark.parametrize("rate", [0, 100, 33.4])
 def test_throttle_rate_is_taken_as_integer_and_as_float(rate):
     assert parse({"op": "subscribe", "topic": "/a", "throttle_rate": rate}).throttle_rate == rate
+
+
+@pytest.mark.parametrize("compression", ["none", "png", "cbor", "cbor-raw"])
+def test_a_known_compression_is_applied(compression):
+    assert parse({"op": "subscribe", "topic": "/a", "compression": compression}).encoding == compression
+
+
+@pytest.mark.parametrize("compression", ["zip", "", "PNG"])
+def test_an_unknown_compression_counts_as_none(compression):
+    assert parse({"op": "subscribe", "topic": "/a", "compression": compression}).encoding == "none"
 
 
 def test_operations_of_ros_sharp_are_accepted():

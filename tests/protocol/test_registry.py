@@ -52,7 +52,7 @@ def test_a_type_is_the_same_in_two_parts_and_in_three(registry):
 
 def test_every_message_type_of_the_tables_and_all_that_it_refers_to_can_be_read(registry):
     names = every_message_name(registry)
-    assert len(names) == 333
+    assert len(names) == 334
     for name in names:
         for each in registry.message(name).fields:
             assert each.primitive or registry.message(each.base).name == each.base
@@ -193,3 +193,16 @@ def test_a_type_that_exists_only_in_ros1_tells_that_a_client_speaks_it(registry,
 @pytest.mark.parametrize(("name", "known"), [("std_msgs/String", True), ("std_srvs/srv/Empty", False), ("time", False)])
 def test_a_type_is_known_as_a_message_or_not(registry, name, known):
     assert registry.knows(name) is known
+
+
+def test_the_message_of_a_feedback_topic_is_derived_from_its_action(registry):
+    message = registry.message("control_msgs/action/GripperCommand_FeedbackMessage")
+    assert [(field.name, field.base) for field in message.fields] == [
+        ("goal_id", "unique_identifier_msgs/msg/UUID"),
+        ("feedback", "control_msgs/action/GripperCommand_Feedback"),
+    ]
+
+
+@pytest.mark.parametrize("name", ["std_srvs/srv/SetBool_FeedbackMessage", "no/action/Such_FeedbackMessage"])
+def test_what_is_no_action_has_no_feedback_message(registry, name):
+    assert not registry.knows(name)

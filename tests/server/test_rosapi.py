@@ -13,7 +13,7 @@ from server.errors import ServiceError
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
-from server.rosapi import MAX_PARAMETER_BYTES, Parameters, Request, RosApi, node_name
+from server.rosapi import DONE, MAX_PARAMETER_BYTES, Parameters, Request, RosApi, node_name
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls
 
@@ -70,10 +70,12 @@ def test_the_version_is_one_that_clients_of_the_dialect_know(
 def test_every_service_answers_in_both_dialects(world: AskedWorld, dialect: Dialect) -> None:
     requests = {"message_details": {"type": "std_msgs/String"}, "set_param": {"name": "/a", "value": "1"}}
     services = [name for name in world.graph.services.types() if name.startswith("/rosapi/")]
-    assert len(services) == 26
+    assert len(services) == 31
     for service in services:
         short = service.removeprefix("/rosapi/")
         kind = {"type": "std_srvs/SetBool"} if short.startswith("service_re") else {}
+        if short.startswith("action_") and short.endswith("_details"):
+            kind = {"type": "control_msgs/PointHead"}
         world.ask(short, dialect, **requests.get(short, kind))
 
 
@@ -182,7 +184,59 @@ def test_service_details_tell_both_members(world: AskedWorld) -> None:
     assert response["fieldnames"] == ["success", "message"]
 
 
-@pytest.mark.parametrize("service", ["message_details", "service_request_details", "service_response_details"])
+@pytest.mark.parametrize("dialect", ["ros2", "ros1"])
+def test_action_details_tell_every_part(world: AskedWorld, dialect: Dialect) -> None:
+    fields = {"goal": "command", "result": "reached_goal", "feedback": "stalled"}
+    for part, field in fields.items():
+        main = world.ask(f"action_{part}_details", dialect, type="control_msgs/GripperCommand")["typedefs"][0]
+        assert field in main["fieldnames"]
+
+
+def test_the_type_of_an_action_is_told_and_empty_when_unknown(world: AskedWorld) -> None:
+    world.graph.actions.offer(ARM, "/grip", "control_msgs/GripperCommand", lambda _goal: None)
+    assert world.ask("action_type", action="grip")["type"] == "control_msgs/action/GripperCommand"
+    assert world.ask("action_type", "ros1", action="/grip")["type"] == "control_msgs/GripperCommand"
+    assert world.ask("action_type", action="/nobody")["type"] == ""
+
+
+def test_all_types_are_listed_by_kind(world: AskedWorld) -> None:
+    interfaces = world.ask("interfaces")["interfaces"]
+    assert {"std_msgs/msg/String", "std_srvs/srv/SetBool", "control_msgs/action/GripperCommand"} <= set(interfaces)
+    assert len(interfaces) == len(set(interfaces)) == len(list(REGISTRY.type_names()))
+
+
+def test_a_ros1_client_is_told_the_types_of_ros1(world: AskedWorld) -> None:
+    interfaces = world.ask("interfaces", "ros1")["interfaces"]
+    assert {"std_msgs/String", "rosgraph_msgs/Log", "control_msgs/GripperCommandActionGoal"} <= set(interfaces)
+    assert not any(name.startswith("rcl_interfaces/") for name in interfaces)
+
+
+HIDDEN = "/grip/_action/cancel_goal"
+
+
+def test_what_belongs_to_an_action_is_not_listed_but_found_by_name(world: AskedWorld) -> None:
+    world.graph.actions.offer(ARM, "/grip", "control_msgs/GripperCommand", lambda _goal: None)
+    world.graph.advertise(ARM, "/grip/_hidden", "std_msgs/Empty")
+    assert not any("/_" in name for name in world.ask("services")["services"])
+    assert not any("/_" in name for name in world.ask("topics")["topics"])
+    assert not any("/_" in name for name in world.ask("topics_and_raw_types")["topics"])
+    assert world.ask("services_for_type", type="action_msgs/CancelGoal")["services"] == []
+    assert world.ask("topics_for_type", type="std_msgs/Empty")["topics"] == []
+    assert world.ask("service_type", service=HIDDEN)["type"] == "action_msgs/srv/CancelGoal"
+    assert world.ask("topic_type", topic="/grip/_hidden")["type"] == "std_msgs/msg/Empty"
+
+
+DETAILS = [
+    "message_details",
+    "service_request_details",
+    "service_response_details",
+    "action_goal_details",
+    "action_result_details",
+    "action_feedback_details",
+]
+
+
+@pytest.mark.parametrize("service", DETAILS)
 def test_details_of_a_type_that_nobody_knows_fail_with_its_name(world: AskedWorld, service: str) -> None:
     response = world.response(service, {"type": "no/Such"})
     assert not response.ok
@@ -195,8 +249,8 @@ def test_raw_types_are_those_of_the_callers_generation(world: AskedWorld) -> Non
     texts = dict(zip(answer["topics"], answer["typedefs_full_text"], strict=True))
     names = dict(zip(answer["topics"], answer["types"], strict=True))
     assert "MSG: std_msgs/Header\nuint32 seq\ntime stamp\n" in texts["/joint_states"]
-    assert (names["/joint_states"], names["/log"]) == ("sensor_msgs/JointState", "rcl_interfaces/Log")
-    assert "time stamp\n" in texts["/log"]
+    assert (names["/joint_states"], names["/log"]) == ("sensor_msgs/JointState", "rosgraph_msgs/Log")
+    assert "MSG: std_msgs/Header\n" in texts["/log"]
     assert "builtin_interfaces" not in "".join(texts.values())
     assert "builtin_interfaces" in "".join(world.ask("topics_and_raw_types")["typedefs_full_text"])
 
@@ -235,7 +289,8 @@ def test_a_name_is_qualified() -> None:
 
 
 def test_every_response_is_complete_as_it_is(world: AskedWorld) -> None:
-    given = {"message_details": {"type": "sensor_msgs/JointState"}, "set_param": {"name": "/a", "value": "1"}}
+    details = {f"action_{part}_details": {"type": "control_msgs/PointHead"} for part in ("goal", "result", "feedback")}
+    given = details | {"message_details": {"type": "sensor_msgs/JointState"}, "set_param": {"name": "/a", "value": "1"}}
     by_field: dict[str, Any] = {
         "type": "std_srvs/SetBool",
         "topic": "/joint_states",
@@ -260,6 +315,7 @@ def test_lists_of_everything_are_made_once_for_each_change(world: AskedWorld, se
     first = world.ask(service, dialect)
     assert world.ask(service, dialect) is first
     world.graph.advertise(ARM, "/another", "std_msgs/String")
+    world.graph.services.offer(ARM, "/another", "std_srvs/Trigger", lambda _request: {})
     world.graph.actions.offer(ARM, "/another", "control_msgs/PointHead", lambda _goal: None)
     second = world.ask(service, dialect)
     assert len(next(iter(second.values()))) > len(next(iter(first.values())))
@@ -315,8 +371,8 @@ def test_a_client_that_has_shown_who_it_is_is_found_by_its_new_name(world: Asked
 class Kept(Parameters):
     """Parameters, asked as by a service."""
 
-    def ask(self, service: str, **request: Any) -> dict[str, Any]:
-        return self.handlers[service][1](Request(request, "ros2"))
+    def ask(self, service: str, dialect: Dialect = "ros2", /, **request: Any) -> dict[str, Any]:
+        return self.handlers[service][1](Request(request, dialect))
 
 
 @pytest.fixture
@@ -325,13 +381,31 @@ def kept() -> Kept:
 
 
 def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
-    assert kept.ask("get_param", name="/speed", default_value="0.1") == {"value": "0.1"}
-    kept.ask("set_param", name="/speed", value="0.5")
-    assert kept.ask("get_param", name="/speed", default_value="") == {"value": "0.5"}
+    assert kept.ask("set_param", name="/speed", value="0.5") == DONE
+    assert kept.ask("get_param", name="/speed", default_value="") == {**DONE, "value": "0.5"}
     assert kept.ask("search_param", name="/speed") == {"global_name": "/speed"}
-    kept.ask("delete_param", name="/speed")
+    assert kept.ask("delete_param", name="/speed") == DONE
     assert kept.ask("has_param", name="/speed") == {"exists": False}
     assert kept.ask("search_param", name="/speed") == {"global_name": ""}
+
+
+@pytest.mark.parametrize(
+    ("default", "value"),
+    [("0.1", 0.1), ('"text"', "text"), ("text", "text"), ("null", None), ("{", "{"), ("[" * 200_000, "[" * 200_000)],
+)
+def test_the_default_of_a_parameter_that_there_is_not_is_answered_as_json(
+    kept: Kept, default: str, value: object
+) -> None:
+    answer = kept.ask("get_param", name="/nothing", default_value=default)
+    assert json.loads(answer.pop("value")) == value
+    assert answer == DONE
+
+
+@pytest.mark.parametrize(("dialect", "value"), [("ros2", ""), ("ros1", None)])
+def test_a_parameter_that_there_is_not_is_json_too(kept: Kept, dialect: Dialect, value: object) -> None:
+    answer = kept.ask("get_param", dialect, name="/nothing", default_value="")
+    assert json.loads(answer.pop("value")) == value
+    assert answer == {"successful": False, "reason": "there is no parameter /nothing"}
 
 
 @pytest.mark.parametrize("value", ["", "{", "[" * 200_000])
@@ -343,7 +417,7 @@ def test_a_parameter_that_is_no_json_is_refused(kept: Kept, value: str) -> None:
 
 def test_the_servers_own_parameters_are_there_for_clients(kept: Kept) -> None:
     kept.keep("/robot_description", '"<robot/>"')
-    assert kept.ask("get_param", name="/robot_description", default_value="") == {"value": '"<robot/>"'}
+    assert kept.ask("get_param", name="/robot_description", default_value="")["value"] == '"<robot/>"'
     kept.ask("delete_param", name="/robot_description")
     assert kept.ask("get_param_names") == {"names": []}
 
@@ -382,7 +456,7 @@ class TestNameFilters:
         return some
 
     def test_parameters_that_fit_are_open(self, some: Kept) -> None:
-        assert some.ask("get_param", name="/open/speed", default_value="") == {"value": "1"}
+        assert some.ask("get_param", name="/open/speed", default_value="")["value"] == "1"
 
     @pytest.mark.parametrize("service", ["get_param", "set_param", "has_param", "delete_param", "search_param"])
     @pytest.mark.parametrize("name", ["/robot_description", "//open/speed", "open/speed"])

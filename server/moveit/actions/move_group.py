@@ -20,7 +20,7 @@ from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, PlannedMotion, Positions, plan_sequence
+from server.execution.motions import Motion, PlannedMotion, Positions, Step, plan_sequence
 from server.execution.queue import Answer, GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal
@@ -160,7 +160,7 @@ class PlanningActions:
         def end(done: asyncio.Task[Answer]) -> None:
             self._tasks.discard(done)
             goal.feedback({"state": "IDLE"})
-            finish_goal(goal, _task_answer(done), result)
+            finish_goal(goal, answer_of_task(done), result)
 
         goal.feedback({"state": "PLANNING"})
         planning = plan_only(planning_goal, goal.sender, self._context)
@@ -269,12 +269,27 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
     except RefusedError as error:
         return Answer.of(error.failure)
     steps = tuple(context.problems.step(request) for request in goal.requests)
+    return await plan_steps(steps, start, scene, context, (*options.warnings, *warnings))
+
+
+async def plan_steps(
+    steps: Sequence[Step], start: PlanningStart, scene: Scene, context: PlanningContext, warnings: Sequence[str] = ()
+) -> Answer:
+    """Plan motions one after the other, without moving, and show them.
+
+    Args:
+        steps: make their problems.
+        start: start of the first.
+        scene: to plan in.
+        context: all that they are planned with.
+        warnings: parts of the request that were ignored, a sentence each.
+    """
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool.ask)
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)
         return Answer.of(planned.failure, planned.performed)
     context.display.performed(planned.performed)
-    message = "; ".join((planned.summary, *planned.notes, *start.warnings, *options.warnings, *warnings))
+    message = "; ".join((planned.summary, *planned.notes, *start.warnings, *warnings))
     return Answer(MoveItErrorCode.SUCCESS, message, performed=planned.performed)
 
 
@@ -315,7 +330,7 @@ def _cancel(task: asyncio.Task[Answer]) -> None:
     task.cancel()
 
 
-def _task_answer(done: asyncio.Task[Answer]) -> Answer:
+def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
     """Return the answer of a planning task that is done, failed or cancelled."""
     if done.cancelled():
         return Answer(MoveItErrorCode.PREEMPTED, "cancelled while planning")

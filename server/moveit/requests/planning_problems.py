@@ -119,21 +119,30 @@ class ProblemBuilder:
         """
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
-    def goal(self, group: Group, goal: Goal, start_rad: Positions) -> PlanningProblem:
+    def goal(
+        self,
+        group: Group,
+        goal: Goal,
+        start_rad: Positions,
+        velocity_scaling: float = 0.0,
+        acceleration_scaling: float = 0.0,
+    ) -> PlanningProblem:
         """Build the problem of a goal that comes with nothing else: all else is as configured.
 
         Args:
             group: the planning group.
             goal: the goal.
             start_rad: position of every movable joint at the start [rad].
+            velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one.
+            acceleration_scaling: share of the acceleration limits, likewise.
         """
         parameters = self._parameters.configured
         return PlanningProblem(
             group=group.name,
             start_rad=start_rad,
             goal=goal,
-            velocity_scaling=parameters.max_velocity_scaling,
-            acceleration_scaling=parameters.max_acceleration_scaling,
+            velocity_scaling=velocity_scaling or parameters.max_velocity_scaling,
+            acceleration_scaling=acceleration_scaling or parameters.max_acceleration_scaling,
             allowed_time_s=parameters.allowed_planning_time,
             attempts=parameters.num_planning_attempts,
             planner_id=parameters.planner_id,

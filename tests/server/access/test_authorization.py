@@ -448,7 +448,26 @@ def test_names_that_look_like_a_stop_are_none(name: str) -> None:
     ],
 )
 def test_a_goal_that_only_asks_for_a_plan_says_so_in_its_options(goal: object, planned_only: bool) -> None:
-    assert authorization.plans_only(goal) is planned_only
+    assert authorization.plans_only(authorization.PLANNING_GOAL, goal) is planned_only
+
+
+@pytest.mark.parametrize(
+    ("goal", "planned_only"),
+    [
+        ({"plan_only": True}, True),
+        ({"plan_only": 1}, False),
+        ({"planning_options": {"plan_only": True}}, False),
+        (["home", {}, {}, "", 0.0, 0.0, True], False),
+        (None, False),
+    ],
+)
+def test_a_goal_of_one_call_says_so_itself(goal: object, planned_only: bool) -> None:
+    assert authorization.plans_only(authorization.CALLED_GOAL, goal) is planned_only
+
+
+def test_a_goal_that_moves_always_drives() -> None:
+    assert not authorization.plans_only(authorization.GOAL, {"plan_only": True})
+    assert not authorization.plans_only(authorization.GOAL, True)
 
 
 @pytest.mark.parametrize(

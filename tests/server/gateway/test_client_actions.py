@@ -59,6 +59,13 @@ def test_a_goal_may_be_cancelled_without_an_id_when_it_was_sent_without(world: I
     assert [asked["op"] for asked in world.heard("p")] == ["send_action_goal", "cancel_action_goal"]
 
 
+def test_a_goal_without_an_id_is_not_cancelled_by_others_when_its_sender_has_left(world: InProcess) -> None:
+    world.say("c", op="send_action_goal", action="/grip", action_type=TYPE)
+    world.client("c").leave()
+    world.say("d", op="cancel_action_goal", action="/grip")
+    assert [asked["op"] for asked in world.heard("p")] == ["send_action_goal"]
+
+
 def test_goals_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> None:
     world = InProcess(Limits(max_queued_request_bytes=1000))
     world.say("p", op="advertise_action", action="/grip", type=TYPE)

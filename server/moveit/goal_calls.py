@@ -1,0 +1,264 @@
+"""Goals of clients that know only services or actions: ``/moveit_goal``, one request in and one answer out.
+
+A request has one goal of those that ``/moveit_goal_*`` take, and goes their way: the same translation, queue,
+confirmation and status. The answer comes at the end of the motion.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from planners.problem import MoveItErrorCode
+from server.arm.topics import key_values
+from server.errors import RefusedError
+from server.execution.motions import Motion, PlannedMotion
+from server.execution.queue import Answer, GoalQueue, GoalState, Progress
+from server.graph import services
+from server.graph.actions import Goal
+from server.graph.list_limits import ListLimits
+from server.graph.node import Node
+from server.graph.services import MAX_TIMEOUT_S, Call, Response
+from server.graph.topics import Graph
+from server.moveit.actions.joint_trajectory_controller import cancel_with_goal, goal_status
+from server.moveit.actions.move_group import answer_of_task, plan_steps
+from server.moveit.goal_messages import GoalTranslator, suggestion
+from server.moveit.goal_topics import Confirmation, details_as_json
+from server.moveit.poses import Message
+from server.moveit.requests.error_codes import invalid
+from server.moveit.requests.planning_context import PlanningContext
+
+log = logging.getLogger("armbridge.goals")
+
+# Name of the service and of the action.
+NAME = "/moveit_goal"
+SERVICE_TYPE, ACTION_TYPE = "armbridge_msgs/srv/MoveitGoal", "armbridge_msgs/action/MoveitGoal"
+
+# Joints of one goal; no robot comes near.
+MAX_JOINTS = 200
+
+
+@dataclass(frozen=True)
+class ReadGoal:
+    """Request that can be carried out.
+
+    Attributes:
+        message: the goal, as the message of its topic.
+        motion: the motion that it asks for.
+        plan_only: true if the arm is not to move.
+    """
+
+    message: Message
+    motion: PlannedMotion
+    plan_only: bool
+
+
+class GoalCalls:
+    """The service and the action ``/moveit_goal``.
+
+    Args:
+        graph: where they are.
+        queue: takes the goals.
+        translator: reads their messages.
+        confirmation: decides if goals are to be confirmed.
+        context: all that goals are planned with.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        queue: GoalQueue[Motion],
+        translator: GoalTranslator,
+        confirmation: Confirmation,
+        context: PlanningContext,
+    ) -> None:
+        self._graph = graph
+        self._queue = queue
+        self._translator = translator
+        self._confirmation = confirmation
+        self._context = context
+        self._node = Node("moveit goal")
+        # The event loop keeps only weak references to tasks.
+        self._tasks: set[asyncio.Task[Answer]] = set()
+
+    def open(self) -> None:
+        """Offer both."""
+        lists = ("name", "position", "velocity", "effort")
+        limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
+        self._graph.services.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits)
+        self._graph.actions.offer(self._node, NAME, ACTION_TYPE, self._start, limits)
+
+    # As a service.
+
+    def _call(self, call: Call) -> None:
+        """Carry out a call; it ends with its goal, and the goal with it."""
+        with services.failure_told(call):
+            goal = self._read(call.request, lambda values: call.succeed(values))
+            if goal is None:
+                return
+            if goal.plan_only:
+                services.answer(call, lambda _request: self._planned(goal, call.caller))
+                return
+            number = self._submit(goal, call.caller, lambda values: call.succeed(values))
+            call.when_ended(functools.partial(self._call_ended, call, number))
+
+    def _call_ended(self, call: Call, number: str, response: Response) -> None:
+        """Cancel the goal of a call that was not answered with its end; as others, it outlives its client's leaving."""
+        if not response.ok and (call.caller.takes_goals_along or not call.caller_left):
+            self._queue.cancel(number, f"the call of {NAME} is over: {response.values}")
+
+    # As an action.
+
+    def _start(self, goal: Goal) -> None:
+        def end(values: Mapping[str, Any]) -> None:
+            report(Progress(GoalState.DONE, values["message"], 1.0 if values["success"] else 0.0))
+            goal.finish(goal_status(MoveItErrorCode(values["code"])), values)
+
+        def report(progress: Progress) -> None:
+            goal.feedback(_feedback(progress))
+
+        read = self._read(goal.request, end)
+        if read is None:
+            return
+        if read.plan_only:
+            self._plan_for(goal, read, end)
+            return
+        number = self._submit(read, goal.sender, end, report)
+        cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
+
+    def _plan_for(self, goal: Goal, read: ReadGoal, end: Callable[[Mapping[str, Any]], None]) -> None:
+        task = asyncio.create_task(self._plan(read, goal.sender), name=f"plan for {NAME}")
+
+        def ended(done: asyncio.Task[Answer]) -> None:
+            self._tasks.discard(done)
+            end(self._result(read.message, answer_of_task(done)))
+
+        goal.feedback(_feedback(Progress(GoalState.PLANNING, "planning")))
+        self._tasks.add(task)
+        task.add_done_callback(ended)
+
+        def cancel(_reason: str) -> None:
+            task.cancel()
+
+        cancel_with_goal(goal, cancel)
+
+    # Both.
+
+    def _read(self, request: Message, end: Callable[[Mapping[str, Any]], None]) -> ReadGoal | None:
+        """Read a request; end one that cannot be carried out, and return None."""
+        message: Message = {}
+        try:
+            message, translate = self._goal_of(request)
+            motion = translate(message, self._translator.options(request))
+        except RefusedError as error:
+            number = self._queue.reject(NAME, error.failure, message)
+            end(self._result(message, Answer.of(error.failure), number))
+            return None
+        for warning in motion.warnings:
+            log.warning("%s: %s", NAME, warning)
+        return ReadGoal(message, replace(motion, confirm=self._confirmation.enabled), request["plan_only"])
+
+    def _goal_of(self, request: Message) -> tuple[Message, Callable[..., PlannedMotion]]:
+        """Return the one goal of a request as the message of its topic, and its translation.
+
+        Raises:
+            RefusedError: there is none, or more than one.
+        """
+        given: dict[str, tuple[Message, Callable[..., PlannedMotion]]] = {}
+        if request["named"]:
+            given["named"] = {"data": request["named"]}, self._translator.named
+        if request["joints"]["name"] or request["joints"]["position"]:
+            given["joints"] = request["joints"], self._translator.joints
+        if _is_given(request["pose"]):
+            given["pose"] = request["pose"], self._translator.pose
+        if len(given) != 1:
+            got = " and ".join(given) or "none of them"
+            raise invalid(f"exactly one of the fields named, joints and pose must be given, not {got}")
+        return next(iter(given.values()))
+
+    def _submit(
+        self,
+        goal: ReadGoal,
+        client: Node,
+        end: Callable[[Mapping[str, Any]], None],
+        report: Callable[[Progress], None] = lambda _progress: None,
+    ) -> str:
+        """Queue a goal; return its id. It may end before this returns."""
+        number = ""
+        early: list[Answer] = []
+
+        def ended(answer: Answer) -> None:
+            if number:
+                end(self._result(goal.message, answer, number))
+            else:
+                early.append(answer)
+
+        number = self._queue.submit(
+            NAME, goal.motion, on_progress=report, on_answer=ended, message=goal.message, client=client
+        )
+        for answer in early:
+            ended(answer)
+        return number
+
+    async def _planned(self, goal: ReadGoal, client: Node) -> Mapping[str, Any]:
+        return self._result(goal.message, await self._plan(goal, client))
+
+    async def _plan(self, goal: ReadGoal, client: Node) -> Answer:
+        """Plan from where the arm is, whatever it does meanwhile."""
+        await self._context.scene_state.settled()
+        state = self._graph.message_types.complete("moveit_msgs/msg/RobotState", {})
+        try:
+            start = self._context.start(state, client)
+        except RefusedError as error:
+            return Answer.of(error.failure)
+        return await plan_steps(goal.motion.steps, start, start.scene, self._context)
+
+    def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
+        """Write the answer to a goal.
+
+        Args:
+            message: its message; empty when none could be read.
+            answer: its end.
+            number: its id in the queue; empty for a goal that was only planned.
+        """
+        instead = suggestion(message, answer.details, self._context.robot)
+        return {
+            "success": answer.code is MoveItErrorCode.SUCCESS,
+            "code": int(answer.code),
+            "code_name": answer.code.name,
+            "message": answer.message if instead is None else instead.added_to(answer.message),
+            "goal_id": number,
+            "duration_s": _duration_s(answer),
+            "suggested": {} if instead is None else instead.as_target(),
+            "details": key_values(details_as_json(answer)),
+        }
+
+
+def _is_given(pose: Message) -> bool:
+    """Return True for a geometry_msgs/PoseStamped with a frame, a place or a turn."""
+    place, turn = pose["pose"]["position"], pose["pose"]["orientation"]
+    turned = any(turn[axis] for axis in "xyz") or turn["w"] not in (0.0, 1.0)
+    return bool(pose["header"]["frame_id"]) or turned or any(place[axis] for axis in "xyz")
+
+
+def _duration_s(answer: Answer) -> float:
+    """Return the duration of the motion as it was executed, or else as planned [s]; 0 without one."""
+    if answer.performed is None:
+        return 0.0
+    executed = answer.performed.executed
+    if executed is not None:
+        return executed.duration_s
+    return sum(motion.duration_s for motion in answer.performed.planned)
+
+
+def _feedback(progress: Progress) -> dict[str, Any]:
+    return {
+        "state": progress.state.value,
+        "message": progress.message,
+        "fraction": progress.fraction,
+        "seconds_left": progress.remaining_s,
+    }

@@ -1,0 +1,267 @@
+"""The service and the action ``/moveit_goal``: on the queue, and through the executor on a graph."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningProblem
+from server.execution.motions import PlannedMotion
+from server.execution.queue import Answer, GoalState, Progress
+from server.graph.actions import GoalStatus
+from server.graph.node import Node
+from server.graph.services import Response
+from server.moveit.goal_calls import NAME, GoalCalls
+from server.moveit.goal_topics import Confirmation
+from tests.helpers.fake_arm import HOME, settle
+from tests.helpers.moveit import THERE, ActionDesk, translator
+
+OUT_OF_REACH = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 2.0}}}
+POINT = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 0.25, "y": 0.05, "z": 0.15}}}
+ELBOW = {"name": ["elbow_flex"], "position": [0.3]}
+
+
+class Desk(ActionDesk):
+    """A queue whose motions a test ends, and a client that calls."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
+        self.responses: list[Response] = []
+        GoalCalls(self.graph, self.queue, translator(self.arm), self.confirmation, self.context).open()
+
+    async def ask(self, timeout_s: float | None = None, **request: Any) -> None:
+        """Call, and let everything that it sets going come to rest."""
+        self.graph.services.call(self.client, NAME, request, self.responses.append, timeout_s)
+        await settle()
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """The one response."""
+        (response,) = self.responses
+        assert response.ok, response.values
+        values: dict[str, Any] = response.values
+        return values
+
+    def problem(self) -> PlanningProblem:
+        """The problem of the motion that was asked for."""
+        (motion,) = self.asked
+        assert isinstance(motion, PlannedMotion)
+        problem = motion.steps[0](HOME)
+        assert isinstance(problem, PlanningProblem)
+        return problem
+
+
+@pytest.fixture
+async def desk() -> AsyncIterator[Desk]:
+    made = Desk()
+    yield made
+    await made.close()
+
+
+GOALS: list[dict[str, Any]] = [
+    {"named": "ready"},
+    {"joints": ELBOW},
+    {"pose": POINT},
+    # Above the tip, wherever that is.
+    {"pose": {"header": {"frame_id": "gripper_frame_link"}}},
+]
+
+
+@pytest.mark.parametrize("goal", GOALS)
+async def test_a_call_is_answered_when_its_motion_has_ended(desk: Desk, goal: dict[str, Any]) -> None:
+    await desk.ask(**goal)
+    assert desk.responses == []
+    desk.finish()
+    await settle()
+    assert (desk.answer["success"], desk.answer["code"], desk.answer["code_name"]) == (True, 1, "SUCCESS")
+    assert (desk.answer["message"], desk.answer["goal_id"]) == (THERE.message, "1")
+
+
+@pytest.mark.parametrize("goal", GOALS)
+async def test_an_action_takes_the_same_goals(desk: Desk, goal: dict[str, Any]) -> None:
+    await desk.send(NAME, **goal)
+    desk.finish()
+    await settle()
+    (result,) = desk.results
+    assert (result.status, result.values["success"], result.values["goal_id"]) == (GoalStatus.SUCCEEDED, True, "1")
+
+
+@pytest.mark.parametrize(
+    ("request_", "got"),
+    [
+        ({}, "none of them"),
+        ({"pose": {"header": {"stamp": {"sec": 1}}}}, "none of them"),
+        ({"named": "ready", "joints": ELBOW}, "named and joints"),
+        ({"named": "ready", "joints": ELBOW, "pose": POINT}, "named and joints and pose"),
+        ({"joints": {"position": [0.3]}, "pose": POINT}, "joints and pose"),
+    ],
+)
+async def test_exactly_one_goal_must_be_given(desk: Desk, request_: dict[str, Any], got: str) -> None:
+    await desk.ask(**request_)
+    assert desk.answer["code_name"] == "INVALID_GOAL_CONSTRAINTS"
+    assert desk.answer["message"].endswith(f"exactly one of the fields named, joints and pose must be given, not {got}")
+    assert desk.asked == []
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "code", "words"),
+    [
+        ("velocity_scaling", 1.5, -16, "velocity_scaling must be from 0 to 1"),
+        ("velocity_scaling", -0.1, -16, "velocity_scaling must be from 0 to 1"),
+        ("acceleration_scaling", float("nan"), -16, "acceleration_scaling must be from 0 to 1"),
+        ("group", "leg", -15, "there is no planning group 'leg'"),
+    ],
+)
+async def test_a_wrong_field_is_answered_with_its_code(
+    desk: Desk, field: str, value: object, code: int, words: str
+) -> None:
+    await desk.ask(named="ready", **{field: value})
+    assert (desk.answer["success"], desk.answer["code"]) == (False, code)
+    assert words in desk.answer["message"]
+
+
+async def test_speed_and_group_are_those_of_the_request(desk: Desk) -> None:
+    await desk.ask(joints=ELBOW, group="arm", velocity_scaling=0.05, acceleration_scaling=0.7)
+    problem = desk.problem()
+    assert (problem.group, problem.velocity_scaling, problem.acceleration_scaling) == ("arm", 0.05, 0.7)
+
+
+async def test_without_a_scaling_the_speed_is_the_configured_one(desk: Desk) -> None:
+    await desk.ask(joints=ELBOW)
+    assert (desk.problem().velocity_scaling, desk.problem().acceleration_scaling) == (0.3, 0.3)
+
+
+async def test_an_unknown_name_is_answered_with_one_that_would_work(desk: Desk) -> None:
+    await desk.ask(named="redy")
+    assert desk.answer["suggested"]["named"] == "ready"
+    assert desk.answer["message"].endswith("what would work: the named target 'ready'")
+    assert {"key": "nearest_name", "value": '"ready"'} in desk.answer["details"]
+
+
+async def test_a_suggestion_is_a_request_that_works(desk: Desk) -> None:
+    await desk.ask(named="redy")
+    suggested, desk.responses = desk.answer["suggested"], []
+    await desk.ask(**suggested)
+    desk.finish()
+    await settle()
+    assert desk.answer["success"]
+
+
+async def test_a_preempted_call_is_answered(desk: Desk) -> None:
+    await desk.ask(named="ready")
+    desk.queue.stop("stopped by /stop")
+    await settle()
+    assert (desk.answer["code_name"], desk.answer["message"]) == ("PREEMPTED", "stopped by /stop")
+
+
+async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
+    await desk.ask(0.01, named="ready")
+    while desk.queue.busy:
+        await asyncio.sleep(0.005)
+    (response,) = desk.responses
+    assert not response.ok
+    assert "did not answer in 0.01 s" in response.values
+
+
+@pytest.mark.parametrize("takes_along", [True, False])
+async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: Desk, takes_along: bool) -> None:
+    desk.client.takes_goals_along = takes_along
+    await desk.ask(named="ready")
+    desk.graph.remove(desk.client)
+    await settle()
+    assert bool(desk.queue.busy) is not takes_along
+
+
+async def test_calls_wait_their_turn_as_goals_of_the_topics(desk: Desk) -> None:
+    await desk.ask(named="ready")
+    await desk.ask(named="home")
+    assert len(desk.asked) == 1
+    desk.finish()
+    await settle()
+    assert len(desk.asked) == 2
+
+
+async def test_a_full_queue_is_answered_at_once(desk: Desk) -> None:
+    for _ in range(6):
+        await desk.ask(named="ready")
+    assert [response.values["code_name"] for response in desk.responses] == ["FAILURE"]
+    assert desk.responses[0].values["goal_id"] == "6"
+
+
+async def test_confirm_mode_holds_for_calls_as_for_topics(desk: Desk) -> None:
+    desk.confirmation.enabled = True
+    await desk.ask(named="ready")
+    (motion,) = desk.asked
+    assert isinstance(motion, PlannedMotion)
+    assert motion.confirm
+
+
+async def test_a_plan_alone_does_not_move_and_tells_its_duration(desk: Desk) -> None:
+    await desk.ask(named="ready", plan_only=True)
+    await settle()
+    assert desk.asked == []
+    assert desk.answer["success"]
+    assert desk.answer["duration_s"] > 0.0
+    assert desk.answer["goal_id"] == ""
+
+
+async def test_a_plan_alone_to_a_point_out_of_reach_names_the_nearest(desk: Desk) -> None:
+    await desk.ask(pose=OUT_OF_REACH, plan_only=True)
+    await settle()
+    assert (desk.answer["success"], desk.answer["code_name"]) == (False, "NO_IK_SOLUTION")
+    assert desk.answer["suggested"]["pose"]["pose"]["position"]["x"] > 0.0
+    assert "the nearest point" in desk.answer["message"]
+
+
+async def test_an_action_only_plans_when_it_is_asked_to(desk: Desk) -> None:
+    await desk.send(NAME, named="ready", plan_only=True)
+    await settle()
+    (result,) = desk.results
+    assert (desk.asked, result.values["success"]) == ([], True)
+    assert [each["state"] for each in desk.feedback] == ["planning", "done"]
+
+
+async def test_an_action_tells_state_and_time_left(desk: Desk) -> None:
+    await desk.send(NAME, named="ready")
+    desk.report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
+    assert desk.feedback[-1] == {"state": "executing", "message": "moving", "fraction": 0.25, "seconds_left": 1.5}
+
+
+async def test_an_action_can_be_cancelled(desk: Desk) -> None:
+    goal = await desk.send(NAME, named="ready")
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    (result,) = desk.results
+    assert (result.status, result.values["code_name"]) == (GoalStatus.CANCELED, "PREEMPTED")
+
+
+async def test_an_action_that_only_plans_can_be_cancelled(desk: Desk) -> None:
+    goal = desk.graph.actions.send_goal(
+        desk.client, NAME, "armbridge_msgs/MoveitGoal", {"named": "ready", "plan_only": True}, desk.results.append
+    )
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    assert desk.results[0].status == GoalStatus.CANCELED
+
+
+async def test_a_goal_that_fails_aborts_the_action(desk: Desk) -> None:
+    await desk.send(NAME, joints=ELBOW)
+    desk.finish(Answer(MoveItErrorCode.CONTROL_FAILED, "stalled"))
+    await settle()
+    assert (desk.results[0].status, desk.results[0].values["code"]) == (GoalStatus.ABORTED, -4)
+
+
+async def test_a_goal_of_another_client_is_not_ended_by_one_that_leaves(desk: Desk) -> None:
+    other = Node("other", remote=True, takes_goals_along=True)
+    await desk.ask(named="ready")
+    desk.graph.services.call(other, NAME, {"named": "home"}, desk.responses.append)
+    desk.graph.remove(other)
+    await settle()
+    assert desk.queue.busy
+    assert desk.queue.waiting_count == 0

@@ -1,0 +1,126 @@
+"""Clients that know services and actions alone, and clients of ROS 1, on a running server with the simulated arm."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import cbor2
+import pytest
+from websockets.asyncio.client import connect
+
+from tests.helpers.clients import ArmClient, arm_client
+from tests.helpers.server import RunningServer
+
+pytestmark = pytest.mark.real_time
+
+NAME, ACTION_TYPE = "/moveit_goal", "armbridge_msgs/action/MoveitGoal"
+PAN_RAD = 0.4
+TURNED = {"joints": {"name": ["shoulder_pan"], "position": [PAN_RAD]}}
+OUT_OF_REACH = {"pose": {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 1.0, "z": 0.2}}}}
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[RunningServer]:
+    with RunningServer() as running:
+        yield running
+
+
+@pytest.fixture
+async def client(server: RunningServer) -> AsyncIterator[ArmClient]:
+    async with arm_client(server.url) as connected:
+        yield connected
+
+
+async def pan_rad(client: ArmClient) -> float:
+    """Return the position of the first joint, by a state that is told from now on [rad]."""
+    seen = len(client.topics.get("/joint_states", []))
+    states = await client.until("/joint_states", lambda all_: len(all_) > seen + 1)
+    state = states[-1]
+    position: float = dict(zip(state["name"], state["position"], strict=True))["shoulder_pan"]
+    return position
+
+
+async def test_one_call_moves_the_arm_and_is_answered_when_it_is_there(client: ArmClient) -> None:
+    await client.call(NAME, named="home")
+    answer = await client.call(NAME, **TURNED)
+    assert (answer["success"], answer["code_name"]) == (True, "SUCCESS")
+    assert answer["duration_s"] > 0.0
+    assert await pan_rad(client) == pytest.approx(PAN_RAD, abs=0.06)
+
+
+async def test_a_plan_alone_leaves_the_arm_where_it_is(client: ArmClient) -> None:
+    await client.call(NAME, **TURNED)
+    answer = await client.call(NAME, named="rest", plan_only=True)
+    assert answer["success"]
+    assert answer["duration_s"] > 0.0
+    assert await pan_rad(client) == pytest.approx(PAN_RAD, abs=0.06)
+
+
+async def test_a_goal_out_of_reach_is_answered_with_one_that_works(client: ArmClient) -> None:
+    refused = await client.call(NAME, **OUT_OF_REACH)
+    assert (refused["success"], refused["code_name"]) == (False, "NO_IK_SOLUTION")
+    answer = await client.call(NAME, **refused["suggested"], velocity_scaling=1.0, acceleration_scaling=1.0)
+    assert answer["success"], answer["message"]
+
+
+async def test_an_action_tells_how_it_goes_to_its_sender_and_on_its_topics(client: ArmClient) -> None:
+    await client.call(NAME, named="home")
+    await client.say("subscribe", topic=f"{NAME}/_action/status")
+    await client.say("subscribe", topic=f"{NAME}/_action/feedback")
+    goal_id = await client.send_goal(NAME, ACTION_TYPE, TURNED)
+    result = await client.result(goal_id)
+    assert (result["status"], result["values"]["code_name"]) == (4, "SUCCESS")
+    states = [each["state"] for each in client.feedback[goal_id]]
+    assert {"planning", "executing", "done"} <= set(states)
+    assert any(each["seconds_left"] > 0.0 for each in client.feedback[goal_id])
+    published = await client.until(
+        f"{NAME}/_action/status", lambda all_: [each["status"] for each in all_[-1]["status_list"]][-1:] == [4]
+    )
+    told = client.topics[f"{NAME}/_action/feedback"]
+    assert told[0]["goal_id"] == published[-1]["status_list"][-1]["goal_info"]["goal_id"]
+    assert [each["feedback"]["state"] for each in told] == states
+
+
+async def test_an_action_is_cancelled_on_its_way(client: ArmClient) -> None:
+    await client.call(NAME, named="home")
+    goal_id = await client.send_goal(NAME, ACTION_TYPE, {**TURNED, "velocity_scaling": 0.05})
+    await client.until("/joint_states", lambda _all: any(each["state"] == "executing" for each in feedback(client)))
+    await client.say("cancel_action_goal", action=NAME, id=goal_id)
+    result = await client.result(goal_id)
+    assert (result["status"], result["values"]["code_name"]) == (5, "PREEMPTED")
+
+
+def feedback(client: ArmClient) -> list[dict[str, Any]]:
+    return [each for all_ in client.feedback.values() for each in all_]
+
+
+async def test_rosapi_tells_of_the_action(client: ArmClient) -> None:
+    assert NAME in (await client.call("/rosapi/action_servers"))["action_servers"]
+    assert (await client.call("/rosapi/action_type", action=NAME))["type"] == ACTION_TYPE
+    goal = (await client.call("/rosapi/action_goal_details", type=ACTION_TYPE))["typedefs"][0]
+    assert goal["fieldnames"][:3] == ["named", "joints", "pose"]
+    assert ACTION_TYPE in (await client.call("/rosapi/interfaces"))["interfaces"]
+
+
+async def test_a_ros1_client_gets_its_log_and_its_serialization(server: RunningServer, client: ArmClient) -> None:
+    url = server.url.replace("?x=1", "?ros=1")
+    async with connect(url, max_size=None) as old, connect(url, max_size=None) as raw:
+        await old.send(json.dumps({"op": "subscribe", "topic": "/rosout", "type": "rosgraph_msgs/Log"}))
+        subscription = {"op": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/JointState"}
+        await raw.send(json.dumps({**subscription, "compression": "cbor-raw"}))
+        # It says something on the log.
+        await client.call(NAME, named="nowhere at all")
+        async for frame in old:
+            record = json.loads(frame)["msg"]
+            if "nowhere at all" in record["msg"]:
+                break
+        assert (record["level"], record["header"]["seq"], record["topics"]) == (4, 0, [])
+        octets = cbor2.loads(await raw.recv())["msg"]["bytes"]
+        _seq, _secs, _nsecs, length = struct.unpack_from("<4I", octets)
+        (names,) = struct.unpack_from("<I", octets, 16 + length)
+        (first,) = struct.unpack_from("<I", octets, 20 + length)
+        assert names == 6
+        assert octets[24 + length : 24 + length + first] == b"shoulder_pan"

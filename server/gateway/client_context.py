@@ -28,9 +28,9 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import LARGE_BYTES, EncodedMessage
+from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
-from protocol.session import LaterFields, Refusal, Session
+from protocol.session import LaterFields, Refusal, SendAtOnce, Session, never_at_once
 from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
@@ -132,8 +132,9 @@ class ClientStatus:
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
         done = _DONE.get(type(operation))
-        if done is not None:
-            self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
+        if done is None:
+            return
+        self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
         if isinstance(operation, Advertise | Subscribe) and operation.qos:
             self.tell("warning", operation, "field qos: has no effect")
         if isinstance(operation, Subscribe) and operation.compression != operation.encoding:
@@ -185,11 +186,12 @@ class MessageTranslator:
             type_name: canonical name of a message type or of a member of a service or action.
             msg: the message; it is not changed.
         """
-        if not self._registry.knows(type_name):
+        speaks_bson, speaks_ros1 = self._session.speaks_bson, self._session.dialect == "ros1"
+        if not (speaks_bson or speaks_ros1) or not self._registry.knows(type_name):
             return msg
-        if self._session.speaks_bson:
+        if speaks_bson:
             msg = cbor.with_octets(self._registry, type_name, msg)
-        return dialect.to_ros1(self._registry, type_name, msg) if self._session.dialect == "ros1" else msg
+        return dialect.to_ros1(self._registry, type_name, msg) if speaks_ros1 else msg
 
     def from_client(self, message: ReceivedMessage) -> ReceivedMessage:
         """Note the dialect of a message of the client, to be translated when it is completed."""
@@ -223,7 +225,7 @@ class ClientContext:
         session: Session,
         clock: Callable[[], float],
         wake: Callable[[], None],
-        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
+        send_at_once: SendAtOnce = never_at_once,
     ) -> None:
         self.node = node
         self.graph = graph
@@ -237,8 +239,8 @@ class ClientContext:
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation without a message, which is never dropped."""
-        self.session.reply(fields)
-        self.wake()
+        if self.session.reply(fields, self.send_at_once):
+            self.wake()
 
     def send_message(self, fields: dict[str, Any], field: str, type_name: str) -> None:
         """Send the client an operation with a message, which is never dropped.
@@ -248,8 +250,7 @@ class ClientContext:
             field: the field with the message.
             type_name: type of the message; a name that the registry does not know for what is sent as it is.
         """
-        if not self.left:
-            self.session.reply(self._translated(fields, field, type_name))
+        if not self.left and self.session.reply(self._translated(fields, field, type_name), self.send_at_once):
             self.wake()
 
     def send_request(self, fields: dict[str, Any], type_name: str) -> bool:
@@ -261,8 +262,9 @@ class ClientContext:
         """
         if self.left:
             return False
-        has_room = self.session.ask(self._translated(fields, "args", type_name))
-        self.wake()
+        has_room = self.session.ask(self._translated(fields, "args", type_name), self.send_at_once)
+        if self.session.waiting:
+            self.wake()
         return has_room
 
     def send_feedback(self, fields: dict[str, Any], type_name: str) -> None:

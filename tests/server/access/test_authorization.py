@@ -202,6 +202,7 @@ class TestControl:
             ("publish", {"topic": "/planning_scene"}),
             ("publish", {"topic": "/moveit_goal_confirm"}),
             ("send_action_goal", {**ACTION, "args": {"planning_options": {"plan_only": True}}}),
+            ("call_service", {"service": "/moveit_goal", "args": {"named": "home", "plan_only": True}}),
             ("publish", {"topic": "/move_group/goal", "msg": {"goal": {"planning_options": {"plan_only": True}}}}),
         ],
     )

@@ -130,6 +130,21 @@ async def test_speed_and_group_are_those_of_the_request(desk: Desk) -> None:
     assert (problem.group, problem.velocity_scaling, problem.acceleration_scaling) == ("arm", 0.05, 0.7)
 
 
+async def test_joints_of_another_group_are_refused(desk: Desk) -> None:
+    await desk.ask(group="gripper", joints=ELBOW)
+    assert "no joint of group gripper is named" in desk.answer["message"]
+
+
+async def test_a_pose_is_for_the_group_of_the_request(desk: Desk) -> None:
+    await desk.ask(group="gripper", pose=POINT)
+    assert desk.problem().group == "gripper"
+
+
+async def test_a_pose_with_a_turn_alone_is_given(desk: Desk) -> None:
+    await desk.ask(pose={"pose": {"orientation": {"x": 1.0, "w": 0.0}}})
+    assert len(desk.asked) == 1
+
+
 async def test_without_a_scaling_the_speed_is_the_configured_one(desk: Desk) -> None:
     await desk.ask(joints=ELBOW)
     assert (desk.problem().velocity_scaling, desk.problem().acceleration_scaling) == (0.3, 0.3)
@@ -160,8 +175,9 @@ async def test_a_preempted_call_is_answered(desk: Desk) -> None:
 
 async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
     await desk.ask(0.01, named="ready")
-    while desk.queue.busy:
-        await asyncio.sleep(0.005)
+    async with asyncio.timeout(10.0):
+        while desk.queue.busy:
+            await asyncio.sleep(0.005)
     (response,) = desk.responses
     assert not response.ok
     assert "did not answer in 0.01 s" in response.values

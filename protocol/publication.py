@@ -20,9 +20,9 @@ from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp
 from protocol.registry import Registry
 
-# What the interpreter spends on a waiting frame beside its bytes (170 were measured, the rest is the allocator's),
+# What the interpreter spends on a waiting frame beside its bytes (470 were measured, the rest is the allocator's),
 # so that a flood of tiny frames is bounded too.
-FRAME_OVERHEAD_BYTES = 256
+FRAME_OVERHEAD_BYTES = 512
 
 # First byte of a WebSocket frame: the last of its message (0x80), text or binary (RFC 6455, 5.2).
 _TEXT, _BINARY = 0x81, 0x82
@@ -64,7 +64,7 @@ class EncodedMessage:
 
     Attributes:
         frames: as given; none while the message is still to be encoded, or when it cannot be.
-        size_bytes: what it costs while it waits; an estimate for a message that is encoded later.
+        size_bytes: what it costs while it waits; an estimate for a message that is still to be encoded.
         ready: False while it is still to be encoded.
     """
 
@@ -104,7 +104,7 @@ class EncodedMessage:
             return
         try:
             encoded = self._encode()
-            self._on_wire, self.frames = encoded.on_wire, encoded.frames
+            self._on_wire, self.frames, self.size_bytes = encoded.on_wire, encoded.frames, encoded.size_bytes
         finally:
             self._encode = None
             self.ready = True

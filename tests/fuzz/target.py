@@ -19,7 +19,7 @@ from tests.helpers.gateway import AtOnce, UnreadSocket
 REGISTRY = Registry.load()
 
 # Small limits are reached by small inputs.
-LIMITS = Limits(max_subscriptions=20, max_publications=20, max_queued_topic_bytes=20_000, max_queued_reply_bytes=20_000)
+LIMITS = Limits(max_subscriptions=20, max_publications=20, max_queued_bytes=20_000, max_queued_reply_bytes=20_000)
 
 # Ends a frame; the byte before it chooses the client, the kind of frame and how much time passes.
 SEPARATOR = b"\xff"
@@ -65,9 +65,9 @@ def run_world(data: bytes) -> None:
         for encoded in client.session.take_unready():
             encode_or_log(encoded)
         if control & 4:
-            queued = sum(len(one.data) for one in client.session.data_to_send(now_s))
+            queued = sum(one.size_bytes for one in client.session.data_to_send(now_s))
             client.inbox.resume()
-            assert queued <= 2 * (LIMITS.max_queued_topic_bytes + LIMITS.max_queued_reply_bytes) + len(data) * 8
+            assert queued <= 2 * (LIMITS.max_queued_bytes + LIMITS.max_queued_reply_bytes) + len(data) * 8
     for client in clients:
         client.leave()
     assert graph.topic_types() == {}

@@ -85,6 +85,6 @@ class SendBudget:
         return True
 
     def make_room_for_reply(self) -> None:
-        """Make room for what is never dropped: where no topic data is left, close those that have read least recently."""
+        """Make room for what is never dropped: where no topic data is left, clients that do not read are closed."""
         while not self.make_room():
             next(iter(self._holders)).give_up()

@@ -20,6 +20,10 @@ from protocol.publication import EncodedMessage
 from protocol.send_budget import SendBudget
 from protocol.subscriptions import Subscription
 
+# Answers of this size on count until the socket has taken them, for they are nobody else's; smaller ones are as little
+# as the buffers of the socket.
+LARGE_ANSWER_BYTES = 65_536
+
 
 @dataclass(slots=True)
 class _Waiting:
@@ -87,6 +91,8 @@ class SendQueue:
         # Messages that hold up those behind them until they are encoded, and those whose encoding has not begun.
         self._unready: dict[int, _Waiting] = {}
         self._to_encode: list[EncodedMessage] = []
+        # Large answers and requests that have been taken out last: the socket may still have them.
+        self._leaving_bytes = 0
 
     @property
     def empty(self) -> bool:
@@ -105,8 +111,8 @@ class SendQueue:
 
     @property
     def size_bytes(self) -> int:
-        """Size of all that waits [bytes]."""
-        return self._topic_bytes + self._reply_bytes + self._request_bytes
+        """Size of all that waits, and of large answers that the socket may still have [bytes]."""
+        return self._topic_bytes + self._reply_bytes + self._request_bytes + self._leaving_bytes
 
     def put_reply(self, encoded: EncodedMessage) -> None:
         """Queue a reply; one alone may have any size, one too many beside others sets `overflowed`."""
@@ -197,6 +203,7 @@ class SendQueue:
         for sequence in (*self._free, *self._paced):
             self._take(sequence)
         self._to_encode.clear()
+        self._count_leaving(0)
 
     def take_unready(self) -> list[EncodedMessage]:
         """Take the messages that are still to be encoded; each is returned once.
@@ -211,10 +218,14 @@ class SendQueue:
     def take_due(self, now: float, budget_bytes: int) -> list[EncodedMessage]:
         """Take out what may leave now, in order of queuing, until the budget is used up.
 
+        Call it when the socket takes more, also when nothing waits: what has been taken out before has left then.
+
         Args:
             now: present time [s], monotonic.
             budget_bytes: no further message is taken once the taken ones have this size.
         """
+        if self._leaving_bytes:
+            self._count_leaving(0)
         if len(self._free) == 1 and not self._paced and not self._replies:
             return self._take_only(now)
         self._budget.note_reading(self)
@@ -228,6 +239,9 @@ class SendQueue:
             due_bytes += encoded.size_bytes
             if due_bytes >= budget_bytes:
                 break
+        leaving_bytes = sum(self._replies[each].encoded.size_bytes for each in due if each in self._replies)
+        if leaving_bytes >= LARGE_ANSWER_BYTES:
+            self._count_leaving(leaving_bytes)
         taken = [self._take_reply(each) if each in self._replies else self._take_sent(each, now) for each in due]
         # One that could not be encoded has none.
         return [encoded for encoded in taken if encoded.frames]
@@ -279,6 +293,13 @@ class SendQueue:
         if not waiting.encoded.ready:
             self._unready[sequence] = waiting
             self._to_encode.append(waiting.encoded)
+
+    def _count_leaving(self, size_bytes: int) -> None:
+        more_bytes, self._leaving_bytes = size_bytes - self._leaving_bytes, size_bytes
+        if more_bytes > 0:
+            self._budget.charge(self, more_bytes)
+        elif more_bytes < 0:
+            self._budget.release(self, -more_bytes, empty=self.empty)
 
     def _recount(self) -> None:
         """Correct the sizes of messages that have been encoded; the bounds hold for what they really have."""
@@ -356,4 +377,4 @@ class SendQueue:
 
     def _release(self, sequence: int, waiting: _Waiting) -> None:
         self._unready.pop(sequence, None)
-        self._budget.release(self, waiting.size_bytes, empty=self.empty)
+        self._budget.release(self, waiting.size_bytes, empty=self.empty and not self._leaving_bytes)

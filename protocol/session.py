@@ -296,7 +296,7 @@ class Session:
 
     @property
     def queued_bytes(self) -> int:
-        """Size of all that waits to be sent [bytes]."""
+        """Size of all that waits to be sent, and of large answers that the socket may still have [bytes]."""
         return self._send_queue.size_bytes
 
     @property

@@ -224,6 +224,8 @@ class Connection:
             wake.clear()
             self._flush()
             await self._websocket.drain()
+            # What the socket had is no longer held.
+            self._flush()
             await self._until_something_is_due(wake)
 
     def _wake_up(self) -> None:
@@ -235,7 +237,7 @@ class Connection:
             self._give_up()
             return
         self._flush()
-        if session.waiting:
+        if session.queued_bytes:
             self._wake_writer()
             if self._watch is None:
                 self._expect_reading(time.monotonic())
@@ -260,7 +262,7 @@ class Connection:
             session.drop_late(now_s)
         if session.overflowed or (session.congested and now_s - since_s >= UNREAD_TIMEOUT_S):
             self._give_up()
-        elif session.waiting:
+        elif session.queued_bytes:
             self._expect_reading(since_s)
 
     def _give_up(self) -> None:

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from protocol import send_queue
 from protocol.limits import Limits
 from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame
 from protocol.send_budget import SendBudget
@@ -87,6 +89,32 @@ def test_where_only_replies_are_left_the_client_that_reads_least_is_closed() -> 
     assert (deaf.size_bytes, reading.size_bytes) == (0, 6000)
 
 
+def test_a_large_answer_counts_until_the_socket_takes_more() -> None:
+    budget = SendBudget()
+    (queue,) = queues(budget, 1)
+    queue.put_reply(encoded(1_000_000))
+    queue.put_reply(encoded(2_000_000))
+    assert len(queue.take_due(0.0, 1)) == 1
+    assert budget.used_bytes == queue.size_bytes == 3_000_000
+    assert len(queue.take_due(0.0, 1)) == 1
+    assert queue.empty
+    assert budget.used_bytes == queue.size_bytes == 2_000_000
+    assert queue.take_due(0.0, 1) == []
+    assert budget.used_bytes == queue.size_bytes == 0
+
+
+def test_clients_with_unread_answers_in_their_sockets_are_closed_before_others_are() -> None:
+    budget = SendBudget(3_000_000)
+    *deaf, reading = queues(budget, 4)
+    for queue in deaf:
+        queue.put_reply(encoded(1_000_000))
+        queue.take_due(0.0, 1)
+    reading.put_reply(encoded(500_000))
+    assert [queue.overflowed for queue in deaf] == [True, False, False]
+    assert not reading.overflowed
+    assert budget.used_bytes == 2_500_000
+
+
 def test_a_request_for_which_no_room_is_left_is_refused_and_nobody_is_closed() -> None:
     budget = SendBudget(10_000)
     caller, provider = queues(budget, 2)
@@ -155,6 +183,9 @@ class Clients(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
+        # Scaled down like the limits.
+        self.patched = pytest.MonkeyPatch()
+        self.patched.setattr(send_queue, "LARGE_ANSWER_BYTES", 2000)
         self.budget = SendBudget(50_000)
         self.queues: list[SendQueue] = []
         self.subscriptions: list[list[Subscription]] = []
@@ -239,7 +270,7 @@ class Clients(RuleBasedStateMachine):
 
     @invariant()
     def the_budget_knows_exactly_those_for_whom_something_waits(self) -> None:
-        assert set(self.budget._holders) == {queue for queue in self.queues if not queue.empty}
+        assert set(self.budget._holders) == {queue for queue in self.queues if queue.size_bytes}
 
     @invariant()
     def no_bound_is_exceeded_by_more_than_one_message(self) -> None:
@@ -249,9 +280,10 @@ class Clients(RuleBasedStateMachine):
 
     @invariant()
     def an_empty_queue_has_no_bytes(self) -> None:
-        assert all(queue.size_bytes == 0 for queue in self.queues if queue.empty)
+        assert all(queue.size_bytes == queue._leaving_bytes for queue in self.queues if queue.empty)
 
     def teardown(self) -> None:
+        self.patched.undo()
         for queue in self.queues:
             queue.close()
         assert self.budget.used_bytes == 0

@@ -190,3 +190,18 @@ async def test_a_message_that_waits_for_many_clients_is_in_memory_once() -> None
         queues = [each._client.session._send_queue for each in world.listener.traffic._open]
         waiting = [[id(one.encoded) for one in queue._free.values()][-5:] for queue in queues]
         assert waiting == [waiting[0]] * 5
+
+
+async def test_answers_that_stay_in_the_sockets_of_clients_that_do_not_read_close_them_and_nobody_else() -> None:
+    limits = SessionSettings(max_queued_bytes=8_000_000, max_topic_delay_s=0.2)
+    async with world_with(limits, max_queued_bytes=30_000_000) as world:
+        world.graph.services.offer(TALKER, "/s", "std_srvs/Trigger", lambda _: {"message": "x" * 7_000_000})
+        reader = await world.connect()
+        for _ in range(6):
+            client = await world.deaf()
+            await client.send(json.dumps({"op": "call_service", "service": "/s"}))
+        for _ in range(10):
+            await reader.send(json.dumps({"op": "call_service", "service": "/s"}))
+            assert json.loads(await asyncio.wait_for(reader.recv(), TIMEOUT_S))["result"]
+        await until(lambda: world.listener.traffic.clients <= 5)
+        assert world.used_bytes <= 30_000_000

@@ -166,7 +166,8 @@ class SendQueue:
         else:
             self._waiting[subscription] = deque((sequence,))
         waiting = _TopicData(encoded, encoded.size_bytes, subscription, now)
-        if subscription.paced:
+        # Behind messages that wait for a throttle that is gone, others wait too: they keep their order.
+        if subscription.paced or subscription in self._throttled:
             self._paced[sequence] = waiting
             self._throttled.add(subscription)
         else:
@@ -363,12 +364,11 @@ class SendQueue:
         self.throttled += subscription.paced
 
     def _take(self, sequence: int) -> _TopicData:
-        """Take out topic data."""
+        """Take out topic data; of its subscription it must be the oldest."""
         taken = (self._free if sequence in self._free else self._paced).pop(sequence)
         self._topic_bytes -= taken.size_bytes
         waiting = self._waiting[taken.subscription]
-        # It is the oldest of its subscription, unless that has had a throttle in between.
-        waiting.remove(sequence)
+        waiting.popleft()
         if not waiting:
             del self._waiting[taken.subscription]
             self._throttled.discard(taken.subscription)

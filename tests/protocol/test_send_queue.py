@@ -398,8 +398,10 @@ def test_messages_of_a_topic_keep_their_order_when_its_throttle_comes_and_goes()
     for number, throttle_s in enumerate((0.0, 0.3, 0.0, 0.3)):
         topic.throttle_s = throttle_s
         box.put_topic_data(topic, encoded(b"%d" % number), 0.0)
+    assert [taken(box, now) for now in (1.0, 2.0, 3.0)] == [[b"0"], [b"1"], [b"2"]]
     topic.throttle_s = 0.0
-    assert taken(box, 1.0) == [b"0", b"1", b"2", b"3"]
+    box.put_topic_data(topic, encoded(b"4"), 3.0)
+    assert taken(box, 3.0) == [b"3", b"4"]
     assert box.empty
 
 

@@ -413,6 +413,15 @@ def test_a_client_that_stops_reading_holds_no_more_than_it_may():
     assert session.overflowed
 
 
+def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
+    session = Session()
+    congested = []
+    for _ in range(3):
+        session.reply({"op": "service_response", "values": "y" * 100_000})
+        congested.append(session.congested)
+    assert congested == [False, False, True]
+
+
 def test_feedback_is_dropped_where_a_reply_would_overflow():
     session = Session(Limits(max_queued_bytes=10_000, max_queued_reply_bytes=10_000))
     for step in range(1000):

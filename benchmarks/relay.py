@@ -14,6 +14,7 @@ from typing import Any
 import orjson
 import uvloop
 from websockets.asyncio.server import ServerConnection, broadcast, serve
+from websockets.exceptions import ConnectionClosed
 
 subscribers: dict[str, set[ServerConnection]] = defaultdict(set)
 providers: dict[str, ServerConnection] = {}
@@ -22,7 +23,12 @@ callers: dict[str, tuple[ServerConnection, Any]] = {}
 
 async def handle(websocket: ServerConnection) -> None:
     """Relay one client's frames."""
-    async for frame in websocket:
+    # Bytes, for orjson checks their UTF-8 as it reads them.
+    while True:
+        try:
+            frame = await websocket.recv(decode=False)
+        except ConnectionClosed:
+            return
         operation = orjson.loads(frame)
         match operation["op"]:
             case "subscribe":

@@ -245,7 +245,7 @@ class SendQueue:
             self._count_leaving(leaving_bytes)
         taken = [self._take_reply(each) if each in self._replies else self._take_sent(each, now) for each in due]
         # One that could not be encoded has none.
-        return [encoded for encoded in taken if encoded.frames]
+        return [encoded for encoded in taken if encoded.frame_count]
 
     def next_due(self, now: float) -> float | None:
         """Return when the next message may leave [s]: `now` when one is due, None when nothing waits.
@@ -266,7 +266,7 @@ class SendQueue:
         if not waiting.encoded.ready and not waiting.subscription.closed:
             return []
         encoded = self._take_sent(sequence, now)
-        return [encoded] if encoded.frames and not waiting.subscription.closed else []
+        return [encoded] if encoded.frame_count and not waiting.subscription.closed else []
 
     def _due(self, now: float) -> Iterator[int]:
         """Go over the sequence numbers of all that may leave, in order; nothing may be taken out meanwhile."""

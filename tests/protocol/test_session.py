@@ -158,7 +158,7 @@ def test_subscribers_share_the_bytes_of_a_frame():
     first, second, published = subscribed(), subscribed(), message("x")
     for session in (first, second):
         session.deliver(published, 1.0)
-    assert sent(first, 1.0)[0] is sent(second, 1.0)[0]
+    assert first.data_to_send(1.0)[0].on_wire is second.data_to_send(1.0)[0].on_wire
 
 
 def test_after_unsubscribing_nothing_comes_not_even_what_waited():

@@ -24,6 +24,11 @@ from protocol.subscriptions import Subscription
 # as the buffers of the socket.
 LARGE_ANSWER_BYTES = 65_536
 
+# Messages of topics of this size on let smaller ones of other topics, and answers, go ahead when they have waited so
+# long: seconds of pictures may wait over a slow link, and joint states are not to be as old as those.
+BULKY_BYTES = 65_536
+BEHIND_S = 0.25
+
 
 @dataclass(slots=True)
 class _Waiting:
@@ -80,14 +85,19 @@ class SendQueue:
         # Which of them are requests of others; these have a bound of their own.
         self._requests: set[int] = set()
         self._request_bytes = 0
-        # Topic data by sequence number, oldest first: what may leave at any time, and what waits for a throttle. The
-        # second must not be gone through each time that the first is sent.
+        # Topic data by sequence number, oldest first: what may leave at any time, what is bulky, and what waits for a
+        # throttle, which must not be gone through each time that the rest is sent.
         self._free: OrderedDict[int, _TopicData] = OrderedDict()
+        self._bulky: OrderedDict[int, _TopicData] = OrderedDict()
         self._paced: OrderedDict[int, _TopicData] = OrderedDict()
+        # True when the next that leaves of a client that is behind is bulky.
+        self._bulky_first = False
         self._topic_bytes = 0
-        # Which of them wait for each subscription, oldest first; and the subscriptions that wait for a throttle.
+        # Which of them wait for each subscription, oldest first; the subscriptions that wait for a throttle, and those
+        # with bulky messages.
         self._waiting: dict[Subscription, deque[int]] = {}
         self._throttled: set[Subscription] = set()
+        self._with_bulky: set[Subscription] = set()
         # Messages that hold up those behind them until they are encoded, and those whose encoding has not begun.
         self._unready: dict[int, _Waiting] = {}
         self._to_encode: list[EncodedMessage] = []
@@ -97,12 +107,12 @@ class SendQueue:
     @property
     def empty(self) -> bool:
         """True when nothing waits."""
-        return not self._free and not self._paced and not self._replies
+        return not (self._free or self._bulky or self._paced or self._replies)
 
     @property
     def has_topic_data(self) -> bool:
         """True while topic data waits."""
-        return bool(self._free or self._paced)
+        return bool(self._free or self._bulky or self._paced)
 
     @property
     def reply_bytes(self) -> int:
@@ -146,13 +156,16 @@ class SendQueue:
         self._take_reply(sequence)
         return False
 
-    def put_topic_data(self, subscription: Subscription, encoded: EncodedMessage, now: float) -> None:
+    def put_topic_data(
+        self, subscription: Subscription, encoded: EncodedMessage, now: float, *, in_order: bool = False
+    ) -> None:
         """Queue topic data that its subscription has admitted, and drop what is then too much.
 
         Args:
             subscription: the subscription.
             encoded: the message.
             now: present time [s], monotonic.
+            in_order: True when no reply may overtake it.
         """
         if self._closed:
             return
@@ -170,6 +183,9 @@ class SendQueue:
         if subscription.paced or subscription in self._throttled:
             self._paced[sequence] = waiting
             self._throttled.add(subscription)
+        elif subscription in self._with_bulky or (waiting.size_bytes >= BULKY_BYTES and not in_order):
+            self._bulky[sequence] = waiting
+            self._with_bulky.add(subscription)
         else:
             self._free[sequence] = waiting
         self._topic_bytes += waiting.size_bytes
@@ -189,7 +205,7 @@ class SendQueue:
 
     def drop_oldest(self) -> None:
         """Drop the oldest topic data; as :class:`protocol.send_budget.Holder`."""
-        self._drop(min(next(iter(lane)) for lane in (self._free, self._paced) if lane))
+        self._drop(min(next(iter(lane)) for lane in (self._free, self._bulky, self._paced) if lane))
 
     def give_up(self) -> None:
         """Drop all that waits and take no more: the client is to be closed."""
@@ -201,7 +217,7 @@ class SendQueue:
         self._closed = True
         for sequence in list(self._replies):
             self._take_reply(sequence)
-        for sequence in (*self._free, *self._paced):
+        for sequence in sorted((*self._free, *self._bulky, *self._paced)):
             self._take(sequence)
         self._to_encode.clear()
         self._count_leaving(0)
@@ -227,7 +243,7 @@ class SendQueue:
         """
         if self._leaving_bytes:
             self._count_leaving(0)
-        if len(self._free) == 1 and not self._paced and not self._replies:
+        if len(self._free) == 1 and not (self._bulky or self._paced or self._replies):
             return self._take_only(now)
         self._budget.note_reading(self)
         self._forget_closed()
@@ -240,6 +256,8 @@ class SendQueue:
             due_bytes += encoded.size_bytes
             if due_bytes >= budget_bytes:
                 break
+        if self._bulky:
+            self._bulky_first = not self._bulky_first
         leaving_bytes = sum(self._replies[each].encoded.size_bytes for each in due if each in self._replies)
         if leaving_bytes >= LARGE_ANSWER_BYTES:
             self._count_leaving(leaving_bytes)
@@ -252,11 +270,11 @@ class SendQueue:
 
         None as well when the first that is due is still to be encoded.
         """
-        if self._unready:
+        if self._unready or self._bulky:
             first = next(self._due(now), None)
-            if first is not None and not self._encoded(first).ready:
-                return None
-        if self._replies or self._free:
+            if first is not None:
+                return now if self._encoded(first).ready else None
+        elif self._replies or self._free:
             return now
         return min((max(now, subscription.due_s) for subscription in self._throttled), default=None)
 
@@ -276,13 +294,27 @@ class SendQueue:
             due = itertools.islice(waiting, subscription.due_count(len(waiting), now))
             # Those that have waited since before the subscription had its throttle are free.
             lanes.append(sequence for sequence in due if sequence in self._paced)
+        if self._bulky:
+            sequence, oldest = next(iter(self._bulky.items()))
+            if oldest.queued_s >= now - BEHIND_S:
+                lanes.append(self._bulky)
+            elif oldest.encoded.ready:
+                first = itertools.islice(self._bulky, 1)
+                rest = heapq.merge(*lanes)
+                is_next = self._waiting[oldest.subscription][0] == sequence
+                return itertools.chain(first, rest) if self._bulky_first and is_next else itertools.chain(rest, first)
         return iter(lanes[0]) if len(lanes) == 1 else heapq.merge(*lanes)
 
     def _encoded(self, sequence: int) -> EncodedMessage:
         return (self._replies[sequence] if sequence in self._replies else self._topic_data(sequence)).encoded
 
     def _topic_data(self, sequence: int) -> _TopicData:
-        return self._free[sequence] if sequence in self._free else self._paced[sequence]
+        return self._lane_of(sequence)[sequence]
+
+    def _lane_of(self, sequence: int) -> OrderedDict[int, _TopicData]:
+        if sequence in self._free:
+            return self._free
+        return self._bulky if sequence in self._bulky else self._paced
 
     def _put(self, sequence: int, encoded: EncodedMessage) -> None:
         """Let a reply or a request wait."""
@@ -323,7 +355,7 @@ class SendQueue:
         """Drop the oldest topic data beyond what may wait for one client."""
         # The newest always stays, even one that is larger than the bound: else it could never be delivered.
         limits = self._limits
-        while (count := len(self._free) + len(self._paced)) > 1 and (
+        while (count := len(self._free) + len(self._bulky) + len(self._paced)) > 1 and (
             count > limits.max_queued_messages
             or self._topic_bytes + self._reply_bytes + self._request_bytes > limits.max_queued_bytes
         ):
@@ -365,13 +397,14 @@ class SendQueue:
 
     def _take(self, sequence: int) -> _TopicData:
         """Take out topic data; of its subscription it must be the oldest."""
-        taken = (self._free if sequence in self._free else self._paced).pop(sequence)
+        taken = self._lane_of(sequence).pop(sequence)
         self._topic_bytes -= taken.size_bytes
         waiting = self._waiting[taken.subscription]
         waiting.popleft()
         if not waiting:
             del self._waiting[taken.subscription]
             self._throttled.discard(taken.subscription)
+            self._with_bulky.discard(taken.subscription)
         self._release(sequence, taken)
         return taken
 

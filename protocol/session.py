@@ -262,7 +262,7 @@ class Session:
             fields: as in :meth:`reply`.
             now: present time [s], monotonic.
         """
-        self._send_queue.put_topic_data(self._feedback, self._encode_message(fields), now)
+        self._send_queue.put_topic_data(self._feedback, self._encode_message(fields), now, in_order=True)
 
     def take_unready(self) -> list[EncodedMessage]:
         """Take the queued messages that are still to be encoded, by a thread; each is returned once."""

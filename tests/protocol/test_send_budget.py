@@ -186,6 +186,7 @@ class Clients(RuleBasedStateMachine):
         # Scaled down like the limits.
         self.patched = pytest.MonkeyPatch()
         self.patched.setattr(send_queue, "LARGE_ANSWER_BYTES", 2000)
+        self.patched.setattr(send_queue, "BULKY_BYTES", 3000)
         self.budget = SendBudget(50_000)
         self.queues: list[SendQueue] = []
         self.subscriptions: list[list[Subscription]] = []
@@ -277,6 +278,13 @@ class Clients(RuleBasedStateMachine):
         assert self.budget.used_bytes <= self.budget.limit_bytes
         assert all(queue._topic_bytes <= LIMITS.max_queued_bytes for queue in self.queues)
         assert all(queue._request_bytes >= 0 and queue.reply_bytes >= 0 for queue in self.queues)
+
+    @invariant()
+    def each_subscription_knows_exactly_what_waits_for_it(self) -> None:
+        for queue in self.queues:
+            known = sorted(sequence for lane in queue._waiting.values() for sequence in lane)
+            assert known == sorted((*queue._free, *queue._bulky, *queue._paced))
+            assert all(list(lane) == sorted(lane) for lane in queue._waiting.values())
 
     @invariant()
     def an_empty_queue_has_no_bytes(self) -> None:

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from protocol.errors import MessageError
 from protocol.limits import Limits
 from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame
-from protocol.send_queue import SendQueue
+from protocol.send_queue import BEHIND_S, BULKY_BYTES, SendQueue
 from protocol.subscriptions import Subscription
 
 
@@ -196,7 +196,7 @@ def test_order_and_bound_hold_whatever_comes(actions):
                 assert int(mark) > last_of[lane.decode()]
                 last_of[lane.decode()] = int(mark)
                 took += lane != b"r"
-        count = len(box._free) + len(box._paced)
+        count = len(box._free) + len(box._bulky) + len(box._paced)
         assert box._topic_bytes <= limit_bytes or count == 1
         assert put == took + box.dropped + count
         assert sum(map(len, box._waiting.values())) == count
@@ -414,3 +414,83 @@ def test_what_waits_for_a_throttle_does_not_slow_down_what_may_leave(free: Subsc
     box._encoded = lambda sequence, look=box._encoded: looked_at.append(sequence) or look(sequence)
     assert taken(box, 1.0) == [b"now"]
     assert len(looked_at) == 1
+
+
+# Small messages beside large ones
+
+LARGE = b"x" * BULKY_BYTES
+
+
+def test_small_messages_go_ahead_of_large_ones_of_other_topics_when_the_client_is_behind(free: Subscription) -> None:
+    box, pictures = SendQueue(Limits()), Subscription("/pictures")
+    put_all(box, pictures, [LARGE + b"%d" % number for number in range(30)])
+    now = BEHIND_S + 0.1
+    box.put_topic_data(free, encoded(b"joints"), now)
+    box.put_reply(encoded(b"reply"))
+    got = [frame[-6:] for _ in range(2) for frame in taken(box, now, 65_536)]
+    assert b"joints" in got
+    assert b"reply"[-6:] in got
+    assert len(got) <= 4
+
+
+def test_all_leave_in_order_of_queuing_while_the_client_keeps_up(free: Subscription) -> None:
+    box = SendQueue(Limits())
+    put_all(box, Subscription("/pictures"), [LARGE])
+    put_all(box, free, [b"joints"])
+    box.put_reply(encoded(b"reply"))
+    assert taken(box, BEHIND_S) == [LARGE, b"joints", b"reply"]
+
+
+def test_pictures_come_through_to_a_client_that_is_behind_with_small_messages_too(free: Subscription) -> None:
+    box = SendQueue(Limits())
+    put_all(box, Subscription("/pictures"), [LARGE] * 3)
+    put_all(box, free, [b"y" * 30_000] * 100)
+    got = [len(frame) for _ in range(8) for frame in taken(box, 1.0, 65_536)]
+    assert got.count(len(LARGE)) >= 3
+    assert got.count(30_000) >= 6
+
+
+def test_messages_of_one_topic_keep_their_order_whatever_their_sizes() -> None:
+    box, topic = SendQueue(Limits()), Subscription("/t")
+    sent = [b"1", LARGE + b"2", b"3", LARGE + b"4", b"5"]
+    put_all(box, topic, sent)
+    got = []
+    while due := taken(box, 1.0, 65_536):
+        got += due
+    assert got == sent
+
+
+def test_no_reply_overtakes_feedback_however_large(free: Subscription) -> None:
+    box = SendQueue(Limits())
+    box.put_topic_data(free, encoded(LARGE), 0.0, in_order=True)
+    box.put_reply(encoded(b"result"))
+    assert taken(box, 1.0) == [LARGE, b"result"]
+
+
+def test_small_messages_do_not_wait_for_a_large_one_whose_encoding_takes_long(free: Subscription) -> None:
+    box, large = SendQueue(Limits()), EncodedMessage.later(lambda: encoded(LARGE), BULKY_BYTES)
+    box.put_topic_data(Subscription("/pictures"), large, 0.0)
+    box.put_topic_data(free, encoded(b"joints"), 0.0)
+    assert taken(box, BEHIND_S) == []
+    assert box.next_due(BEHIND_S) is None
+    assert box.next_due(1.0) == 1.0
+    assert taken(box, 1.0) == [b"joints"]
+    assert box.next_due(1.0) is None
+    large.encode()
+    assert box.next_due(1.0) == 1.0
+    assert taken(box, 1.0) == [LARGE]
+
+
+def test_a_large_message_does_not_overtake_a_small_one_of_its_topic(free: Subscription) -> None:
+    box, topic = SendQueue(Limits()), Subscription("/t")
+    put_all(box, free, [LARGE, LARGE])
+    assert taken(box, 1.0, 1) == [LARGE]
+    put_all(box, topic, [b"1", LARGE + b"2"])
+    got = []
+    while due := taken(box, 1.0, 1):
+        got += due
+    assert got == [LARGE, b"1", LARGE + b"2"]
+    put_all(box, free, [LARGE])
+    assert taken(box, 1.0, 1) == [LARGE]
+    put_all(box, topic, [b"1", LARGE + b"2"])
+    assert taken(box, 1.0, 1) == [b"1"]
